@@ -17,6 +17,7 @@ from undeadzone.scenario.reader import parse
 from undeadzone.simulation.exogenous import targets
 from undeadzone.simulation.follower import Follower
 from undeadzone.simulation.log_diagnosis import what_would_fit
+from undeadzone.synthesis.check import check
 from undeadzone.util.arrays import Floats
 from undeadzone_export.accuracy import CompiledStep
 from undeadzone_export.code import build_code
@@ -240,3 +241,10 @@ def test_what_no_point_can_have_is_refused(tmp_path: Path) -> None:
     done = undeadzone("export", "heater.toml", "--to", "snippet", "--out", "s", cwd=tmp_path)
     assert done.returncode == 2
     assert "operating_point" in done.stderr
+
+
+def test_check_of_an_unknown_actuator_is_about_the_point() -> None:
+    """Its branches are those of a run in deviations, as without the point."""
+    zone = "[actuator]\nright = 0.3\nleft = 0.2\n[model.actuator]\nright = [0, 1]\nleft = [0, 1]\n"
+    one, other = (check(parse(PLANT + zone + point)) for point in ("", POINT))
+    assert one.summary() == other.summary()
