@@ -116,8 +116,8 @@ def _zone_fields(answers: Sequence[Answer]) -> dict[str, str]:
     own = _width_lines([_require_edges(answer) for answer in answers]), _prior_range_lines(answers)
     sensor, actuator = (none, own) if first.verdict == "input_zone" else (own, none)
     if first.verdict == "input_zone" and first.at_rest is not None:
-        lines, told = actuator
-        actuator = f"{lines}\n# {_ends_of_input(first)}", told
+        lines, ranges = actuator
+        actuator = f"{lines}\n# {_ends_of_input(first)}", ranges
     if first.element is not None and first.element.input:
         right, left = (first.element.input[side] for side in SIDES)
         told = [[prior_element_range(first.element, edge)] for edge in (right, left)]
