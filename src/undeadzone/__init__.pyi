@@ -77,6 +77,7 @@ from .results.estimation import Estimation as Estimation
 from .results.run import Run as Run
 from .scenario.ensemble_table import Distribution as Distribution
 from .scenario.ensemble_table import Vary as Vary
+from .scenario.operating_point import OperatingPoint as OperatingPoint
 from .scenario.reader import read as read
 from .scenario.schema import Model as Model
 from .scenario.schema import Scenario as Scenario

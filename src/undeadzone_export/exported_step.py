@@ -25,6 +25,7 @@ from undeadzone.interfaces import (
 )
 from undeadzone.nonlinearities.limits import Limits
 from undeadzone.nonlinearities.sensor import present
+from undeadzone.scenario.operating_point import Levels
 from undeadzone.scenario.problem import Problem
 from undeadzone.scenario.schema import Units
 from undeadzone.simulation.close import Wiring, no_target
@@ -197,6 +198,7 @@ class ExportedStep(NamedTuple):
         readings: number of entries of w that are readings. They come first.
         acting: the entries of w that are inputs u of the plant (none with a controller).
         Ts: sample time [s].
+        at_rest: w at the operating point.
     """
 
     function: ca.Function
@@ -209,6 +211,7 @@ class ExportedStep(NamedTuple):
     readings: int
     acting: list[int]
     Ts: float
+    at_rest: Floats
 
 
 class _StepNumbers(NamedTuple):
@@ -276,18 +279,28 @@ def build_step(
     require_effect(ca.vertcat(following, out), params, tunable)
     p = problem.model.p
     m = problem.model.m
+    inputs = [_y_field(p, problem.scenario.units), *step.input_fields]
     return ExportedStep(
         function=function,
         start=tree.pack_tree(step.memory),
         state=state_fields(step.memory, problem.scenario.units, "" if closed else "observer"),
-        inputs=[_y_field(p, problem.scenario.units), *step.input_fields],
+        inputs=inputs,
         outputs=step.output_fields,
         params=params.fields,
         defaults=defaults,
         readings=p,
         acting=[] if closed else list(range(p, p + m)),
         Ts=problem.model.Ts,
+        at_rest=_inputs_at_rest(problem.levels, inputs),
     )
+
+
+def _inputs_at_rest(levels: Levels | None, fields: list[Field]) -> Floats:
+    """Return the inputs of a step at the operating point: 0 for those that have no level."""
+    known = {}
+    if levels is not None:
+        known = {"y": levels.y, "u": levels.u, "r": levels.r, "u_ff": levels.u}
+    return np.concatenate([known.get(field.name, np.zeros(field.size)) for field in fields])
 
 
 class _TracedStep(NamedTuple):
@@ -317,14 +330,23 @@ def _trace_observer(problem: Problem, observer: Observer, params: _StepNumbers) 
     An input that is not finite is replaced by the last finite one.
     """
     model = problem.model
-    memory = _ObserverMemory(observer.init(observer.params), np.zeros(model.m))
+    at_rest = np.zeros(model.m) if problem.levels is None else problem.levels.u
+    memory = _ObserverMemory(observer.init(observer.params), at_rest)
     column, s = tree.create_symbols(memory, "s")
     y = ca.SX.sym("y", model.p)
     u = ca.SX.sym("u", model.m)
     used = ca.if_else(present(u), u, s.held)
-    reading = to_reading(y, *params.sensor)
-    after, estimate = observer.step(params.observer, s.observer, used, reading)
+    levels = problem.levels
+    acting = used
+    counted = y
+    if levels is not None:
+        acting = used - levels.u
+        counted = y - levels.y
+    reading = to_reading(counted, *params.sensor)
+    after, estimate = observer.step(params.observer, s.observer, acting, reading)
     following = _ObserverMemory(after, used)
+    if levels is not None:
+        estimate = levels.restore_estimate(estimate)
     out = (estimate, sample_branch(reading, estimate))
     shown = _estimate_fields(problem, estimate)
     return _TracedStep(memory, column, [y, u], following, out, [_u_field(problem)], shown)
@@ -347,11 +369,19 @@ def _trace_loop(problem: Problem, observer: Observer, params: Any) -> _TracedSte
     y = ca.SX.sym("y", model.p)
     like = no_target(problem)
     t_column, target = tree.create_symbols(like, "target")
-    reading = to_reading(y, *params.sensor)
+    levels = problem.levels
+    counted = y
+    if levels is not None:
+        counted = y - levels.y
+        target = target._replace(r=target.r - levels.r, u_ff=target.u_ff - levels.u)
+    reading = to_reading(counted, *params.sensor)
     own = observer, controller, params, compensator
     following, u, estimate = Wiring(problem.plant, problem.sensor.kind, *own).advance_controller(
         s, reading, target
     )
+    if levels is not None:
+        u = u + levels.u
+        estimate = levels.restore_estimate(estimate)
     out = u, estimate, sample_branch(reading, estimate)
     shown = [_u_field(problem), *_estimate_fields(problem, estimate)]
     fields = _target_fields(like, problem.scenario.units)

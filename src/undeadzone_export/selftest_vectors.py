@@ -79,6 +79,8 @@ def record_inputs(problem: Problem, step: ExportedStep) -> Floats:
         signals = name_outputs(loop, stepper.run(given))
         others = [signals.u] if step.acting else [given[:, place] for place in places]
         rows = np.hstack([signals.y, *others])
+        if problem.levels is not None:
+            rows = rows + step.at_rest
         missing = np.isnan(rows[:, step.readings :]).any(axis=1)
         diverged = np.asarray((np.abs(rows) > DIVERGED).any(axis=1) | missing)
         found.append(rows[: int(diverged.argmax())] if diverged.any() else rows)

@@ -404,6 +404,11 @@ def _of_scenario(scenario: Scenario, path: Path) -> Lost:
         raise InputError(f"{path}: no zone in sensor or actuator: nothing to compensate")
     both = [a + b for a, b in zip(right, left, strict=True)]
     width = (both[0], both[1], both[2])
+    if scenario.operating_point is not None and kind != "backlash":
+        raise InputError(
+            f"{path}: operating_point: the few lines act about 0. Export the observer with its"
+            " controller by --to c or --to st, which count from the point"
+        )
     silent = 0.5 * max(_numbers(sensor.quantum), default=0.0)
     return Lost(kind, right, left, width, unit, path.name, silent, is_ahead=is_ahead)
 

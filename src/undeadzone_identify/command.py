@@ -133,8 +133,8 @@ def identify(
     from undeadzone_identify.results.result import WRITTEN
 
     first = logs[0]
-    if chain is not None and (len(logs) > 1 or options["zero"]):
-        raise click.UsageError("--chain follows one log, with --zero taken off its readings")
+    if chain is not None and len(logs) > 1:
+        raise click.UsageError("--chain follows one log")
     folder = output.choose_folder(f"{first.stem}-identify")
     path = require_writable(output.out or Path()) / f"{first.stem}.toml"
     if chain is not None:
@@ -252,7 +252,7 @@ def _next_commands(
     words = shell_command("undeadzone", "run", scenario)
     if not driven:
         words = f"{shell_command('undeadzone', 'watch', scenario)} of what is read from now on"
-    if len(logs) == 1 and not options["zero"] and options["resample"] is None:
+    if len(logs) == 1 and options["resample"] is None:
         columns = ["--columns", options["columns"]] * bool(options["columns"])
         words = f"{shell_command('undeadzone', 'estimate', scenario, *logs, *columns)}, {words}"
     return f"{words}, or {shell_command('undeadzone', 'export', scenario)}" if driven else words

@@ -9,6 +9,7 @@ import re
 import shlex
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,13 +17,14 @@ import pytest
 
 import undeadzone as uz
 from commands import undeadzone
+from undeadzone.errors import InputError
 from undeadzone.scenario.reader import parse
 from undeadzone.util.arrays import Floats
 from undeadzone_export import exporting
 from undeadzone_identify.command import _next_commands
 from undeadzone_identify.models.estimates import raise_eigenvalues
 from undeadzone_identify.models.plant import polynomial_roots, stabilise_poles
-from undeadzone_identify.results.to_scenario import scenario_text
+from undeadzone_identify.results.to_scenario import _point_fields, scenario_text
 
 STEP = 0.01
 RIGHT, LEFT = 0.3, 0.2  # of the zone, of the play, of the actuator's zone
@@ -354,3 +356,21 @@ def lag(u: Floats) -> list[float]:
         for _ in range(10):
             x += STEP / 10 * 5 * (force - x)
     return z
+
+
+def answer_at_rest(point: tuple[float, float] | None) -> Any:
+    """An answer about an operating point; None: about 0."""
+    return SimpleNamespace(
+        at_rest=point, case=SimpleNamespace(grid=SimpleNamespace(u=np.zeros((9, 2))))
+    )
+
+
+def test_outputs_share_the_input_of_their_operating_point() -> None:
+    both = [answer_at_rest((45.0, 310.0)), answer_at_rest((45.0, -2.0))]
+    fields = _point_fields(both)
+    assert fields == {"rest_input": "[45.0, 0.0]", "rest_output": "[310.0, -2.0]"}
+    one = [answer_at_rest(None), answer_at_rest((0.0, 3.0))]
+    assert _point_fields(one)["rest_output"] == "[0.0, 3.0]"
+    assert _point_fields(one[:1]) == {"rest_output": ""}
+    with pytest.raises(InputError, match="under an input of 45, another under 0"):
+        _point_fields([*both, one[0]])

@@ -177,7 +177,8 @@ def output(axes: Axes, result: Estimation, i: int = 0, of: str = "") -> None:
     if result.info.sensor == "play":
         shade_gap(axes, t, result.y[shown, i], right, left)
     elif right > -left:
-        shade_zone(axes, right, left)
+        at = result.info.output_level[i] if result.info.output_level else 0.0
+        shade_zone(axes, right + at, left - at)
     axes.plot(t, result.y[shown, i], color=ink.READING, label="reading y")
     axes.plot(t, result.z_hat[shown, i], color=ink.ESTIMATE, label="estimate ẑ")
     if result.z_smooth is not None:

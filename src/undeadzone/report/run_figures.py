@@ -106,7 +106,8 @@ def output(axes: Axes, run: Run, i: int = 0, of: str = "") -> None:
     if run.info.sensor in ("play", "gears"):
         shade_gap(axes, t, run.y[shown, i], right, left)
     else:
-        shade_zone(axes, right, left)
+        at = run.info.output_level[i] if run.info.output_level else 0.0
+        shade_zone(axes, right + at, left - at)
     if i in run.info.tracked:
         r = run.r[shown, run.info.tracked.index(i)]
         axes.plot(t, r, color=ink.REFERENCE, linewidth=2.6, alpha=0.45, label="reference r")
@@ -135,7 +136,9 @@ def _draw_errors(axes: Axes, run: Run, i: int, of: str) -> None:
 
 def _draw_command(axes: Axes, run: Run, j: int, of: str) -> None:
     """Draw input j over the dead zone of its actuator."""
-    shade_zone(axes, *run.info.actuator[2 * j : 2 * j + 2])
+    right, left = run.info.actuator[2 * j : 2 * j + 2]
+    at = run.info.input_level[j] if run.info.input_level else 0.0
+    shade_zone(axes, right + at, left - at)
     axes.plot(run.t[run.plot_window], run.u[run.plot_window, j], color=ink.TRUTH)
     finish_panel(
         axes, f"Command{of} over the actuator's zone", axis_label("u", run.unit("u")), legend=0

@@ -60,6 +60,8 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
         actuator: true [right, left] of each actuator whose widths are estimated (2m) [u].
         gaps: true [c_r, c_l] of the play ahead of each dead zone, if they are estimated (2p) [z].
         options: names of the keys that the method takes.
+        output_level, input_level: z and u at the operating point, from which widths count (p, m)
+            (empty: 0).
     """
 
     title: str
@@ -92,6 +94,8 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
     seed: int = 0
     gains: dict[str, list[Any]] = {}
     options: list[str] = []
+    output_level: list[float] = []
+    input_level: list[float] = []
 
 
 class LogInfo(msgspec.Struct, frozen=True, kw_only=True):
@@ -134,6 +138,7 @@ class LogInfo(msgspec.Struct, frozen=True, kw_only=True):
         further: final gaps of plays ahead of dead zones [z] and widths of actuators [u], with their
             deviations, by name (those estimated).
         options: names of the keys that the method takes.
+        output_level: z at the operating point, from which widths count (p) [z] (empty: 0).
     """
 
     title: str
@@ -174,6 +179,7 @@ class LogInfo(msgspec.Struct, frozen=True, kw_only=True):
     ranges: list[list[float]] = []
     faults: dict[str, int] = {}
     options: list[str] = []
+    output_level: list[float] = []
 
     def summary(self) -> dict[str, Any]:
         """Return the numbers, ready for JSON (lists for several outputs)."""
@@ -184,6 +190,8 @@ class LogInfo(msgspec.Struct, frozen=True, kw_only=True):
             numbers[f"samples_{name}"] = numbers.pop(name)
         if not self.limited:
             del numbers["samples_limited"]
+        if not self.output_level:
+            del numbers["output_level"]
         for name, value in numbers.items():
             if name.startswith(("d_", "samples_")) and isinstance(value, list) and len(value) == 1:
                 numbers[name] = value[0]

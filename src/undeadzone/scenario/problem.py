@@ -38,6 +38,7 @@ from undeadzone.plants.system import System, plant_pace
 from undeadzone.registry import ObserverOptions
 from undeadzone.scenario.encoders import group_coupled_joints, require_gears, resolve_sensor
 from undeadzone.scenario.messages import require_words
+from undeadzone.scenario.operating_point import Levels, resolve_levels
 from undeadzone.scenario.overrun import require_contact
 from undeadzone.scenario.schema import Model, Scenario, Simulation, Units
 from undeadzone.scenario.time_step import (
@@ -73,6 +74,7 @@ class Problem(NamedTuple):
         actuator: ahead of the plant (None: there is none).
         belief: state of knowledge about it (None: there is none).
         compensator: of its dead zone (None: there is none).
+        levels: of the signals at the operating point (None: all are 0).
     """
 
     scenario: Scenario
@@ -91,6 +93,7 @@ class Problem(NamedTuple):
     actuator: Drive | None = None
     belief: Belief | None = None
     compensator: Compensator | None = None
+    levels: Levels | None = None
 
 
 def resolve_scenario(scenario: Scenario) -> Problem:
@@ -158,6 +161,7 @@ def resolve_scenario(scenario: Scenario) -> Problem:
         actuator=actuator,
         belief=belief,
         compensator=_compensator(scenario, model, belief),
+        levels=resolve_levels(scenario.operating_point, true, sensor.slope, tracked),
     )
 
 

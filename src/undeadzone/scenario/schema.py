@@ -30,6 +30,7 @@ from undeadzone.registry import (
 from undeadzone.scenario.address import with_tables, with_value
 from undeadzone.scenario.ensemble_table import Vary
 from undeadzone.scenario.messages import require_kind
+from undeadzone.scenario.operating_point import OperatingPoint
 from undeadzone.scenario.tune_table import Tune
 from undeadzone.signals.exosystem import Disturbance, Signal
 from undeadzone.util import shown, toml
@@ -221,6 +222,8 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         actuator: actuator between the controller and the plant (default: nothing).
         compensator: map from the controller's input to the actuator's command (default
             `smooth_inverse` if there is an actuator).
+        operating_point: input and output at rest, from which all other numbers count, widths too.
+            Signals of logs, results and exported code stay in the units of the plant (default: 0).
     """
 
     plant: Plant
@@ -243,6 +246,7 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     schema: int | None = None
     actuator: Actuator | None = None
     compensator: CompensatorOptions | None = None
+    operating_point: OperatingPoint | None = None
 
     def __post_init__(self) -> None:
         """Put the usual observer and controller where none is named. Raises InputError."""

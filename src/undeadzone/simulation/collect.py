@@ -27,6 +27,7 @@ from undeadzone.results.info import Info, IntegrationError
 from undeadzone.results.run import FRAMES, Run
 from undeadzone.results.scales import plant_scales
 from undeadzone.results.signals import RUN, Signals, signals_from_estimate
+from undeadzone.scenario.operating_point import restore_signals
 from undeadzone.scenario.problem import Problem, constant_gains
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.identifiability import (
@@ -269,7 +270,7 @@ def collect(problem: Problem, signal: Outputs, error: IntegrationError | None, b
         **_poses(problem, signal.x, t),
     }
     info = _info(problem, signal, verdicts, proof, error, began)
-    return Run(info, Signals(RUN, signals))
+    return Run(info, Signals(RUN, restore_signals(problem.levels, signals)))
 
 
 def _true_actuator(problem: Problem) -> list[float]:
@@ -359,6 +360,8 @@ def _info(
         seed=scenario.simulation.seed,
         gains=_gains(problem),
         options=list(scenario.observer.__struct_fields__),
+        output_level=[] if problem.levels is None else problem.levels.z.tolist(),
+        input_level=[] if problem.levels is None else problem.levels.u.tolist(),
     )
 
 

@@ -35,6 +35,7 @@ from undeadzone.observers.filtering.smoothing import Moments
 from undeadzone.plants.system import System
 from undeadzone.results.estimation import Estimation
 from undeadzone.results.signals import LOG, SMOOTHED, Signals, signals_from_estimate
+from undeadzone.scenario.operating_point import restore_signals
 from undeadzone.scenario.reader import read_for_logs
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.follower import Follower, require_units
@@ -125,7 +126,9 @@ def estimate(
             signals["B"] = B
         if smoothing and follower.observer.smoothing is not None and regular.t.size:
             parts = follower.model, follower.observer, follower.zone
-            signals |= smooth(*parts, regular.y, regular.u, advance)
+            inner = follower.to_deviations(regular)
+            smoothed = smooth(*parts, inner.y, inner.u, advance)
+            signals |= restore_signals(follower.levels, smoothed)
     info = follower.info(log.source, log.layout, log.placed, log.faults)
     return Estimation(info, Signals(LOG, signals))
 

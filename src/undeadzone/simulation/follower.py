@@ -16,6 +16,7 @@ from undeadzone.logs.samples import MOST_UNREADABLE, Faults, LogReader, Placed, 
 from undeadzone.plants.system import state_units, time_scale
 from undeadzone.results.info import LogInfo
 from undeadzone.results.signals import last_values, signals_from_estimate
+from undeadzone.scenario.operating_point import resolve_levels
 from undeadzone.scenario.problem import (
     describe_actuator,
     plant_of_model,
@@ -44,6 +45,7 @@ class Follower:
         model: the sampled model.
         zone: the dead zone.
         observer: as it is built for both.
+        levels: at the operating point, from which the observer counts (None: all are 0).
         samples: how many came in.
         KEPT: names of the attributes that a saved state contains (`saved_state`).
 
@@ -74,6 +76,8 @@ class Follower:
         if live:
             require_graph(built)
         self.observer = built
+        point = scenario.operating_point
+        self.levels = resolve_levels(point, self.model, self.zone.slope, range(self.model.p))
         self._scenario = with_units(scenario, self.model)
         self._numeric = built.python
         self._online = None if self._numeric else Online(*parts, actuator=actuator)
@@ -101,7 +105,8 @@ class Follower:
     def digest(self) -> str:
         """Of all that the observer of a live log is but for its state."""
         assert self._online is not None
-        return self._online.digest
+        levels = "" if self.levels is None else repr(self.levels)
+        return self._online.digest + levels
 
     def go_on(self) -> None:
         """Go on from numbers that were read."""
@@ -120,6 +125,12 @@ class Follower:
         if self._own is not None:
             self._own.restart()
 
+    def to_deviations(self, samples: Regular) -> Regular:
+        """Return samples in deviations from the operating point, in which the observer is."""
+        if self.levels is None:
+            return samples
+        return samples._replace(y=samples.y - self.levels.y, u=samples.u - self.levels.u)
+
     def follow(
         self, samples: Regular, progress: Callable[[int], None] | None = None
     ) -> tuple[Estimate, Floats, Floats]:
@@ -133,13 +144,17 @@ class Follower:
             The estimates (a row for each sample in each field), the measured sides (N x p), and the
             statistic B after each sample (N x p, or N x 0 if no test exists).
         """
+        samples = self.to_deviations(samples)
         if self._numeric is not None:
             along = self.zone, samples.y, samples.u, self._scenario.simulation.seed
             estimate, sides = numeric_along(self._numeric, *along, progress)
         else:
             assert self._online is not None
             estimate, sides = self._online.update_many(samples.y, samples.u)
-        return estimate, sides, self._count(samples, estimate, sides)
+        statistic = self._count(samples, estimate, sides)
+        if self.levels is not None:
+            estimate = self.levels.restore_estimate(estimate)
+        return estimate, sides, statistic
 
     def _count(self, samples: Regular, estimate: Estimate, sides: Floats) -> Floats:
         """Count these samples, test their innovations, and return B after each (N x p or N x 0)."""
@@ -258,6 +273,7 @@ class Follower:
             ),
             remarks=[*self._remarks(), *_repeated_times(grid)],
             options=options,
+            output_level=[] if self.levels is None else self.levels.z.tolist(),
             **verdict._asdict(),
         )
 

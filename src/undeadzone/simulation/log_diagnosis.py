@@ -32,31 +32,36 @@ def what_would_fit(scenario: Scenario, found: Estimation) -> str | None:
     t = found.t[:SAMPLES]
     y = found.y[:SAMPLES]
     u = found.u[:SAMPLES]
-    best = BETTER * _unexplained_share(found.innovation[:SAMPLES], y)
     words = None
     follower = Follower(scenario)
-    for name, readings, inputs in _misreadings(y, u, follower.model.delay):
+    levels = follower.levels
+    rest = (0.0, 0.0) if levels is None else (levels.y, levels.u)
+    best = BETTER * _unexplained_share(found.innovation[:SAMPLES], y - rest[0])
+    for name, readings, inputs in _misreadings(y, u, rest[1], follower.model.delay):
         follower.begin()
         samples = Regular(t, readings, inputs)
         tried, *_ = follower.follow(samples)
-        missed = _unexplained_share(tried.innovation, readings)
+        missed = _unexplained_share(tried.innovation, readings - rest[0])
         if missed < best and follower.info("log", None, Placed(samples)).consistent:
             best = missed
             words = name
     return words
 
 
-def _misreadings(y: Floats, u: Floats, known: int) -> Iterator[tuple[str, Floats, Floats]]:
+def _misreadings(
+    y: Floats, u: Floats, rest: Floats | float, known: int
+) -> Iterator[tuple[str, Floats, Floats]]:
     """Yield possible faults of a log, in words, with its readings and inputs corrected for each.
 
     Args:
         y: readings (N x p).
         u: inputs (N x m).
+        rest: input at the operating point (m).
         known: samples by which the scenario has the inputs act late.
     """
     if y.shape == u.shape:
         yield "readings and inputs are exchanged: name their columns", u, y
-    yield "the inputs, or the readings, have the other sign", y, -u
+    yield "the inputs, or the readings, have the other sign", y, 2 * rest - u
     for factor in (1e-3, 1e3):
         yield f"the readings are in another unit: times {factor:g} they fit", y * factor, u
         yield f"the inputs are in another unit: times {factor:g} they fit", y, u * factor

@@ -49,6 +49,7 @@ def run_sample_by_sample(
     stepper = Stepper(loop.step, initial, tree.pack_tree(loop.params))
     where: Outputs = tree.leaf_slices(loop.outputs)
     r = tree.leaf_slices(loop.instant).target.r
+    levels = problem.levels
     n = problem.plant.n
     m = problem.plant.m
     estimated = slice(n, n + tree.count_numbers(loop.state.observer))
@@ -66,7 +67,14 @@ def run_sample_by_sample(
             before[estimated] = tree.pack_tree(tuple(estimate))
         if law is not None:
             t = k * problem.scenario.simulation.step
-            before[driving] = _input(law(t, estimate, row[r].copy()), m, t)
+            shown = estimate
+            reference = row[r].copy()
+            if levels is not None:
+                shown = levels.restore_estimate(estimate)
+                reference += levels.r
+            before[driving] = _input(law(t, shown, reference), m, t)
+            if levels is not None:
+                before[driving] -= levels.u
         stepper.state[:] = before
         stepper()
         outputs[k] = stepper.out

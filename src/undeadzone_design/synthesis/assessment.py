@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple
 
+import msgspec
 import numpy as np
 
 from undeadzone.analysis.branch_schedule import (
@@ -232,7 +233,8 @@ def simulate_trial_run(problem: Problem) -> Run | None:
         return None
     from undeadzone.simulation.simulate import simulate
 
-    return simulate(problem.scenario, check_step=False, progress=ignore_progress)
+    deviations = msgspec.structs.replace(problem.scenario, operating_point=None)
+    return simulate(deviations, check_step=False, progress=ignore_progress)
 
 
 def plan_branches(problem: Problem, run: Run | None) -> Schedule:

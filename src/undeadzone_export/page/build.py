@@ -319,7 +319,7 @@ def _page_data(problem: Problem, loop: Loop, memory: dict[str, int]) -> dict[str
         "lead": lead,
         "words": texts["gap" if kind == "play" else "zone"],
         "note": _prior_information_note(problem),
-        "quantity": _motion_label(scenario.units.output),
+        "quantity": _motion_label(problem),
         "unit": escape_controls(scenario.units.output),
         "rows": problem.steps + 1,
         "step": scenario.simulation.step,
@@ -359,8 +359,11 @@ def _output_sizes(problem: Problem) -> Floats:
     return np.where(largest > 0, largest, np.where(widest > 0, 4 * widest, 1.0))
 
 
-def _motion_label(unit: str) -> str:
+def _motion_label(problem: Problem) -> str:
     """Return the label of the axis that shows the motion."""
+    unit = problem.scenario.units.output
+    if problem.levels is not None:
+        return f"the motion from its operating point [{escape_controls(unit)}]"
     return "the motion" if unit == "1" else f"the motion [{escape_controls(unit)}]"
 
 

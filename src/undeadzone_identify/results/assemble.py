@@ -223,6 +223,30 @@ class Answer(NamedTuple):
         return layout, theta[layout.denominator], theta[layout.numerators] * factors, V
 
     @property
+    def at_rest(self) -> tuple[float, float] | None:
+        """Return input and output of the log at rest, from which the plant counts; None: from 0.
+
+        Any input at rest serves, with the output that belongs to it. That of a zone is its middle.
+        """
+        case = self.case
+        zero = case.options.zero
+        level = 0.0 if self.element is None else self.element.level * case.record_data.y_scale
+        if level and not self.named_plant[0].layout.integrators:
+            u = float(f"{case.grid.u[:, 0].mean():.4g}")
+            return u, float(f"{zero + level + float(self.gain[0]) * u:.8g}")
+        if case.grid.zero is None and not zero + level:
+            return None
+        return case.grid.zero or 0.0, zero + level
+
+    @property
+    def z_from_rest(self) -> Floats:
+        """Return the output of the plant less that at rest (N) [y]."""
+        z = self.z * self.scale
+        if self.element is None or not self.element.level or self.at_rest is None:
+            return z
+        return z - float(self.gain[0]) * self.at_rest[0]
+
+    @property
     def disturbance(self) -> Disturbance:
         """Return the disturbance of z, in units of the log."""
         step = self.case.grid.step

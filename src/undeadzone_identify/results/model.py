@@ -63,7 +63,8 @@ def simulate_answer(answer: Answer, u: Any) -> Simulated:
     inputs = inputs[:, None] if inputs.ndim == 1 else inputs
     if inputs.ndim != 2 or inputs.shape[1] != layout.m or not np.isfinite(inputs).all():
         raise InputError(f"u: expected finite rows of {layout.m}, found shape {np.shape(u)}")
-    inputs = inputs - (answer.case.grid.zero or 0.0)
+    u_rest, y_rest = answer.at_rest or (0.0, 0.0)
+    inputs = inputs - u_rest
     right, left = _require_widths(answer)
     if answer.verdict == "input_zone":
         inputs = sensor.deadzone(inputs, right, left)
@@ -79,7 +80,8 @@ def simulate_answer(answer: Answer, u: Any) -> Simulated:
         y = SENSORS[answer.verdict](z, right, left)
     if answer.verdict == "play":
         y = follow_play(z, right, left)
-    return Simulated(answer.case.grid.step * np.arange(z.size), z, np.asarray(y))
+    t = answer.case.grid.step * np.arange(z.size)
+    return Simulated(t, z + y_rest, np.asarray(y) + y_rest)
 
 
 def follow_play(z: Floats, right: float, left: float) -> Floats:

@@ -209,12 +209,6 @@ class Identified:
         Raises:
             InputError: no dead zone was found, or no plant in continuous time fits.
         """
-        zero = self.answer.case.grid.zero
-        if zero is not None:
-            raise InputError(
-                f"scenario: the input counts from {zero:.6g} here, and a scenario's from 0. Take it"
-                " off the column and identify again"
-            )
         if self.verdict in UNWRITTEN:
             raise InputError(f"scenario: {UNWRITTEN[self.verdict]}")
         if not (self.answer.zone or self.answer.case.jump_edges or self.verdict in WRITTEN):

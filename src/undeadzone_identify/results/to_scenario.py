@@ -67,6 +67,7 @@ def scenario_text(answers: Sequence[Answer], title: str) -> str:
         **{name.lower(): _toml_matrix(matrix) for name, matrix in plant._asdict().items()},
         "delay": _common_delay(answers),
         "kind": first.verdict if first.verdict in ("jump", "play") else "",
+        **_point_fields(answers),
         **_zone_fields(answers),
         **_shape_fields(answers),
         "bare": first.verdict in ("input_zone", "input_play"),
@@ -74,7 +75,7 @@ def scenario_text(answers: Sequence[Answer], title: str) -> str:
         **_noise_fields(answers),
         "range": _range_field(answers),
         "driven": driven,
-        "amplitude": _toml_numbers(np.quantile(np.abs(one.z) * one.scale, 0.98) for one in answers),
+        "amplitude": _toml_numbers(np.quantile(np.abs(one.z_from_rest), 0.98) for one in answers),
         "frequency": _toml_number(_reference_frequency(first, plant.A)),
         **_disturbance_fields(answers),
         "tolerance": _tolerance_table(block_diag(*spreads_A), np.vstack(spreads_B)),
@@ -91,6 +92,26 @@ def scenario_text(answers: Sequence[Answer], title: str) -> str:
     return fill_words(template.read_text(encoding="utf-8"), words)
 
 
+def _point_fields(answers: Sequence[Answer]) -> dict[str, str]:
+    """Return the operating point; empty if the log counts from 0.
+
+    Raises:
+        InputError: the outputs are at rest under different inputs.
+    """
+    points = [one.at_rest or (0.0, 0.0) for one in answers]
+    if not np.any(points):
+        return {"rest_output": ""}
+    first, *others = (u for u, _ in points)
+    for other in others:
+        if other != first:
+            raise InputError(
+                f"scenario: one output is at rest under an input of {first:.6g}, another under"
+                f" {other:.6g}. Identify each alone: a scenario has one operating point"
+            )
+    inputs = [first] + [0.0] * (answers[0].case.grid.u.shape[1] - 1)
+    return {"rest_input": f"{inputs}", "rest_output": f"{[output for _, output in points]}"}
+
+
 def _zone_fields(answers: Sequence[Answer]) -> dict[str, str]:
     """Return widths of sensor and actuator with the observer's ranges; empty without a zone.
 
@@ -104,12 +125,22 @@ def _zone_fields(answers: Sequence[Answer]) -> dict[str, str]:
         return empty | {"actuator": _gap_of_actuator(first)}
     own = _width_lines([_require_edges(answer) for answer in answers]), _prior_range_lines(answers)
     sensor, actuator = (none, own) if first.verdict == "input_zone" else (own, none)
+    if first.verdict == "input_zone" and first.at_rest is not None:
+        lines, ranges = actuator
+        actuator = f"{lines}\n# {_ends_of_input(first)}", ranges
     if first.element is not None and first.element.input:
         right, left = (first.element.input[side] for side in SIDES)
         told = [[prior_element_range(first.element, edge)] for edge in (right, left)]
         actuator = _width_lines([_require_nonnegative(first, right, left)]), _range_lines(told)
     names = ("sensor", "told_sensor", "actuator", "told_actuator")
     return dict(zip(names, (*sensor, *actuator), strict=True))
+
+
+def _ends_of_input(answer: Answer) -> str:
+    """Return the ends of an input's zone in the log, for a remark."""
+    right, left = _require_edges(answer)
+    middle = answer.case.grid.zero or 0.0
+    return f"nothing happens between {middle - left.value:.6g} and {middle + right.value:.6g}"
 
 
 def _gap_of_actuator(answer: Answer) -> str:

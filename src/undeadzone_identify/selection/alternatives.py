@@ -148,6 +148,7 @@ class Element(NamedTuple):
         zone: both: d_r + d_l beside the play's width [y]; else None.
         edges: both: d_r and d_l if c_r = c_l, the sum of both centres in them [y]; else None.
         input: two_zones: the widths of the input's zone, as `widths` are the sensor's [u].
+        level: input_play: constant part of the readings beside z, scaled; 0 if noise hides it.
     """
 
     kind: str
@@ -167,6 +168,7 @@ class Element(NamedTuple):
     zone: Interval | None = None
     edges: tuple[Interval, Interval] | None = None
     input: dict[str, Interval] = {}
+    level: float = 0.0
 
     @property
     def is_at_rest(self) -> bool:
@@ -829,12 +831,7 @@ def _play_ahead_element(fit: ChainFit, whole: plant.RecordData, gap: Interval) -
     covariance = fit.squares.robust_covariance(numbers)
     remarks = ["the gap is that of the input, in its unit; both sides are half of it"]
     noise = min(white_noise_rms(whole.y, whole.ok, whole.start), rms)
-    if abs(level) > max(noise, LEAST_NOISE):
-        about = f"{level * whole.y_scale:.4g}"
-        remarks.append(
-            f"the readings lie {about} from what the plant makes of the input: estimate and run"
-            f" count from there; --zero {about} takes it off"
-        )
+    is_offset = abs(level) > max(noise, LEAST_NOISE)
     return Element(
         kind="input_play",
         fit=fit,
@@ -850,6 +847,7 @@ def _play_ahead_element(fit: ChainFit, whole: plant.RecordData, gap: Interval) -
         degrees=math.inf,
         rms=rms,
         remarks=remarks,
+        level=is_offset * level,
     )
 
 
