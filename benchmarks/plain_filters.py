@@ -11,10 +11,10 @@ from scipy.stats import norm
 from benchmarks.exact_posterior import EVERY
 from benchmarks.exact_problems import RANGE, Problem
 from benchmarks.filterpy_filters import unscented
-from undeadzone.numerics.hear import SILENT, DeadzoneMemory, deadzone_update
+from undeadzone.numerics.deadzone_update import SILENT, DeadzoneMemory, deadzone_update
 from undeadzone.util.arrays import Floats
 
-SHARE = 0.16  # of a quarter period, for which an edge is not heard again: a 25th of a period
+SHARE = 0.16  # of a quarter period, for which an edge is not updated again: a 25th of a period
 
 Correct = Callable[[Floats, Floats, float], tuple[Floats, Floats]]
 """(mean, covariance, reading) -> mean and covariance."""
@@ -65,16 +65,16 @@ def _linear(posed: Problem) -> tuple[Floats, Floats, Floats, Floats, Floats]:
 
 
 def hearing(posed: Problem) -> Correct:
-    """`uz.deadzone_update`, in the way of docs/hear.md."""
+    """`uz.deadzone_update`, in the way of docs/deadzone_update.md."""
     C, right, left = rows(posed)
-    ear = DeadzoneMemory()
+    memory = DeadzoneMemory()
     rest = max(1, round(SHARE * np.pi / 2 / posed.frequency / 0.01))
 
     def correct(m: Floats, P: Floats, y: float) -> tuple[Floats, Floats]:
-        nonlocal ear
+        nonlocal memory
         behind = 0.0 if posed.ahead else posed.noise
         before = posed.noise if posed.ahead else 0.0
-        heard = deadzone_update(
+        updated = deadzone_update(
             m,
             P,
             C,
@@ -83,11 +83,11 @@ def hearing(posed: Problem) -> Correct:
             left=left,
             noise=behind,
             noise_before=before,
-            ear=ear,
+            memory=memory,
             rest=rest,
         )
-        ear = heard.ear
-        return heard.mean, heard.cov
+        memory = updated.memory
+        return updated.mean, updated.cov
 
     return correct
 

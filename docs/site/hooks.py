@@ -51,7 +51,14 @@ CHAPTERS = {
         "export_fmu.md",
         "faq.md",
     ],
-    "Guides": ["watch.md", "export.md", "hear.md", "ensemble.md", "tune.md", "security.md"],
+    "Guides": [
+        "watch.md",
+        "export.md",
+        "deadzone_update.md",
+        "ensemble.md",
+        "tune.md",
+        "security.md",
+    ],
     "Explanation": [
         "model.md",
         "nonlinearities.md",
@@ -84,7 +91,11 @@ CHAPTERS = {
     ],
 }
 CONTRIBUTING = ["architecture.md", "decisions.md"]
-MOVED = {"house.md": "architecture.md", "glossary.md": "notation.md"}  # old address: new page
+MOVED = {  # old address: new page
+    "house.md": "architecture.md",
+    "glossary.md": "notation.md",
+    "hear.md": "deadzone_update.md",
+}
 # Old anchors of a page that was split: the page and anchor that replaced each.
 MOVED_ANCHORS = {
     "filters.md": {

@@ -36,14 +36,10 @@ def __getattr__(name: str) -> Any:
         AttributeError: no such name.
     """
     if name in _RENAMED:
-        import warnings
+        from undeadzone.util.renamed import warn_of_renamed
 
         current = _RENAMED[name]
-        warnings.warn(
-            f"uz.{name} is now uz.{current}. The old name goes in version 0.2",
-            DeprecationWarning,
-            stacklevel=2,
-        )
+        warn_of_renamed(f"uz.{name}", f"uz.{current}")
         return _own(current)
     if name in __all__ or name.startswith("_"):
         return _own(name)

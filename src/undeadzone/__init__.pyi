@@ -37,9 +37,9 @@ from .linalg.matrices import Matrices as Matrices
 from .nonlinearities.actuator import Actuator as Actuator
 from .nonlinearities.actuator import ActuatorModel as ActuatorModel
 from .nonlinearities.sensor import Sensor as Sensor
-from .numerics.hear import DeadzoneMemory as DeadzoneMemory
-from .numerics.hear import DeadzoneUpdate as DeadzoneUpdate
-from .numerics.hear import deadzone_update as deadzone_update
+from .numerics.deadzone_update import DeadzoneMemory as DeadzoneMemory
+from .numerics.deadzone_update import DeadzoneUpdate as DeadzoneUpdate
+from .numerics.deadzone_update import deadzone_update as deadzone_update
 from .observers import Auto as Auto
 from .observers import Censored as Censored
 from .observers import Certified as Certified

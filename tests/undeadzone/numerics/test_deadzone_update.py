@@ -1,4 +1,4 @@
-"""`hear`: against the graph of `Censored`, the exact posterior of one reading, and `ear.h`."""
+"""Test `deadzone_update` against `Censored`, the exact posterior, and the C header."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ import undeadzone as uz
 from scenes import EXACT_SENSOR, linear
 from undeadzone.interfaces import Reading
 from undeadzone.nonlinearities.sensor import Sensor, deadzone, resolve, side
-from undeadzone.numerics.hear import DeadzoneMemory, DeadzoneUpdate, deadzone_update
+from undeadzone.numerics.deadzone_update import DeadzoneMemory, DeadzoneUpdate, deadzone_update
 from undeadzone.plants.system import sample_plant
 from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
@@ -28,10 +28,10 @@ TS = 0.01
 C, RIGHT, LEFT = np.eye(3)  # of [z; d_r; d_l]
 
 
-def one_silence(mean: Any, cov: Any, **claims: Any) -> DeadzoneUpdate:
-    """What is known after one silent reading of [z; d_r; d_l]."""
-    told = {"right": RIGHT, "left": LEFT, "noise": 0.001, "rest": 5} | claims
-    return deadzone_update(mean, cov, C, 0.0, ear=DeadzoneMemory(), **told)
+def censored_update(mean: Any, cov: Any, **options: Any) -> DeadzoneUpdate:
+    """Return the estimate after one censored sample of [z; d_r; d_l]."""
+    arguments = {"right": RIGHT, "left": LEFT, "noise": 0.001, "rest": 5} | options
+    return deadzone_update(mean, cov, C, 0.0, memory=DeadzoneMemory(), **arguments)
 
 
 # --- One silence
@@ -39,23 +39,23 @@ def one_silence(mean: Any, cov: Any, **claims: Any) -> DeadzoneUpdate:
 
 def test_at_a_silent_start_z_is_inside_the_zone() -> None:
     """N(0, 10^2), ranges [.3, 2]: the exact answer is 0 +- .82 (4e6 draws)."""
-    heard = one_silence([0.0, 1.15, 1.15], np.diag([100.0, 0.2408, 0.2408]))
-    assert abs(heard.mean[0]) < 1e-12
-    assert math.sqrt(heard.cov[0, 0]) == pytest.approx(0.82, abs=0.02)
-    assert heard.mean[1] == pytest.approx(1.25, abs=0.02)
-    assert math.sqrt(heard.cov[1, 1]) == pytest.approx(0.48, abs=0.02)
+    updated = censored_update([0.0, 1.15, 1.15], np.diag([100.0, 0.2408, 0.2408]))
+    assert abs(updated.mean[0]) < 1e-12
+    assert math.sqrt(updated.cov[0, 0]) == pytest.approx(0.82, abs=0.02)
+    assert updated.mean[1] == pytest.approx(1.25, abs=0.02)
+    assert math.sqrt(updated.cov[1, 1]) == pytest.approx(0.48, abs=0.02)
 
 
 @pytest.mark.parametrize(("mean", "std"), [(0.0, 1.0), (1.0, 2.0), (3.0, 2.0), (10.0, 3.0)])
 def test_known_edges_give_the_moments_of_a_cut_gaussian(mean: float, std: float) -> None:
     from scipy.stats import truncnorm
 
-    heard = one_silence([mean, 0.0, 0.0], np.diag([std**2, 1.0, 1.0]), right=1.0, left=0.5)
+    updated = censored_update([mean, 0.0, 0.0], np.diag([std**2, 1.0, 1.0]), right=1.0, left=0.5)
     ends = ((-0.504 - mean) / std, (1.004 - mean) / std)  # 4 rms of noise beyond the edges
     expected, variance = truncnorm.stats(*ends, loc=mean, scale=std)
-    assert heard.mean[0] == pytest.approx(expected, abs=2e-4)
-    assert heard.cov[0, 0] == pytest.approx(variance, rel=2e-3)
-    assert heard.mean[1:].tolist() == [0.0, 0.0]
+    assert updated.mean[0] == pytest.approx(expected, abs=2e-4)
+    assert updated.cov[0, 0] == pytest.approx(variance, rel=2e-3)
+    assert updated.mean[1:].tolist() == [0.0, 0.0]
 
 
 @given(seed=st.integers(0, 2**32 - 1))
@@ -66,26 +66,26 @@ def test_silence_leaves_a_covariance_that_is_one(seed: int) -> None:
     root = rng.normal(size=(3, 3)) * np.exp(2 * rng.normal(size=3))[:, None]
     cov = root @ root.T
     mean = rng.normal(size=3) * np.exp(rng.normal())
-    after = one_silence(mean, cov).cov
+    after = censored_update(mean, cov).cov
     scale = np.sqrt(np.diag(cov))
     assert np.linalg.eigvalsh(after / np.outer(scale, scale)).min() > -1e-9
     assert np.linalg.eigvalsh((cov - after) / np.outer(scale, scale)).min() > -1e-9
 
 
 @pytest.mark.parametrize(("side", "edge", "waiting"), [(1, RIGHT, (5, 0)), (-1, LEFT, (0, 5))])
-def test_a_narrow_belief_hears_one_edge(side: int, edge: Any, waiting: tuple[int, int]) -> None:
+def test_a_narrow_estimate_uses_one_edge(side: int, edge: Any, waiting: tuple[int, int]) -> None:
     """As the cut at the edge that it contradicts alone, from the first reading on."""
     mean, cov = np.array([1.5 * side, 1.2, 1.2]), np.diag([0.04, 0.01, 0.01])
-    heard = one_silence(mean, cov)
+    updated = censored_update(mean, cov)
     h = side * C - edge
     std = math.sqrt(h @ cov @ h + 1e-6)
     alpha = (0.004 - h @ mean) / std
     density = math.exp(-(alpha**2) / 2) / math.sqrt(2 * math.pi)
     ratio = density / (math.erfc(-alpha / math.sqrt(2)) / 2)
-    assert heard.mean == pytest.approx(mean - ratio * cov @ h / std)
+    assert updated.mean == pytest.approx(mean - ratio * cov @ h / std)
     lost = ratio * (ratio + alpha) * np.outer(cov @ h, h @ cov) / std**2
-    assert heard.cov == pytest.approx(cov - lost)
-    assert (heard.ear.right, heard.ear.left) == waiting
+    assert updated.cov == pytest.approx(cov - lost)
+    assert (updated.memory.right, updated.memory.left) == waiting
 
 
 # --- Beside the graph
@@ -127,7 +127,7 @@ def graph(noise: float, before: float, disturbance: float) -> Any:
 @pytest.mark.parametrize(
     ("noise", "before", "disturbance"), [(0.02, 0.0, 0.3), (0.0, 0.05, 0.3), (0.01, 0.02, 0.0)]
 )
-def test_the_graph_of_censored_hears_what_hear_does(
+def test_the_graph_of_censored_computes_the_same_update(
     noise: float, before: float, disturbance: float
 ) -> None:
     """Mean and covariance after each of 600 readings, some of which are missing."""
@@ -135,14 +135,14 @@ def test_the_graph_of_censored_hears_what_hear_does(
     step, s, rest = graph(noise, before, disturbance)
     t = TS * np.arange(600)
     z = 1.6 * np.sin(3 * t) + 0.4 * np.sin(7 * t)
-    ear, used = DeadzoneMemory(), [0, 0]
+    memory, used = DeadzoneMemory(), [0, 0]
     for k in range(600):
         y = float(deadzone(z[k] + before * rng.normal(), 1.1, 0.8) + noise * rng.normal())
         y = math.nan if rng.uniform() < 0.05 else y
         s, mean, cov, expected, cov_after, edges = step(s, [y, 0.0])
         n = len(mean)
         right, left = np.eye(n)[2], np.eye(n)[3]
-        heard = deadzone_update(
+        updated = deadzone_update(
             mean,
             cov,
             edges[0] + right,
@@ -151,16 +151,16 @@ def test_the_graph_of_censored_hears_what_hear_does(
             left=left,
             noise=noise,
             noise_before=before,
-            ear=ear,
+            memory=memory,
             rest=math.ceil(rest),
         )
         scale = np.sqrt(np.diag(cov))
-        assert heard.mean == pytest.approx(expected, rel=1e-7, abs=1e-9)
-        gap = (heard.cov - cov_after) / np.outer(scale, scale)
+        assert updated.mean == pytest.approx(expected, rel=1e-7, abs=1e-9)
+        gap = (updated.cov - cov_after) / np.outer(scale, scale)
         assert np.abs(np.nan_to_num(gap)).max() < 1e-7
-        used[0] += heard.side != 0
-        used[1] += heard.ear.right > ear.right or heard.ear.left > ear.left
-        ear = heard.ear
+        used[0] += updated.side != 0
+        used[1] += updated.memory.right > memory.right or updated.memory.left > memory.left
+        memory = updated.memory
     assert used[0] > 100
     assert used[1] >= 3
 
@@ -170,7 +170,7 @@ def test_the_graph_of_censored_hears_what_hear_does(
 
 def test_a_reading_on_a_sure_side_is_a_kalman_update() -> None:
     mean, cov = np.array([2.0, 1.0, 1.0]), np.diag([1.0, 0.2, 0.2])
-    heard = deadzone_update(
+    updated = deadzone_update(
         mean,
         cov,
         C,
@@ -178,34 +178,34 @@ def test_a_reading_on_a_sure_side_is_a_kalman_update() -> None:
         right=RIGHT,
         left=LEFT,
         noise=0.1,
-        ear=DeadzoneMemory(),
+        memory=DeadzoneMemory(),
         rest=5,
         slope=2.0,
     )
     h = C - RIGHT
     S = h @ cov @ h + 0.05**2
-    assert heard.side == 1
-    assert heard.innovation == pytest.approx(1.5 - 1.0)
-    assert heard.innovation_std == pytest.approx(math.sqrt(S))
-    assert heard.mean == pytest.approx(mean + cov @ h / S * 0.5)
-    assert heard.cov == pytest.approx(cov - np.outer(cov @ h, cov @ h) / S)
-    assert heard.ear == DeadzoneMemory(3.0, 0.0, 0, 0)
+    assert updated.side == 1
+    assert updated.innovation == pytest.approx(1.5 - 1.0)
+    assert updated.innovation_std == pytest.approx(math.sqrt(S))
+    assert updated.mean == pytest.approx(mean + cov @ h / S * 0.5)
+    assert updated.cov == pytest.approx(cov - np.outer(cov @ h, cov @ h) / S)
+    assert updated.memory == DeadzoneMemory(3.0, 0.0, 0, 0)
 
 
 def test_a_column_stays_a_column_and_nothing_is_changed_in_place() -> None:
     mean, cov = np.array([[2.0], [1.0], [1.0]]), np.eye(3)
-    heard = deadzone_update(
-        mean, cov, C, -3.0, right=1.0, left=LEFT, noise=0.1, ear=DeadzoneMemory(), rest=5
+    updated = deadzone_update(
+        mean, cov, C, -3.0, right=1.0, left=LEFT, noise=0.1, memory=DeadzoneMemory(), rest=5
     )
-    assert heard.mean.shape == (3, 1)
-    assert heard.side == -1
+    assert updated.mean.shape == (3, 1)
+    assert updated.side == -1
     assert mean.ravel().tolist() == [2.0, 1.0, 1.0]
     assert (cov == np.eye(3)).all()
 
 
-def test_a_missing_reading_says_nothing() -> None:
+def test_a_missing_reading_changes_nothing() -> None:
     before = DeadzoneMemory(0.7, 0.5, 3, 0)
-    heard = deadzone_update(
+    updated = deadzone_update(
         [2.0, 1.0, 1.0],
         np.eye(3),
         C,
@@ -213,11 +213,11 @@ def test_a_missing_reading_says_nothing() -> None:
         right=RIGHT,
         left=LEFT,
         noise=0.1,
-        ear=before,
+        memory=before,
         rest=5,
     )
-    assert heard.mean.tolist() == [2.0, 1.0, 1.0]
-    assert heard.ear == DeadzoneMemory(0.0, 0.7, 2, 0)
+    assert updated.mean.tolist() == [2.0, 1.0, 1.0]
+    assert updated.memory == DeadzoneMemory(0.0, 0.7, 2, 0)
 
 
 @pytest.mark.parametrize(
@@ -240,7 +240,7 @@ def test_a_missing_reading_says_nothing() -> None:
 )
 def test_what_cannot_be_is_refused(changes: dict[str, Any], words: str) -> None:
     given_ = {"mean": [0.0, 1.0, 1.0], "cov": np.eye(3), "C": C, "y": 0.0, "right": RIGHT}
-    given_ |= {"left": LEFT, "noise": 0.1, "ear": DeadzoneMemory(), "rest": 5}
+    given_ |= {"left": LEFT, "noise": 0.1, "memory": DeadzoneMemory(), "rest": 5}
     with pytest.raises(uz.InputError, match=words):
         deadzone_update(**given_ | changes)
 
@@ -248,23 +248,23 @@ def test_what_cannot_be_is_refused(changes: dict[str, Any], words: str) -> None:
 @pytest.mark.parametrize("y", [0.0, 3.0])
 def test_an_edge_at_infinity_is_no_edge(y: float) -> None:
     """As one that is far away; a reading beyond it is not used."""
-    claims = {"left": LEFT, "noise": 0.02, "ear": DeadzoneMemory(), "rest": 5}
+    options = {"left": LEFT, "noise": 0.02, "memory": DeadzoneMemory(), "rest": 5}
     mean, cov = [-1.5, 1.0, 1.0], np.diag([1.0, 0.2, 0.2])
-    heard = deadzone_update(mean, cov, C, y, right=math.inf, **claims)
-    assert heard.side == 0
-    assert np.isfinite(heard.cov).all()
+    updated = deadzone_update(mean, cov, C, y, right=math.inf, **options)
+    assert updated.side == 0
+    assert np.isfinite(updated.cov).all()
     if y == 0.0:
-        far = deadzone_update(mean, cov, C, y, right=1e9, **claims)
-        assert heard.mean == pytest.approx(far.mean, abs=1e-12)
-        assert heard.cov == pytest.approx(far.cov, abs=1e-12)
-        assert heard.mean[0] > -1.5
+        far = deadzone_update(mean, cov, C, y, right=1e9, **options)
+        assert updated.mean == pytest.approx(far.mean, abs=1e-12)
+        assert updated.cov == pytest.approx(far.cov, abs=1e-12)
+        assert updated.mean[0] > -1.5
 
 
 # --- In C
 
 ANY = """
-#define EAR_REAL double
-#include "ear.h"
+#define DEADZONE_REAL double
+#include "deadzone_update.h"
 #include <stdio.h>
 int main(void) {
   double v[23], work[6];
@@ -273,10 +273,10 @@ int main(void) {
     int m[5];
     for (int i = 0; i < 5; i++) if (scanf("%d", m + i) != 1) return 1;
     double *C = v, *x = v + 3, *P = v + 6, *w = v + 15;
-    EarSensor s = {C, {m[0], m[1]}, {w[0], w[1]}, w[2], w[3], w[4], m[4]};
-    Ear ear = {w[5], w[6], {m[2], m[3]}};
-    printf("%d", ear_hear(&ear, &s, 3, x, P, w[7], work));
-    printf(" %.17g %.17g %d %d", ear.last, ear.previous, ear.wait[0], ear.wait[1]);
+    DeadzoneSensor s = {C, {m[0], m[1]}, {w[0], w[1]}, w[2], w[3], w[4], m[4]};
+    DeadzoneMemory memory = {w[5], w[6], {m[2], m[3]}};
+    printf("%d", deadzone_update(&memory, &s, 3, x, P, w[7], work));
+    printf(" %.17g %.17g %d %d", memory.last, memory.previous, memory.wait[0], memory.wait[1]);
     for (int i = 0; i < 3; i++) printf(" %.17g", x[i]);
     for (int i = 0; i < 9; i++) printf(" %.17g", P[i]);
     printf("\\n");
@@ -285,7 +285,7 @@ int main(void) {
 """
 REST = 5
 PLACES = np.eye(3)
-NO_EAR = DeadzoneMemory()
+NO_MEMORY = DeadzoneMemory()
 
 
 class Case(NamedTuple):
@@ -305,33 +305,35 @@ class Case(NamedTuple):
     before: float = 0.0
     slope: float = 1.0
     y: float = 0.0
-    ear: DeadzoneMemory = NO_EAR
+    memory: DeadzoneMemory = NO_MEMORY
 
-    def heard(self) -> DeadzoneUpdate:
+    def update(self) -> DeadzoneUpdate:
         """What Python makes of it."""
         right, left = (
             PLACES[at] if at > 0 else width for at, width in zip(self.at, self.widths, strict=True)
         )
-        claims = {"noise": self.noise, "noise_before": self.before, "slope": self.slope}
+        options = {"noise": self.noise, "noise_before": self.before, "slope": self.slope}
         return deadzone_update(
-            self.mean, self.cov, self.C, self.y, right=right, left=left, ear=self.ear, rest=REST,
-            **claims,
+            self.mean, self.cov, self.C, self.y, right=right, left=left,
+            memory=self.memory, rest=REST, **options,
         )  # fmt: skip
 
     def line(self) -> str:
         """The numbers for the program."""
-        last, previous, *waits = self.ear
+        last, previous, *waits = self.memory
         sensor = [*self.widths, self.noise, self.before, self.slope, last, previous, self.y]
         numbers = [*self.C, *self.mean, *self.cov.ravel(), *sensor]
         return " ".join([*map(repr, map(float, numbers)), *map(str, [*self.at, *waits, REST])])
 
 
 def in_header(cases: list[Case], folder: Path) -> Floats:
-    """What the header makes of cases: (side, ear, x, P) a row."""
-    (folder / "ear.h").write_text((files("undeadzone.numerics") / "ear.h").read_text())
+    """What the header makes of cases: (side, memory, x, P) a row."""
+    (folder / "deadzone_update.h").write_text(
+        (files("undeadzone.numerics") / "deadzone_update.h").read_text()
+    )
     (folder / "main.c").write_text(ANY)
     flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-O1"]
-    program = once.program(["ear", *flags, "main.c"], folder)
+    program = once.program(["deadzone_update", *flags, "main.c"], folder)
     text = "\n".join(case.line() for case in cases)
     done = subprocess.run([program], input=text, capture_output=True, text=True, check=True)
     return np.array([line.split() for line in done.stdout.splitlines()], float)
@@ -374,7 +376,7 @@ def is_resolved(case: Case) -> bool:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("ear")
+    return tmp_path_factory.mktemp("deadzone_update")
 
 
 @given(seed=st.integers(0, 2**32 - 1))
@@ -384,20 +386,20 @@ def test_the_header_agrees_at_extremes(seed: int, folder: Path) -> None:
     rng = np.random.default_rng(seed)
     cases = [case for case in (extreme(rng) for _ in range(60)) if is_resolved(case)]
     for row, case in zip(in_header(cases, folder), cases, strict=True):
-        heard = case.heard()
+        updated = case.update()
         std = np.sqrt(np.diag(case.cov))
         std[std == 0] = 1.0
-        assert row[0] == heard.side, case
-        assert tuple(row[1:5]) == tuple(heard.ear), case
-        assert np.abs((row[5:8] - heard.mean) / std).max() < 1e-6, case
-        gap = np.abs(row[8:].reshape(3, 3) - heard.cov) / np.outer(std, std)
+        assert row[0] == updated.side, case
+        assert tuple(row[1:5]) == tuple(updated.memory), case
+        assert np.abs((row[5:8] - updated.mean) / std).max() < 1e-6, case
+        gap = np.abs(row[8:].reshape(3, 3) - updated.cov) / np.outer(std, std)
         assert gap.max() < 1e-6, case
 
 
 def test_an_estimate_far_beyond_both_edges_chooses_the_same(folder: Path) -> None:
     case = Case(np.array([1e6, 0.0, -3e6]), 1e-4 * np.eye(3), widths=(0.5, 0.0), noise=0.02)
     (row,) = in_header([case], folder)
-    assert row[5:8] == pytest.approx(case.heard().mean, rel=1e-12)
+    assert row[5:8] == pytest.approx(case.update().mean, rel=1e-12)
 
 
 def test_both_refuse_what_cannot_be(folder: Path) -> None:
@@ -413,20 +415,20 @@ def test_both_refuse_what_cannot_be(folder: Path) -> None:
     assert in_header(cases, folder)[:, 0].tolist() == [2.0] * len(cases)
     for case in cases:
         with pytest.raises(uz.InputError, match=r"mean|cov"):
-            case.heard()
+            case.update()
 
 
 MAIN = """
-#define EAR_REAL double
-#include "ear.h"
+#define DEADZONE_REAL double
+#include "deadzone_update.h"
 #include <stdio.h>
 int main(void) {
   double C[] = {1, 0, 0, 0}, x[] = {0, 0, 1.15, 1.15}, P[16] = {0}, work[8], y;
-  EarSensor s = {C, {2, AT_LEFT}, {0, 0.8}, NOISE, BEFORE, 2, 5};
-  Ear ear = {0};
+  DeadzoneSensor s = {C, {2, AT_LEFT}, {0, 0.8}, NOISE, BEFORE, 2, 5};
+  DeadzoneMemory memory = {0};
   P[0] = 25; P[5] = 1; P[10] = P[15] = 0.24;
   while (scanf("%lf", &y) == 1) {
-    int side = ear_hear(&ear, &s, 4, x, P, y, work);
+    int side = deadzone_update(&memory, &s, 4, x, P, y, work);
     printf("%d", side);
     for (int i = 0; i < 4; i++) printf(" %.17g", x[i]);
     for (int i = 0; i < 16; i++) printf(" %.17g", P[i]);
@@ -451,32 +453,74 @@ def test_the_header_computes_the_same(
     readings = deadzone(z, 1.0, 0.8, 2.0) + noise * rng.normal(size=300)
     readings[::17] = np.nan
     rows = in_c(readings, at_left, noise, before, tmp_path)
-    x, P, ear = np.array([0, 0, 1.15, 1.15]), np.diag([25, 1, 0.24, 0.24]), DeadzoneMemory()
+    x, P, memory = np.array([0, 0, 1.15, 1.15]), np.diag([25, 1, 0.24, 0.24]), DeadzoneMemory()
     eye = np.eye(4)
     for y, row in zip(readings, rows, strict=True):
         left: Any = eye[3] if at_left > 0 else 0.8
-        claims = {"noise": noise, "noise_before": before, "slope": 2.0, "ear": ear, "rest": 5}
-        heard = deadzone_update(x, P, eye[0], y, right=eye[2], left=left, **claims)
-        x, P, ear = heard.mean, heard.cov, heard.ear
-        assert row[0] == heard.side
+        options = {
+            "noise": noise,
+            "noise_before": before,
+            "slope": 2.0,
+            "memory": memory,
+            "rest": 5,
+        }
+        updated = deadzone_update(x, P, eye[0], y, right=eye[2], left=left, **options)
+        x, P, memory = updated.mean, updated.cov, updated.memory
+        assert row[0] == updated.side
         assert row[1:5] == pytest.approx(x, rel=1e-6, abs=1e-8)
         assert row[5:] == pytest.approx(P.ravel(), rel=1e-5, abs=1e-8)
         P = P + np.diag([0.001, 0.001, 0, 0])
         x = x + np.array([0.01 * x[1], 0, 0, 0])
 
 
+def test_the_old_header_has_the_same_names(tmp_path: Path) -> None:
+    """Each name of `ear.h` that was public, in double precision."""
+    folder = files("undeadzone.numerics")
+    for name in ("ear.h", "deadzone_update.h"):
+        (tmp_path / name).write_text((folder / name).read_text())
+    old = {
+        "deadzone_update(": "ear_hear(",
+        "deadzone_update.h": "ear.h",
+        "DeadzoneMemory": "Ear",
+        "DeadzoneSensor": "EarSensor",
+        "DEADZONE_REAL": "EAR_REAL",
+    }
+    text = ANY
+    for current, name in old.items():
+        assert current in text
+        text = text.replace(current, name)
+    (tmp_path / "main.c").write_text(text)
+    flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-O1"]
+    program = once.program(["ear", *flags, "main.c"], tmp_path)
+    case = Case(np.zeros(3), np.full((3, 3), math.nan))
+    done = subprocess.run([program], input=case.line(), capture_output=True, text=True, check=False)
+    assert float(done.stdout.split()[0]) == 2.0
+
+
+def test_the_old_names_of_the_memory_warn_and_work() -> None:
+    options: dict[str, Any] = {"right": 1.0, "left": 1.0, "noise": 0.1, "rest": 5}
+    memory = DeadzoneMemory(0.3, 0.2)
+    with pytest.warns(DeprecationWarning, match="deadzone_update: ear is now memory") as record:
+        updated = uz.deadzone_update([0.0], np.eye(1), [1.0], 0.4, ear=memory, **options)
+    assert record[0].filename == __file__
+    assert updated.memory.previous == 0.3
+    with pytest.warns(DeprecationWarning, match=r"DeadzoneUpdate\.ear is now memory") as record:
+        assert updated.ear == updated.memory
+    assert record[0].filename == __file__
+
+
 SHAPED = """
-#define EAR_REAL double
-#include "ear.h"
+#define DEADZONE_REAL double
+#include "deadzone_update.h"
 #include <stdio.h>
 int main(void) {
   double C[] = {1, 0, 0, 0}, x[] = {0, 2, 1.15, 1.15}, P[16] = {0}, work[8], S[12] = {0}, y;
-  EarSensor s = {C, {2, 3}, {0, 0}, 0.02, 0, 2, 5};
-  EarShape shape = {0.05, 0, S};
-  Ear ear = {0};
+  DeadzoneSensor s = {C, {2, 3}, {0, 0}, 0.02, 0, 2, 5};
+  DeadzoneShape shape = {0.05, 0, S};
+  DeadzoneMemory memory = {0};
   P[0] = 25; P[5] = 1; P[10] = P[15] = 0.24;
   while (scanf("%lf", &y) == 1) {
-    ear_hear_shape(&ear, &s, &shape, 4, x, P, y, work);
+    deadzone_update_shape(&memory, &s, &shape, 4, x, P, y, work);
     for (int i = 0; i < 12; i++) printf(" %.17g", S[i]);
     printf("\\n");
     for (int i = 0; i < 4; i++) P[5 * i] += 0.001 * (i < 2);
@@ -494,20 +538,20 @@ def test_the_header_moves_the_columns_alike(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     z = 2 * np.sin(0.05 * np.arange(300))
     readings = deadzone(z, 1.0, 0.8, 2.0) + 0.02 * rng.normal(size=300)
-    header = files("undeadzone.numerics") / "ear.h"
-    (tmp_path / "ear.h").write_text(header.read_text())
+    header = files("undeadzone.numerics") / "deadzone_update.h"
+    (tmp_path / "deadzone_update.h").write_text(header.read_text())
     (tmp_path / "main.c").write_text(SHAPED)
     flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-O1"]
-    program = once.program(["ear", *flags, "main.c"], tmp_path)
+    program = once.program(["deadzone_update", *flags, "main.c"], tmp_path)
     text = "\n".join(map(str, readings))
     done = subprocess.run([program], input=text, capture_output=True, text=True, check=True)
     rows = np.array([line.split() for line in done.stdout.splitlines()], float)
-    x, P, ear = np.array([0, 2, 1.15, 1.15]), np.diag([25, 1, 0.24, 0.24]), DeadzoneMemory()
+    x, P, memory = np.array([0, 2, 1.15, 1.15]), np.diag([25, 1, 0.24, 0.24]), DeadzoneMemory()
     eye, S, F, ahead = np.eye(4), np.zeros((4, 3)), np.eye(4), 0.0
     F[0, 1] = 0.01
     for y, row in zip(readings, rows, strict=True):
         shape = {"rounding": 0.05, "columns": S, "ahead": ahead}
-        heard = deadzone_update(
+        updated = deadzone_update(
             x,
             P,
             eye[0],
@@ -516,18 +560,18 @@ def test_the_header_moves_the_columns_alike(tmp_path: Path) -> None:
             left=eye[3],
             noise=0.02,
             slope=2.0,
-            ear=ear,
+            memory=memory,
             rest=5,
             **shape,
         )
-        assert row == pytest.approx(heard.columns.T.ravel(), rel=1e-6, abs=1e-8)
-        P, ear = heard.cov + np.diag([0.001, 0.001, 0, 0]), heard.ear
-        x, S, ahead = F @ heard.mean, F @ heard.columns, 0.01 * heard.mean[1]
+        assert row == pytest.approx(updated.columns.T.ravel(), rel=1e-6, abs=1e-8)
+        P, memory = updated.cov + np.diag([0.001, 0.001, 0, 0]), updated.memory
+        x, S, ahead = F @ updated.mean, F @ updated.columns, 0.01 * updated.mean[1]
     assert np.abs(S).max(axis=0).min() > 0.005
 
 
 @pytest.mark.parametrize("name", ["slope_std", "rounding", "lag"])
-def test_columns_say_how_far_a_mean_moves_with_the_sensor(name: str) -> None:
+def test_columns_are_how_far_a_mean_moves_with_the_sensor(name: str) -> None:
     """Against the mean of the same filter on the readings of a sensor that is a little other."""
     t, eye, F, h = 0.05 * np.arange(400), np.eye(3), np.eye(3), 1e-5
     z, v = 2.0 * np.sin(t), 0.1 * np.cos(t)
@@ -539,19 +583,29 @@ def test_columns_say_how_far_a_mean_moves_with_the_sensor(name: str) -> None:
     }[name]
 
     def follow(readings: Floats) -> tuple[Floats, Floats, Floats]:
-        mean, cov, ear, S = (
+        mean, cov, memory, S = (
             np.array([0.0, 1.1, 0.9]),
             np.diag([4, 0.1, 0.1]),
             DeadzoneMemory(),
             None,
         )
         for k, one in enumerate(readings):
-            claims = {"right": eye[1], "left": eye[2], "noise": 0.01, "ear": ear, "rest": 1000}
+            options = {
+                "right": eye[1],
+                "left": eye[2],
+                "noise": 0.01,
+                "memory": memory,
+                "rest": 1000,
+            }
             shape = {"rounding": 0.05, name: 0.05, "columns": S, "ahead": v[k]}
-            heard = deadzone_update(mean, cov, eye[0], one, **claims, **shape)
-            mean, ear, S = heard.mean + np.array([v[k], 0.0, 0.0]), heard.ear, heard.columns
-            cov = F @ heard.cov @ F.T + np.diag([1e-4, 0, 0])
-        return mean, heard.columns, heard.shown - heard.cov
+            updated = deadzone_update(mean, cov, eye[0], one, **options, **shape)
+            mean, memory, S = (
+                updated.mean + np.array([v[k], 0.0, 0.0]),
+                updated.memory,
+                updated.columns,
+            )
+            cov = F @ updated.cov @ F.T + np.diag([1e-4, 0, 0])
+        return mean, updated.columns, updated.shown - updated.cov
 
     mean, columns, wide = follow(y)
     place = ["slope_std", "rounding", "lag"].index(name)
@@ -562,13 +616,13 @@ def test_columns_say_how_far_a_mean_moves_with_the_sensor(name: str) -> None:
 
 def in_c(readings: Floats, at_left: int, noise: float, before: float, folder: Path) -> Floats:
     """What the header makes of readings, compiled with all warnings: (side, x, P) a row."""
-    header = files("undeadzone.numerics") / "ear.h"
-    (folder / "ear.h").write_text(header.read_text())
+    header = files("undeadzone.numerics") / "deadzone_update.h"
+    (folder / "deadzone_update.h").write_text(header.read_text())
     (folder / "main.c").write_text(MAIN)
     words = {"AT_LEFT": at_left, "NOISE": noise, "BEFORE": before}
     defined = [f"-D{name}={value}" for name, value in words.items()]
     flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-O1", *defined]
-    program = once.program(["ear", *flags, "main.c"], folder)
+    program = once.program(["deadzone_update", *flags, "main.c"], folder)
     text = "\n".join(map(str, readings))
     done = subprocess.run([program], input=text, capture_output=True, text=True, check=True)
     return np.array([line.split() for line in done.stdout.splitlines()], float)

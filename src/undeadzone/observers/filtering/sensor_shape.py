@@ -19,7 +19,7 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.nonlinearities.sensor import Zone
-from undeadzone.numerics.hear import FAR, FIXED_AT_EDGE, LENGTH
+from undeadzone.numerics.deadzone_update import FAR, FIXED_AT_EDGE, LENGTH
 from undeadzone.observers.filtering.constant_states import add_constants, zone_numbers
 from undeadzone.observers.filtering.gaussian_filter import (
     Augmentation,

@@ -1,8 +1,9 @@
-"""`hear`: a reading of a sensor with a dead zone into anybody's Kalman filter, with NumPy alone.
+"""Measurement update through a dead zone for any Kalman filter, with NumPy alone.
 
 The graph of `Censored` computes the same, written for readers. A reading on a sure side is linear
 in state and widths. A censored sample shows that z lies between both edges, a condition that is
-matched in mean and covariance. docs/hear.md has examples, docs/filter_equations.md the mathematics.
+matched in mean and covariance. docs/deadzone_update.md has examples, docs/filter_equations.md the
+mathematics.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import numpy as np
 
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.util.arrays import Array, Flags, Floats
+from undeadzone.util.renamed import accept_renamed_argument, warn_of_renamed
 
 SILENT = 4.0  # noise, in its rms, that is surely not beyond it
 DOUBT = 1.6448536269514722  # an edge inside which z lies with 95 % already is not used
@@ -48,7 +50,7 @@ class DeadzoneUpdate(NamedTuple):
     Attributes:
         mean: in the shape that was given.
         cov: covariance (N x N).
-        ear: for the next reading.
+        memory: for the next reading.
         side: 1 or -1 if the reading was used on that side, 0 if it was censored, unsure or missing.
         innovation: reading less prediction [z] (0 if side is 0).
         innovation_std: standard deviation of the innovation [z] (0 if side is 0).
@@ -61,12 +63,18 @@ class DeadzoneUpdate(NamedTuple):
 
     mean: Floats
     cov: Floats
-    ear: DeadzoneMemory
+    memory: DeadzoneMemory
     side: int
     innovation: float = 0.0
     innovation_std: float = 0.0
     columns: Any = None
     shown: Any = None
+
+    @property
+    def ear(self) -> DeadzoneMemory:
+        """Earlier name of `memory`, until version 0.2."""
+        warn_of_renamed("DeadzoneUpdate.ear", "memory")
+        return self.memory
 
 
 class Gauss(NamedTuple):
@@ -90,6 +98,7 @@ class Edge(NamedTuple):
     known: float
 
 
+@accept_renamed_argument("ear", "memory")
 def deadzone_update(
     mean: Array,
     cov: Array,
@@ -99,7 +108,7 @@ def deadzone_update(
     right: Array,
     left: Array,
     noise: float,
-    ear: DeadzoneMemory,
+    memory: DeadzoneMemory,
     rest: int,
     noise_before: float = 0.0,
     slope: float = 1.0,
@@ -121,7 +130,7 @@ def deadzone_update(
             reads it from the mean (N).
         left: the same for d_l.
         noise: rms of the noise behind the zone [y].
-        ear: memory that the last call returned, at first `DeadzoneMemory()`. A filter without it
+        memory: memory that the last call returned, at first `DeadzoneMemory()`. A filter without it
             would cut off the same tail at every sample.
         rest: readings for which an edge is not used again: a 25th of the plant's period, or the
             correlation time of its disturbance if that is longer, up to a quarter period.
@@ -150,7 +159,7 @@ def deadzone_update(
         ...     right=1.0,
         ...     left=0.6,
         ...     noise=0.01,
-        ...     ear=uz.DeadzoneMemory(last=0.45, previous=0.4),
+        ...     memory=uz.DeadzoneMemory(last=0.45, previous=0.4),
         ...     rest=10,
         ... )
         >>> updated.side
@@ -173,19 +182,21 @@ def deadzone_update(
     S = _require_columns(columns, len(belief.mean))
     doubts = _require_doubts(rounding=rounding, slope_std=slope_std, lag=lag)
     edges = [_edge("right", 1, right, z), _edge("left", -1, left, z)]
-    waits = np.array([ear.right, ear.left])
+    waits = np.array([memory.right, memory.left])
     later = np.maximum(waits - 1, 0)
     if not np.isfinite(y):
         return DeadzoneUpdate(
             belief.mean.reshape(shape),
             belief.cov,
-            DeadzoneMemory(0.0, ear.last, *later.tolist()),
+            DeadzoneMemory(0.0, memory.last, *later.tolist()),
             0,
             columns=S,
             shown=_shown_covariance(belief, S, doubts),
         )
     gate = max(SILENT * noise, rounding * slope)
-    side = _sure(y, ear.last, ear.previous, gate) - _sure(-y, -ear.last, -ear.previous, gate)
+    side = _sure(y, memory.last, memory.previous, gate) - _sure(
+        -y, -memory.last, -memory.previous, gate
+    )
     e = std = 0.0
     if side and np.isinf(edges[0 if side > 0 else 1].known):
         side = 0  # nothing reads beyond an edge that is not there
@@ -198,12 +209,12 @@ def deadzone_update(
         S = S + np.outer(K, np.array([y / slope, at_edge, -ahead]) - h @ S)
         belief, std = _correct_linear(belief, h, e, rms**2)
     if abs(y) <= gate:
-        belief, heard = _within(belief, z, edges, gate / slope, rms**2, waits == 0)
-        later = np.where(heard, rest, later)
+        belief, used = _within(belief, z, edges, gate / slope, rms**2, waits == 0)
+        later = np.where(used, rest, later)
     return DeadzoneUpdate(
         belief.mean.reshape(shape),
         belief.cov,
-        DeadzoneMemory(y, ear.last, *later.tolist()),
+        DeadzoneMemory(y, memory.last, *later.tolist()),
         side,
         e,
         std,
@@ -313,7 +324,7 @@ def _require_positive(variance: float) -> None:
 
 
 def _within(
-    belief: Gauss, z: Floats, edges: list[Edge], slack: float, R: float, asked: Flags
+    belief: Gauss, z: Floats, edges: list[Edge], slack: float, R: float, allowed: Flags
 ) -> tuple[Gauss, Flags]:
     """Return the belief given that z is inside both edges, and a mask of the edges that were used.
 
@@ -332,12 +343,12 @@ def _within(
     alpha = np.clip(short_of / std, -CLIP, CLIP)
     inside = np.array([(1 + erf(a / sqrt(2))) / 2 for a in alpha])
     slope: Floats = np.zeros(2)  # of the log of the chance, in each alpha
-    heard = asked & (alpha < DOUBT)
-    if heard.any():
-        nearest = np.argmin(np.where(heard, alpha, np.inf))
+    used = allowed & (alpha < DOUBT)
+    if used.any():
+        nearest = np.argmin(np.where(used, alpha, np.inf))
         slope[nearest] = _hazard(alpha[nearest])
     unsure = 1 - inside > UNSURE * inside[::-1]
-    if heard.any() and np.all(asked & unsure & (alpha > -DEEP)):
+    if used.any() and np.all(allowed & unsure & (alpha > -DEEP)):
         both = np.exp(-(alpha**2) / 2) / sqrt(2 * pi) / max(inside.sum() - 1, NARROW)
         if _are_moments(both / std, both * alpha / std**2, G):
             slope = both
@@ -350,8 +361,8 @@ def _are_moments(pull: Floats, bend: Floats, G: Floats) -> bool:
     """Return whether the belief loses no more than all, and no less than nothing, in any
     direction.
 
-    `ear.h` computes the same in the same order, from the larger variance and the remainder of the
-    other edge: for two nearly equal edges the large parts cancel.
+    `deadzone_update.h` computes the same in the same order, from the larger variance and the
+    remainder of the other edge: for two nearly equal edges the large parts cancel.
 
     Args:
         pull: slope of the log of the chance along each edge (2).
