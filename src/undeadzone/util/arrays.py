@@ -274,6 +274,15 @@ def _format_complex(number: complex) -> str:
     return f"{number.real:.4g}"
 
 
+def root_mean_square(values: Floats) -> float:
+    """Return the root of the mean square of all values.
+
+    Args:
+        values: any shape.
+    """
+    return float(np.sqrt(np.mean(values**2)))
+
+
 def rows_since_start(start: Integers, size: int) -> Integers:
     """Return the number of earlier rows of the same record, for each row (N).
 

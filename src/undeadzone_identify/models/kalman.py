@@ -13,6 +13,7 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.compile import lanes
+from undeadzone.numerics.gaussian import to_upper_entries
 from undeadzone.util.arrays import Floats, Integers
 from undeadzone_identify.models import estimates
 from undeadzone_identify.models.likelihood import LOG_ROOT
@@ -135,13 +136,13 @@ def build_kalman_kernel(n: int, m: int, model: int, moments: bool = False) -> la
     density, g, k = measurement_terms(y, side, ca.if_else(diverged, 0.0, mean), s, right, left)
     g = ok * g
     k = ok * k
-    before = ca.vertcat(x, ca.project(P, upper).nz[:])
+    before = ca.vertcat(x, to_upper_entries(P, upper))
     x = x + PH * g / s
     P = P - PH @ PH.T * k / s**2
-    all_moments = ca.vertcat(before, x, ca.project(P, upper).nz[:], g)
+    all_moments = ca.vertcat(before, x, to_upper_entries(P, upper), g)
     x = F @ x + B @ u
     P = F @ P @ F.T + q2 * G
-    following = ca.vertcat(x, ca.project(P, upper).nz[:])
+    following = ca.vertcat(x, to_upper_entries(P, upper))
     log = ok * ca.if_else(diverged, WORST, density)
     output = all_moments if moments else log
     step = ca.Function("kalman", [state, exogenous, numbers], [following, output])

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.nonlinearities.sensor import DIRECTIONS, heaviest
-from undeadzone.util.arrays import Floats
+from undeadzone.util.arrays import Floats, root_mean_square
 from undeadzone_identify.models import motion
 from undeadzone_identify.models.elements import PlayFit, PlayModel
 from undeadzone_identify.models.estimates import Interval, maximise_likelihood, student_quantile
@@ -198,7 +198,7 @@ def _match_simulated_fits(
         w = plant_response(layout, theta, colour)
         w *= rms / max(float(w.std()), 1e-300)
         fits, residuals = _refit_simulated(fit, theta, w, behind, quantum)
-        simulated = _excess_power(float(np.sqrt(np.mean(residuals**2))), noise)
+        simulated = _excess_power(root_mean_square(residuals), noise)
         rms *= min(math.sqrt(target / simulated), MOST)
         theta = _add_correction(fit, theta, fit.theta - fits.mean(axis=0))
     gain = ahead.at_input / max(ahead.rms, 1e-300)

@@ -9,7 +9,7 @@ import numpy as np
 
 from undeadzone.errors import InputError
 from undeadzone.nonlinearities.sensor import DIRECTIONS
-from undeadzone.util.arrays import Flags, Floats
+from undeadzone.util.arrays import Flags, Floats, root_mean_square
 from undeadzone_identify.logs.grid import Grid
 from undeadzone_identify.logs.prepare import FAR_EDGE
 from undeadzone_identify.models.estimates import Interval, student_quantile
@@ -241,7 +241,7 @@ class Answer(NamedTuple):
         time = -step / math.log(fit.rho) if 0.05 < fit.rho < 1 else None
         if fit.objective.kind == "behind":  # the climb to s ends early at a zone without width
             left = fit.objective.unexplained_readings(fit.theta)[fit.objective.readings.ok]
-            rms = math.sqrt(float(np.mean(left**2)))
+            rms = root_mean_square(left)
             return Disturbance(rms * scale, time, None, None, False)
         if not self.found.kalman:
             return Disturbance(fit.disturbance_rms * scale, time, None, None, True)

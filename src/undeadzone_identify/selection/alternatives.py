@@ -16,7 +16,7 @@ import numpy as np
 
 from undeadzone.nonlinearities.play import levels
 from undeadzone.nonlinearities.sensor import DIRECTIONS
-from undeadzone.util.arrays import Flags, Floats, Integers
+from undeadzone.util.arrays import Flags, Floats, Integers, root_mean_square
 from undeadzone_identify.models import plant
 from undeadzone_identify.models.chain import ChainFit, ChainModel
 from undeadzone_identify.models.elements import (
@@ -553,7 +553,7 @@ def _zones_element(zoned: InputZoneFit, case: Case) -> Element:
         fit.squares.reading_residual(numbers),
         data.ok & ((data.side != 0) | (not data.silent_zeros)),
     )
-    rms = float(np.sqrt(np.mean(e[heard] ** 2)))
+    rms = root_mean_square(e[heard])
     return Element(
         kind=model.name,
         fit=fit,

@@ -8,6 +8,7 @@ with dynamics.
 from __future__ import annotations
 
 import math
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -158,7 +159,8 @@ def find_lost_motion(log: Log, options: Options) -> tuple[LostMotionAnswer | Non
     free = fit_free_load(data) if _may_float(log, is_goal or is_summed, white) else None
     if free is not None:
         family = {
-            word: min(one, free.rivals.get(word, one), key=_bic) for word, one in family.items()
+            word: min(one, free.rivals.get(word, one), key=attrgetter("bic"))
+            for word, one in family.items()
         }
         if family["play"] is free.density:
             fit, found, gap = MotionFit(data, Structure()), free.found, free.gap
@@ -308,11 +310,6 @@ def _may_float(log: Log, is_told: bool, white: bool) -> bool:
     """Return whether a load may float in the gap between two positions that are read."""
     alike = _is_alike(log) and not is_told and not white
     return alike and log.t.size >= FEWEST_LATE and _has_grid(log)
-
-
-def _bic(one: Density) -> float:
-    """Return the BIC of a density."""
-    return one.bic
 
 
 def _family(found: LostMotion, flat: LostMotion, curved: LostMotion, quantum: float) -> Family:

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.stats import chi2
 
-from undeadzone.util.arrays import Flags, Floats, Integers, rows_since_start
+from undeadzone.util.arrays import Flags, Floats, Integers, root_mean_square, rows_since_start
 from undeadzone_identify.models import zone_fit
 from undeadzone_identify.models.least_squares import (
     regress_residual,
@@ -238,7 +238,7 @@ def score_held_out(
         test: the held-out readings (N).
         one_step: one-step residuals, and where they are known (N, N).
     """
-    rms = float(np.sqrt(np.mean(error[test] ** 2)))
+    rms = root_mean_square(error[test])
     return HeldOutScore(rms, 1 - rms / max(float(data.y[test].std()), 1e-12), is_white(*one_step))
 
 

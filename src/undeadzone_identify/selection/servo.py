@@ -15,7 +15,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from undeadzone.nonlinearities.sensor import DIRECTIONS
-from undeadzone.util.arrays import Floats, shift_rows
+from undeadzone.util.arrays import Floats, root_mean_square, shift_rows
 from undeadzone.util.text import bracket_interval
 from undeadzone_identify.logs.grid import Grid
 from undeadzone_identify.logs.log import Options
@@ -449,7 +449,7 @@ def build_servo_element(case: Case, servo: ServoGap) -> Element:
         if servo.log.ticks
         else reading_noise_rms(servo.log) * servo.log.y_scale / data.y_scale,
         degrees=max(servo.reversals - 1, 2),
-        rms=math.sqrt(float(np.mean(left**2))),
+        rms=root_mean_square(left),
         remarks=[f"z of an integrating plant has no zero of its own: {EVEN}"] if free else [],
     )
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undeadzone.util.arrays import Floats, Integers
+from undeadzone.util.arrays import Floats, Integers, root_mean_square
 from undeadzone_identify.logs.grid import Grid
 from undeadzone_identify.models.chain import ChainFit, ChainModel
 from undeadzone_identify.models.estimates import Interval
@@ -302,16 +302,10 @@ def _score(case: Case, fits: LoopFits, v: Floats, part: slice) -> tuple[HeldOutS
     train = training_samples(case.recorded, case.options.held_out)[part][rows]
     scale, errors = fits.log.deviation, []
     for position in (v, fits.log.u):
-        columns = np.hstack(
-            [
-                regression.past,
-                regression.lagged(position[:, None], lags)[:, 0],
-                np.ones((rows.size, 1)),
-            ]
-        )
+        columns = regression.regressors(position, lags)
         told = np.linalg.lstsq(columns[train], regression.y[train], rcond=1e-9)[0]
         errors.append((regression.y - columns @ told) * scale)
-    rms, without = (math.sqrt(float(np.mean(e[~train] ** 2))) for e in errors)
+    rms, without = (root_mean_square(e[~train]) for e in errors)
     share = 1 - rms / max(float(regression.y[~train].std()) * scale, 1e-12)
     return HeldOutScore(rms, share, is_white(errors[0], ~train)), without
 
