@@ -45,6 +45,16 @@ def delta_form(linear: Matrices, Ts: float | None) -> Matrices:
     return Matrices((A - np.eye(A.shape[0])) / Ts, B / Ts, C)
 
 
+def scale_states(A: Floats, unit: Floats) -> Floats:
+    """Return A for states in other units (n x n).
+
+    Args:
+        A: (n x n).
+        unit: of each state (n).
+    """
+    return A * unit / unit[:, None]
+
+
 def companion_form(a: Any, b: Any = (1.0,)) -> Matrices:
     """Return the companion form (15): A with last row -a, B = e_n, C = [b_0, b_1, ...].
 

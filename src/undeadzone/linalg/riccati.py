@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.errors import InputError, StructureError
-from undeadzone.linalg.matrices import Matrices, delta_form, state_response_sizes
+from undeadzone.linalg.matrices import Matrices, delta_form, scale_states, state_response_sizes
 from undeadzone.linalg.poles import slowest_growth_rate
 from undeadzone.util.arrays import Array, Floats, list_numbers, require_array, require_matrix
 
@@ -264,7 +264,7 @@ def fast_gain(linear: Matrices, speed: float, Ts: float | None) -> Floats:
     flow = delta_form(linear, Ts).A
     # the unit of each state, so that the equations below are near 1
     unit = 1 / (speed * state_response_sizes(flow.T, C.T, speed))
-    A = A * unit / unit[:, None]
+    A = scale_states(A, unit)
     C = C * unit
     L = _riccati_gain_with_shift(A, C, speed, Ts)
     if not slowest_growth_rate(np.linalg.eigvals(A - L @ C), Ts) < -speed / 4:

@@ -16,7 +16,7 @@ from undeadzone.compile import lanes
 from undeadzone.numerics.gaussian import to_upper_entries
 from undeadzone.util.arrays import Floats, Integers
 from undeadzone_identify.models import estimates
-from undeadzone_identify.models.likelihood import LOG_ROOT
+from undeadzone_identify.models.likelihood import LOG_ROOT, log_unit_density
 from undeadzone_identify.models.plant import Layout, RecordData, input_noise_gain, polynomial_roots
 from undeadzone_identify.models.zone import WidthLimits
 from undeadzone_identify.models.zone_fit import ZoneFit
@@ -46,7 +46,7 @@ def log_normal_cdf(x: Any) -> Any:
     fraction = far
     for k in range(DEPTH, 0, -1):
         fraction = far + k / fraction
-    tail = -0.5 * far**2 - LOG_ROOT - ca.log(fraction)
+    tail = log_unit_density(far) - ca.log(fraction)
     return ca.if_else(x > TAIL, ca.log(0.5 * (1 + ca.erf(near / math.sqrt(2)))), tail)
 
 
@@ -82,8 +82,8 @@ def measurement_terms(
     a = (y + right - mean) / s
     b = (y - left - mean) / s
     mass = log_interval_mass(a, b)
-    at_a = ca.exp(ca.fmin(-0.5 * a**2 - LOG_ROOT - mass, 700.0))
-    at_b = ca.exp(ca.fmin(-0.5 * b**2 - LOG_ROOT - mass, 700.0))
+    at_a = ca.exp(ca.fmin(log_unit_density(a) - mass, 700.0))
+    at_b = ca.exp(ca.fmin(log_unit_density(b) - mass, 700.0))
     # Far in a tail, or for a narrow zone, the moments cancel: use those of a uniform density.
     cancels = ca.logic_or(mass < -700.0, a - b < NARROW)
     shift = ca.if_else(cancels, 0.0, at_b - at_a)
