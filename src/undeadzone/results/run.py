@@ -26,7 +26,7 @@ from undeadzone.results.signals import (
     list_summary_signals,
     output_names,
 )
-from undeadzone.util.arrays import Floats, root_mean_square, to_json_value, to_scalar_or_list
+from undeadzone.util.arrays import Floats, to_json_value, to_scalar_or_list
 from undeadzone.util.earlier import SCHEMA, translate_stds
 from undeadzone.util.shown import Block, Rows
 from undeadzone.util.text import count_noun, interval_95, label_with_unit
@@ -301,7 +301,7 @@ def last_samples(t: Floats) -> slice:
 def _root_mean_square(values: Floats) -> float:
     """Return the root mean square of all entries."""
     with np.errstate(over="ignore", invalid="ignore"):
-        return root_mean_square(values)
+        return float(np.sqrt(np.mean(values**2)))
 
 
 def _gap_intervals(run: Run) -> dict[str, Any]:

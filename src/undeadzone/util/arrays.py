@@ -76,10 +76,10 @@ def parse_matlab_matrix(text: str) -> list[list[float]]:
         ValueError: another text.
     """
     body = text.strip()
-    if not (body.startswith("[") and body.endswith("]")):
-        raise ValueError(f"expected numbers, found {text!r:.60}")
     rows = body[1:-1].strip().strip(";").split(";")
     try:
+        if not (body.startswith("[") and body.endswith("]")):
+            raise ValueError  # no brackets
         return [[float(entry) for entry in row.replace(",", " ").split()] for row in rows]
     except ValueError:
         raise ValueError(f"expected numbers, found {text!r:.60}") from None
@@ -272,15 +272,6 @@ def _format_complex(number: complex) -> str:
     if number.imag:
         return f"{number.real:.4g}{number.imag:+.4g}j"
     return f"{number.real:.4g}"
-
-
-def root_mean_square(values: Floats) -> float:
-    """Return the root of the mean square of all values.
-
-    Args:
-        values: any shape.
-    """
-    return float(np.sqrt(np.mean(values**2)))
 
 
 def rows_since_start(start: Integers, size: int) -> Integers:

@@ -17,7 +17,7 @@ from undeadzone.simulation.identifiability import (
     widths_with_unknown_actuator,
 )
 from undeadzone.simulation.loop import Outputs
-from undeadzone.util.arrays import Floats, root_mean_square
+from undeadzone.util.arrays import Floats
 
 TAIL: Final = 0.2  # share of the run, its last, over which errors are taken
 SETTLED: Final = 0.1  # |z - r| within this share of the largest |r| has settled
@@ -108,7 +108,7 @@ def measure_run(problem: Problem, out: Outputs, truth: Floats, cost: float) -> R
 
 def rms_of_entries(values: Floats) -> float:
     """Return the root mean square of all entries."""
-    return root_mean_square(values)
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def _has_diverged(problem: Problem, out: Outputs) -> bool:

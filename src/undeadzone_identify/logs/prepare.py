@@ -17,10 +17,10 @@ import numpy as np
 
 from undeadzone.errors import InputError
 from undeadzone.logs.range_ends import RangeEnds, range_ends
-from undeadzone.util.arrays import Flags, Floats, Integers, bounds_of_runs, root_mean_square
+from undeadzone.util.arrays import Flags, Floats, Integers, bounds_of_runs
 from undeadzone_identify.logs.grid import SPIKE, Grid, find_spikes
 from undeadzone_identify.logs.log import Options
-from undeadzone_identify.models.likelihood import zone_offset
+from undeadzone_identify.models.likelihood import root_mean_square, zone_offset
 from undeadzone_identify.models.plant import PlantSimulator, RecordData
 from undeadzone_identify.models.zone import WidthLimits
 from undeadzone_identify.models.zone_fit import fit_linear

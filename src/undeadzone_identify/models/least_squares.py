@@ -14,8 +14,9 @@ import numpy as np
 from scipy.linalg import solve_toeplitz
 from scipy.stats import f as fisher
 
-from undeadzone.util.arrays import Floats, Integers, root_mean_square
+from undeadzone.util.arrays import Floats, Integers
 from undeadzone_identify.models import estimates
+from undeadzone_identify.models.likelihood import root_mean_square
 from undeadzone_identify.models.plant import PlantSimulator, RecordData, mean_lag_products
 from undeadzone_identify.models.zone import FAR
 

@@ -68,6 +68,15 @@ class ZoneNoise(NamedTuple):
     rho: float
 
 
+def root_mean_square(values: Floats) -> float:
+    """Return the root of the mean square of all values.
+
+    Args:
+        values: any shape.
+    """
+    return float(np.sqrt(np.mean(values**2)))
+
+
 def log_unit_density(x: Any) -> Any:
     """Return the log density of a standard Gaussian at x, NumPy's or CasADi's."""
     return -0.5 * x**2 - LOG_ROOT

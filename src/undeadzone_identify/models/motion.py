@@ -26,8 +26,9 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.nonlinearities.play import detect_tick
-from undeadzone.util.arrays import Flags, Floats, Integers, root_mean_square, rows_since_start
+from undeadzone.util.arrays import Flags, Floats, Integers, rows_since_start
 from undeadzone_identify.models.kalman import WHITE, observer_form_matrices
+from undeadzone_identify.models.likelihood import root_mean_square
 from undeadzone_identify.models.plant import PlantSimulator, input_noise_gain
 
 SURE = 5.5  # standard deviations of a slope: one false side in a gap's log ruins its estimate

@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.compile import lanes
-from undeadzone.util.arrays import Floats, Integers, root_mean_square
+from undeadzone.util.arrays import Floats, Integers
 from undeadzone_identify.models.elements import MapModel, dead_zone_map, identity_map
 from undeadzone_identify.models.estimates import (
     best_maximum,
@@ -27,7 +27,7 @@ from undeadzone_identify.models.estimates import (
     run_lanes_along,
 )
 from undeadzone_identify.models.least_squares import FittedModel, LeastSquares
-from undeadzone_identify.models.likelihood import dead_zone
+from undeadzone_identify.models.likelihood import dead_zone, root_mean_square
 from undeadzone_identify.models.plant import PlantSimulator, RecordData
 from undeadzone_identify.models.zone import Kind, ZoneObjective
 from undeadzone_identify.models.zone_fit import (

@@ -18,11 +18,12 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.nonlinearities.sensor import DIRECTIONS, heaviest
-from undeadzone.util.arrays import Floats, root_mean_square
+from undeadzone.util.arrays import Floats
 from undeadzone_identify.models import motion
 from undeadzone_identify.models.elements import PlayFit, PlayModel
 from undeadzone_identify.models.estimates import Interval, maximise_likelihood, student_quantile
 from undeadzone_identify.models.least_squares import LeastSquares
+from undeadzone_identify.models.likelihood import root_mean_square
 from undeadzone_identify.models.plant import (
     InputDisturbance,
     RecordData,

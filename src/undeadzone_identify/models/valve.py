@@ -24,9 +24,10 @@ import numpy as np
 from scipy.signal import lfilter
 from scipy.special import softmax
 
-from undeadzone.util.arrays import Flags, Floats, Integers, root_mean_square
+from undeadzone.util.arrays import Flags, Floats, Integers
 from undeadzone_identify.models.estimates import Interval, cosine_coefficients
 from undeadzone_identify.models.least_squares import Density, build_gaussian_density
+from undeadzone_identify.models.likelihood import root_mean_square
 
 ORDERS = (1, 2, 3, 4, 6, 8, 12)  # autoregressive orders of the readings
 MEMORY = (3.0, 8.0, 20.0, 60.0)  # samples of the exponential averages that are regressors as well

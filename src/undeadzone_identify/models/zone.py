@@ -7,7 +7,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from undeadzone.util.arrays import Flags, Floats, Integers, root_mean_square
+from undeadzone.util.arrays import Flags, Floats, Integers
 from undeadzone_identify.models import estimates, likelihood
 from undeadzone_identify.models.plant import PlantSimulator, RecordData
 
@@ -65,7 +65,7 @@ class ZoneObjective:
         self.kind = kind
         self.limits = limits or WidthLimits()
         self.readings = self.data.select_readings(use)
-        rms = root_mean_square(self.data.y[self.data.ok])
+        rms = likelihood.root_mean_square(self.data.y[self.data.ok])
         self.x0_weight = 1 / (3 * rms + 1e-12) ** 2
         self.free: Integers = np.flatnonzero(~self._constant_places())
 

@@ -9,13 +9,14 @@ import numpy as np
 
 from undeadzone.errors import InputError
 from undeadzone.nonlinearities.sensor import DIRECTIONS
-from undeadzone.util.arrays import Flags, Floats, root_mean_square
+from undeadzone.util.arrays import Flags, Floats
 from undeadzone_identify.logs.grid import Grid
 from undeadzone_identify.logs.prepare import FAR_EDGE
 from undeadzone_identify.models.estimates import Interval, student_quantile
 from undeadzone_identify.models.kalman import AT_INPUT, NAMES
 from undeadzone_identify.models.kalman_fit import KalmanFit, filter_innovations
 from undeadzone_identify.models.least_squares import CHANCE
+from undeadzone_identify.models.likelihood import root_mean_square
 from undeadzone_identify.models.plant import MANY, Layout, PlantSimulator
 from undeadzone_identify.models.shape import SensorShape, measure_shape
 from undeadzone_identify.models.zone_fit import ZoneFit

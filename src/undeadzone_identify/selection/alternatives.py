@@ -16,7 +16,7 @@ import numpy as np
 
 from undeadzone.nonlinearities.play import levels
 from undeadzone.nonlinearities.sensor import DIRECTIONS
-from undeadzone.util.arrays import Flags, Floats, Integers, root_mean_square
+from undeadzone.util.arrays import Flags, Floats, Integers
 from undeadzone_identify.models import plant
 from undeadzone_identify.models.chain import ChainFit, ChainModel
 from undeadzone_identify.models.elements import (
@@ -35,7 +35,7 @@ from undeadzone_identify.models.least_squares import (
     FittedModel,
     LeastSquares,
 )
-from undeadzone_identify.models.likelihood import dead_zone
+from undeadzone_identify.models.likelihood import dead_zone, root_mean_square
 from undeadzone_identify.models.measured import Measured, measure_fit, measure_levels
 from undeadzone_identify.models.motion import (
     THERE,

@@ -15,13 +15,14 @@ import numpy as np
 from scipy.stats import t as student
 
 from undeadzone.nonlinearities.sensor import DIRECTIONS
-from undeadzone.util.arrays import Floats, root_mean_square, shift_rows
+from undeadzone.util.arrays import Floats, shift_rows
 from undeadzone.util.text import bracket_interval
 from undeadzone_identify.logs.grid import Grid
 from undeadzone_identify.logs.log import Options
 from undeadzone_identify.models import plant
 from undeadzone_identify.models.estimates import Interval, student_quantile
 from undeadzone_identify.models.least_squares import Density, regress_residual
+from undeadzone_identify.models.likelihood import root_mean_square
 from undeadzone_identify.selection.adequacy import AT_SENSOR, Remainder, hat_columns
 from undeadzone_identify.selection.alternatives import (
     EVEN,
@@ -44,6 +45,7 @@ from undeadzone_identify.selection.decision import (
 from undeadzone_identify.selection.odds import Family, model_probabilities
 from undeadzone_identify.servo.gap import (
     ServoGap,
+    degrees_of_reversals,
     gap_offset_interval,
     identify_servo_gap,
     servo_slopes,
@@ -79,7 +81,6 @@ FEW_RETURNS = 3  # passages of 0: so few or fewer do not show a zone of the sens
 # random servos without a zone 5 exceed it.
 LONGER_AT_ZERO = 1.6
 SETTLES = 40.0  # time constants a record, below which a plant may be an integrator in disguise
-FREEDOM = 60  # of a friction's interval, as of a gap's
 LEVEL = 0.02  # of a friction, by which it is uncertain at least: how a motor sticks is assumed
 MOVED = 1e-4  # of a number, for derivatives of the sampled plant
 
@@ -258,7 +259,7 @@ def friction_of(servo: ServoGap) -> Interval | None:
     places = [free.index(place) for place in rubs]
     value = float(servo.servo.theta[rubs].sum())
     error = math.sqrt(max(float(servo.covariance[np.ix_(places, places)].sum()), 0.0))
-    degrees = float(np.clip(servo.reversals - 1, 2, FREEDOM))
+    degrees = degrees_of_reversals(servo.reversals)
     half = math.hypot(WIDER * student_quantile(degrees) * error, LEVEL * value)
     friction = Interval.from_half_width(value, half)
     return friction.scale_by(servo.log.u_scale) if friction.low > 0 else None

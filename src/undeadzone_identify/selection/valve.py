@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undeadzone.util.arrays import Floats, Integers, root_mean_square
+from undeadzone.util.arrays import Floats, Integers
 from undeadzone_identify.logs.grid import Grid
 from undeadzone_identify.models.chain import ChainFit, ChainModel
 from undeadzone_identify.models.estimates import Interval
@@ -21,6 +21,7 @@ from undeadzone_identify.models.least_squares import (
     LeastSquares,
     describe_p_value,
 )
+from undeadzone_identify.models.likelihood import root_mean_square
 from undeadzone_identify.models.plant import PlantSimulator, RecordData
 from undeadzone_identify.models.valve import LoopFits, LoopLog, ValveFit, fit_loop
 from undeadzone_identify.models.zone_fit import fit_linear

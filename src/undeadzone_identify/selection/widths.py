@@ -10,10 +10,15 @@ from scipy.stats import chi2
 from scipy.stats import f as fisher
 
 from undeadzone.nonlinearities.sensor import DIRECTIONS, heaviest
-from undeadzone.util.arrays import Floats, bounds_of_runs, root_mean_square
+from undeadzone.util.arrays import Floats, bounds_of_runs
 from undeadzone_identify.models.estimates import Interval, maximise_likelihood
 from undeadzone_identify.models.kalman_fit import KalmanFit
-from undeadzone_identify.models.likelihood import Readings, ZoneNoise, single_densities
+from undeadzone_identify.models.likelihood import (
+    Readings,
+    ZoneNoise,
+    root_mean_square,
+    single_densities,
+)
 from undeadzone_identify.models.zone import WidthLimits, ZoneObjective
 from undeadzone_identify.models.zone_fit import ZoneFit
 from undeadzone_identify.selection.orders import OrderFit

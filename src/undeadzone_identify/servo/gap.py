@@ -295,6 +295,11 @@ def identify_servo_gap(log: Observations | None) -> ServoGap | None:
     return found._replace(reasons=reasons, is_servo=not moved and not odd)
 
 
+def degrees_of_reversals(reversals: int) -> float:
+    """Return the degrees of freedom of what each reversal shows once."""
+    return float(np.clip(reversals - 1, 2, DEGREES))
+
+
 def gap_offset_interval(found: ServoGap, level: float) -> Interval | None:
     """Return the offset (c_r - c_l) / 2 of a gap, if z = 0 at u = 0 [y]; None if integrating.
 
@@ -315,7 +320,7 @@ def gap_offset_interval(found: ServoGap, level: float) -> Interval | None:
         more = _rest_position(one._replace(theta=one.theta + move))
         slopes[column] = (more - rest) / MOVED
     error = math.sqrt(max(float(slopes @ found.covariance @ slopes), 0.0))
-    half = WIDER * student_quantile(float(np.clip(found.reversals - 1, 2, DEGREES))) * error
+    half = WIDER * student_quantile(degrees_of_reversals(found.reversals)) * error
     return Interval.from_half_width(-rest * log.y_scale - level, half * log.y_scale)
 
 
@@ -371,9 +376,9 @@ def _correct_gap_bias(
     bias = float(np.mean(np.clip(gaps, middle - reach, middle + reach))) - gap
     loose = LOOSE * gap * ("load" in one.structure.parts)
     error = math.hypot(max(spread.error, float(np.std(gaps, ddof=1))), FLOOR * least, loose)
-    degrees = float(np.clip(spread.reversals - 1, 2, DEGREES))
+    quantile = student_quantile(degrees_of_reversals(spread.reversals))
     apart = max(abs(other - gap) for other in others)
-    half = math.hypot(WIDER * student_quantile(degrees) * error, bias, apart)
+    half = math.hypot(WIDER * quantile * error, bias, apart)
     half *= ANY_COLOUR if not log.ticks and _slow_torque_rms(one) > COLOURED else 1.0
     return Interval.from_half_width(max(gap - bias, 0.0), half)
 
