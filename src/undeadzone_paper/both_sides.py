@@ -34,7 +34,7 @@ from undeadzone_paper.example import (
     example_as_printed,
     example_as_repaired,
 )
-from undeadzone_paper.trials import SHARPNESS, largest_absolute, pole_error
+from undeadzone_paper.trials import SHARPNESS, pole_error
 
 SIGMA: Final = 1.0  # of (25)
 STAND_INS: Final = {
@@ -139,7 +139,7 @@ def _signals_of(run: Run) -> ErrorSignals:
 
 def _compare(words: str, left: Floats, right: Any, mended: float | None = None) -> BothSides:
     """Return the largest difference of two sides as printed, beside that as mended."""
-    return BothSides(words, largest_absolute(left - right), mended)
+    return BothSides(words, m.largest_absolute(left - right), mended)
 
 
 def _sum_over_sides(chi: Floats, widths: Floats | float) -> Floats:
@@ -174,16 +174,16 @@ def _sides_of_sensor(p: ErrorSignals, q: ErrorSignals) -> dict[int, BothSides]:
     taken_mended = _sum_over_sides(q.mended_chi, D)
     mended_side = _branch_flags(q.side, 0.0)
     mended_branch = _branch_flags(q.z, D)
-    side_error = largest_absolute(mended_side - mended_branch)
-    offset_error = largest_absolute((q.y - (q.z - taken_mended))[read])
+    side_error = m.largest_absolute(mended_side - mended_branch)
+    offset_error = m.largest_absolute((q.y - (q.z - taken_mended))[read])
     of_z = _branch_flags(p.z, 0.0)
-    mended_sat = largest_absolute((np.abs(q.z - q.y) - np.abs(taken_mended))[read])
+    mended_sat = m.largest_absolute((np.abs(q.z - q.y) - np.abs(taken_mended))[read])
     return {
         1: _compare("y that was read, and Dz(x) by branches", p.y, branches),
         2: BothSides(
             "largest |Sat x|, and the least d_M of the bound",
-            max(0.0, largest_absolute(sat) - abs(D - D)),  # |d_r - d_l| as printed, here 0
-            max(0.0, largest_absolute(sat) - saturation_bound(D, D)),
+            max(0.0, m.largest_absolute(sat) - abs(D - D)),  # |d_r - d_l| as printed, here 0
+            max(0.0, m.largest_absolute(sat) - saturation_bound(D, D)),
         ),
         3: _compare("y that was read, and x - Sat(x)", p.y, (p.z - sat)),
         4: _compare("x - y that was read, and Sat(x) by branches", p.z - p.y, sat),
@@ -191,7 +191,7 @@ def _sides_of_sensor(p: ErrorSignals, q: ErrorSignals) -> dict[int, BothSides]:
         6: _compare("chi_l, and whether x < -d_l", of_z[:, 1], branch[:, 1], side_error),
         7: BothSides(
             "sgn y, and the side, outside the zone",
-            largest_absolute((sign - p.side)[outside]),
+            m.largest_absolute((sign - p.side)[outside]),
             None,
         ),
         8: _compare("tanh(k_s y), and sgn y", np.tanh(SHARPNESS * p.y), sign, side_error),
@@ -217,17 +217,17 @@ def _sides_of_observer(p: ErrorSignals, q: ErrorSignals, linear: Matrices) -> di
     e = _innovation_on_side(q)
     read = q.side != 0
     mended = q.x_error @ C[0] - _sum_over_sides(q.mended_chi, q.d_error)
-    mended_difference = largest_absolute(np.outer(e - mended, L_mended)[read])
+    mended_difference = m.largest_absolute(np.outer(e - mended, L_mended)[read])
     moved = "x^', and its right side"
     return {
         14: BothSides(
-            "y that was read, and C x - Sat(C x)", largest_absolute(p.y - p.z + z_sat), None
+            "y that was read, and C x - Sat(C x)", m.largest_absolute(p.y - p.z + z_sat), None
         ),
         15: _compare(
             "A of (39), and A of (15)",
             A,
             companion_form(np.zeros(len(A))).A,
-            largest_absolute(A - companion_form(-A[-1]).A),
+            m.largest_absolute(A - companion_form(-A[-1]).A),
         ),
         16: BothSides(
             "x^', and x', if x^ = x and d^ = d",
@@ -235,9 +235,9 @@ def _sides_of_observer(p: ErrorSignals, q: ErrorSignals, linear: Matrices) -> di
             motion_at_truth(example_as_repaired(1.0), p),
         ),
         17: _compare("y^, and y, if x^ = x and d^ = d", p.y, (p.z - z_sat)),
-        18: BothSides(moved, largest_absolute(np.outer(p.e - of_18, L)), mended_difference),
-        19: BothSides(moved, largest_absolute(np.outer(p.e - of_19, L)), mended_difference),
-        20: BothSides(moved, largest_absolute(np.outer(p.e - of_20, L)), mended_difference),
+        18: BothSides(moved, m.largest_absolute(np.outer(p.e - of_18, L)), mended_difference),
+        19: BothSides(moved, m.largest_absolute(np.outer(p.e - of_19, L)), mended_difference),
+        20: BothSides(moved, m.largest_absolute(np.outer(p.e - of_20, L)), mended_difference),
     }
 
 
@@ -261,7 +261,7 @@ def motion_at_truth(scenario: Scenario, s: ErrorSignals) -> float:
     apart = moved.x - model.move(model.params, x, u)
     function = ca.Function("apart", [x, u, y, side], [apart])
     values = function.map(len(s.u))(s.x.T, s.u[None], s.y[None], s.side[None])
-    return largest_absolute(np.asarray(values))
+    return m.largest_absolute(np.asarray(values))
 
 
 def _innovation_on_side(q: ErrorSignals) -> Floats:
@@ -307,13 +307,13 @@ def _sides_of_errors(p: ErrorSignals, q: ErrorSignals, linear: Matrices) -> dict
     mended = (first, second, third + twice)  # the sign of the last term is that of (23)
     compared = {
         number: _compare(
-            "x~', and its right side", moved, form, largest_absolute((moved_mended - same)[read])
+            "x~', and its right side", moved, form, m.largest_absolute((moved_mended - same)[read])
         )
         for number, form, same in zip((22, 23, 24), printed, mended, strict=True)
     }
     of_28 = p.x_error @ C[0] - _sum_over_sides(p.chi, p.d_error)
     of_28_mended = q.x_error @ C[0] - _sum_over_sides(q.mended_chi, q.d_error)
-    same = largest_absolute((e - of_28_mended)[read])
+    same = m.largest_absolute((e - of_28_mended)[read])
     return {
         **compared,
         27: _compare("y~, and C (x - x^) - chi_bar (d - d^)", p.e, of_28, same),
@@ -336,7 +336,7 @@ def _sides_of_law(p: ErrorSignals, q: ErrorSignals, linear: Matrices) -> dict[in
     mended = q.y + _sum_over_sides(q.mended_chi, q.d_hat)
     of_26_mended = q.z - _sum_over_sides(q.mended_chi, q.d_error)
     unknown = ALPHA * float(B[:, 0] @ P @ L) * (_sum_over_sides(p.chi, p.d_error) + p.e)
-    halves = 2 * ALPHA * largest_absolute(np.outer(p.e, B[:, 0] @ P))
+    halves = 2 * ALPHA * m.largest_absolute(np.outer(p.e, B[:, 0] @ P))
     return {
         25: BothSides(
             "rise of |d~|^2 / 2 by d^' with x^ = x, and 0 [1/s]",
@@ -347,10 +347,10 @@ def _sides_of_law(p: ErrorSignals, q: ErrorSignals, linear: Matrices) -> dict[in
             "y + chi_bar d^, and C {x - (d - d^) chi_bar}",
             restored,
             of_26,
-            largest_absolute((mended - of_26_mended)[read]),
+            m.largest_absolute((mended - of_26_mended)[read]),
         ),
         29: BothSides(
-            "u with d - d^ given, and by (28) with x^ = x", largest_absolute(unknown), None
+            "u with d - d^ given, and by (28) with x^ = x", m.largest_absolute(unknown), None
         ),
         42: BothSides("alpha B'P [y~ y~], and -k_p y~ - k_d y~", halves, None),
     }
@@ -375,7 +375,7 @@ def _sides_of_positivity(resting: Run, repaired: Run) -> BothSides:
     def error_at_zero_V(run: Run) -> float:
         """Return the largest |x~| among samples with V = 0; a run without V counts as V = 0."""
         is_zero = (np.zeros(run.t.size) if run.V is None else run.V) == 0.0
-        return largest_absolute((run.x - run.x_hat)[is_zero]) if is_zero.any() else 0.0
+        return m.largest_absolute((run.x - run.x_hat)[is_zero]) if is_zero.any() else 0.0
 
     return BothSides("|x~| where V = 0, and 0", error_at_zero_V(resting), error_at_zero_V(repaired))
 
@@ -429,7 +429,7 @@ def _sides_of_V(p: ErrorSignals, linear: Matrices, rise: float) -> dict[int, Bot
         31: _compare(told, V_moved, of_31),
         32: _compare(told, V_moved, of_32),
         33: _compare(told, V_moved, of_33),
-        34: BothSides("left side, and -Q", largest_absolute(residual), None),
+        34: BothSides("left side, and -Q", m.largest_absolute(residual), None),
         35: _compare(told, V_moved, of_35),
         36: _compare(told, V_moved, of_36, rise),
     }
@@ -446,7 +446,7 @@ def _sides_of_example(p: ErrorSignals, linear: Matrices) -> dict[int, BothSides]
     of_38 = [-1.0, -2.0]
     return {
         37: _compare(
-            "its coefficients, and those of (38)", of_37, of_38, largest_absolute(mended - of_38)
+            "its coefficients, and those of (38)", of_37, of_38, m.largest_absolute(mended - of_38)
         ),
         38: _compare("its coefficients, and A of (39)", A[1], of_38),
         39: _compare("B, and that of (38)", B[:, 0], [0.0, 1.0]),
@@ -455,5 +455,7 @@ def _sides_of_example(p: ErrorSignals, linear: Matrices) -> dict[int, BothSides]
             pole_error(linear, L_PRINTED),
             pole_error(linear, observer_gain(linear, POLES, None).ravel()),
         ),
-        41: _compare("A x^, and its right side", moved, of_41, largest_absolute(moved - mended_41)),
+        41: _compare(
+            "A x^, and its right side", moved, of_41, m.largest_absolute(moved - mended_41)
+        ),
     }
