@@ -13,7 +13,7 @@ import numpy as np
 
 from undeadzone.errors import StepError, StructureError
 from undeadzone.interfaces import Observer
-from undeadzone.linalg.matrices import Matrices, scale_states, state_response_sizes
+from undeadzone.linalg.matrices import Matrices, scale_states, spectral_radius, state_response_sizes
 from undeadzone.linalg.riccati import lyapunov_of_loop, require_weight
 from undeadzone.nonlinearities.sensor import Zone
 from undeadzone.observers.adaptive.output_error import (
@@ -116,7 +116,7 @@ def sliding_term(law: SlidingLaw, e: Any) -> Any:
 def _require_stable_layer(model: System, L: Floats, law: SlidingLaw) -> None:
     """Raise StepError if the sampled observer is not stable inside the boundary layer."""
     gain = L + law.G * (law.rho / law.boundary)
-    fastest = np.abs(np.linalg.eigvals(model.linear.A - gain @ model.linear.C)).max()
+    fastest = spectral_radius(model.linear.A - gain @ model.linear.C)
     if fastest >= 1:
         raise StepError(
             f"simulation.step: {model.Ts:g} s is too coarse for rho / boundary inside the boundary "
