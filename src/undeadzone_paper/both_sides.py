@@ -147,6 +147,11 @@ def _sum_over_sides(chi: Floats, widths: Floats | float) -> Floats:
     return np.asarray((chi * widths).sum(axis=1))
 
 
+def _innovation_by_errors(s: ErrorSignals, C: Floats, chi: Floats) -> Floats:
+    """Return C x~ - chi_bar d~, the right side of (28) (N)."""
+    return np.asarray(s.x_error @ C[0] - _sum_over_sides(chi, s.d_error))
+
+
 def _branch_flags(values: Floats, edge: float) -> Floats:
     """Return 1 above the edge, and 1 below minus the edge, else 0 (N x 2)."""
     return np.stack([values > edge, values < -edge], axis=1) * 1.0
@@ -213,10 +218,10 @@ def _sides_of_observer(p: ErrorSignals, q: ErrorSignals, linear: Matrices) -> di
     estimated_sat = _saturation_by_branches(p.z_hat, p.d_hat[:, 0], p.d_hat[:, 1])
     of_18 = p.z - z_sat - p.z_hat + estimated_sat
     of_19 = p.z - p.z_hat - _sum_over_sides(p.chi, D) + _sum_over_sides(p.chi, p.d_hat)
-    of_20 = p.x_error @ C[0] - _sum_over_sides(p.chi, p.d_error)
+    of_20 = _innovation_by_errors(p, C, p.chi)
     e = _innovation_on_side(q)
     read = q.side != 0
-    mended = q.x_error @ C[0] - _sum_over_sides(q.mended_chi, q.d_error)
+    mended = _innovation_by_errors(q, C, q.mended_chi)
     mended_difference = m.largest_absolute(np.outer(e - mended, L_mended)[read])
     moved = "x^', and its right side"
     return {
@@ -311,8 +316,8 @@ def _sides_of_errors(p: ErrorSignals, q: ErrorSignals, linear: Matrices) -> dict
         )
         for number, form, same in zip((22, 23, 24), printed, mended, strict=True)
     }
-    of_28 = p.x_error @ C[0] - _sum_over_sides(p.chi, p.d_error)
-    of_28_mended = q.x_error @ C[0] - _sum_over_sides(q.mended_chi, q.d_error)
+    of_28 = _innovation_by_errors(p, C, p.chi)
+    of_28_mended = _innovation_by_errors(q, C, q.mended_chi)
     same = m.largest_absolute((e - of_28_mended)[read])
     return {
         **compared,

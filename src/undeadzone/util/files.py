@@ -286,7 +286,7 @@ def write_text(text: str, path: Name) -> Path:
     return target
 
 
-def unreadable_file(path: Path, error: Exception) -> FileError:
+def unreadable_file(path: Name, error: Exception) -> FileError:
     """Return the error of a file that cannot be read, with the reason."""
     return FileError(f"{path}: cannot read: {failure_reason(error)}")
 

@@ -21,7 +21,12 @@ from undeadzone.nonlinearities.sensor import DIRECTIONS, heaviest
 from undeadzone.util.arrays import Floats
 from undeadzone_identify.models import motion
 from undeadzone_identify.models.elements import PlayFit, PlayModel
-from undeadzone_identify.models.estimates import Interval, maximise_likelihood, student_quantile
+from undeadzone_identify.models.estimates import (
+    Interval,
+    maximise_likelihood,
+    student_quantile,
+    variance_along,
+)
 from undeadzone_identify.models.least_squares import LeastSquares
 from undeadzone_identify.models.likelihood import root_mean_square
 from undeadzone_identify.models.plant import (
@@ -153,7 +158,7 @@ def _indirect_inference_gap(fit: PlayFit, noise: float, quantum: float, in_loop:
     for name, row in ROWS.items():
         weights = np.zeros(model.size)
         weights[model.base :][: len(row)] = row
-        std = math.sqrt(max(float(weights @ scatter @ weights), 0.0) * (1 + 1 / RUNS))
+        std = math.sqrt(variance_along(scatter, weights) * (1 + 1 / RUNS))
         own = max(halves[name], simulation_halves[name], student_quantile(RUNS - 1) * std)
         difference = float(weights @ (simulation_fit.theta - theta))
         correction = float(weights @ (corrected - theta))

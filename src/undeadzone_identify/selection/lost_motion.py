@@ -17,7 +17,7 @@ from undeadzone.errors import FileError
 from undeadzone.util.arrays import Flags, Floats
 from undeadzone_identify.logs.grid import find_sample_time, printed_step
 from undeadzone_identify.logs.log import Log, Options
-from undeadzone_identify.models.estimates import Interval, student_quantile
+from undeadzone_identify.models.estimates import Interval, student_quantile, variance_along
 from undeadzone_identify.models.free_load import fit_free_load
 from undeadzone_identify.models.least_squares import Density
 from undeadzone_identify.models.lost_motion import (
@@ -374,7 +374,7 @@ def _split(answer: LostMotionAnswer) -> LostMotionAnswer:
     if kp <= 3 * math.sqrt(V[0, 0]):
         return answer
     slope = np.array([2 * step / kp**2, -2 / kp, 0.0])
-    half = student_quantile(max(count - 3.0, 2.0)) * math.sqrt(max(float(slope @ V @ slope), 0.0))
+    half = student_quantile(max(count - 3.0, 2.0)) * math.sqrt(variance_along(V, slope))
     gap = Interval.from_half_width(float(-2 * step / kp), half)
     total = answer.gap
     around = max(total.high - total.value, total.value - total.low)

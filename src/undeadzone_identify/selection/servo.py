@@ -339,7 +339,7 @@ def _servo_family(case: Case, servo: ServoGap) -> Family:
     log, none = servo.log, case.rivals["none"]
     own = np.full(case.record_data.y.size, np.nan)
     errors = servo_slopes(log, servo.servo)
-    each = student.logpdf(errors.e * np.exp(-errors.log_s), DEGREES) - errors.log_s
+    each = student.logpdf(errors.normalised, DEGREES) - errors.log_s
     own[log.error_samples(False)] = each + math.log(case.record_data.y_scale / log.y_scale)
     compared = plant.busiest_stretches(
         case.record_data._replace(y=np.arange(own.size, dtype=float))

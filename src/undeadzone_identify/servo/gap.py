@@ -27,7 +27,12 @@ from scipy.stats import chi2
 
 from undeadzone.compile import lanes
 from undeadzone.util.arrays import Flags, Floats, Integers, shift_rows
-from undeadzone_identify.models.estimates import Interval, sandwich_covariance, student_quantile
+from undeadzone_identify.models.estimates import (
+    Interval,
+    sandwich_covariance,
+    student_quantile,
+    variance_along,
+)
 from undeadzone_identify.models.plant import mean_lag_products
 from undeadzone_identify.servo import predictor
 from undeadzone_identify.servo.crossings import GapCrossings, find_crossings
@@ -248,8 +253,7 @@ class ServoGap(NamedTuple):
         """Return the counted prediction errors divided by their standard deviations (n)
         [1].
         """
-        slopes = servo_slopes(self.log, one)
-        return slopes.e * np.exp(-slopes.log_s)
+        return servo_slopes(self.log, one).normalised
 
     @property
     def trend_remarks(self) -> list[str]:
@@ -287,7 +291,7 @@ def identify_servo_gap(log: Observations | None) -> ServoGap | None:
         gained=best.value - _value_without_gap(part, best),
         reasons=(),
         is_servo=False,
-        has_bursts=are_errors_in_bursts(slopes.e * np.exp(-slopes.log_s)),
+        has_bursts=are_errors_in_bursts(slopes.normalised),
     )
     moved = _collect_motion_doubts(found, spread)
     odd = collect_odd_errors(part, slopes)
@@ -319,7 +323,7 @@ def gap_offset_interval(found: ServoGap, level: float) -> Interval | None:
         move[place] = MOVED
         more = _rest_position(one._replace(theta=one.theta + move))
         slopes[column] = (more - rest) / MOVED
-    error = math.sqrt(max(float(slopes @ found.covariance @ slopes), 0.0))
+    error = math.sqrt(variance_along(found.covariance, slopes))
     half = WIDER * student_quantile(degrees_of_reversals(found.reversals)) * error
     return Interval.from_half_width(-rest * log.y_scale - level, half * log.y_scale)
 
@@ -470,7 +474,7 @@ def collect_odd_errors(log: Observations, slopes: ErrorSlopes) -> list[str]:
         log: as the predictor hears it.
         slopes: with the errors.
     """
-    r = slopes.e * np.exp(-slopes.log_s)
+    r = slopes.normalised
     r = r - r.mean()
     power = float(r @ r) + 1e-300
     reasons = []
