@@ -136,12 +136,11 @@ def _export_snippet(
 def _report_lines(report: dict[str, Any], files: list[str]) -> dict[str, Any]:
     """Return the printed form of a report, by title."""
     sizes = report["sizes"]
-    counts = [f"{count} {word}" for word, count in report["operations"].items()]
     pairs: dict[str, Any] = {
         "name": f"{report['name']} ({report['part']}, {report['precision']})",
         "hash": report["hash"],
         "sizes": f"state {sizes['state']}, in {sizes['in']}, out {sizes['out']} bytes",
-        "operations": ", ".join(counts) or "none",
+        "operations": _operations_text(report) or "none",
     }
     if "structured_text" in report:
         size = report["structured_text"]
@@ -161,6 +160,11 @@ def _report_lines(report: dict[str, Any], files: list[str]) -> dict[str, Any]:
     return pairs
 
 
+def _operations_text(report: dict[str, Any]) -> str:
+    """Return the operations of a step in words."""
+    return ", ".join(f"{count} {word}" for word, count in report["operations"].items())
+
+
 def _leaner_text(name: str, boards: list[str]) -> str:
     """Return a sentence on an observer of lower cost and the boards that it fits."""
     from undeadzone_export.exporting import leaner_setting
@@ -171,12 +175,11 @@ def _leaner_text(name: str, boards: list[str]) -> str:
 def _page_lines(report: dict[str, Any], files: list[str]) -> dict[str, Any]:
     """Return the printed form of a page's report, by title."""
     sizes = report["sizes"]
-    counts = [f"{count} {word}" for word, count in report["operations"].items()]
     return {
         "page": f"{report['title']}: {report['steps']:,} steps at each move of a slider",
         "hash": report["hash"],
         "sizes": f"page {sizes['page']:,}, of which code {sizes['wasm']:,} bytes",
-        "operations": ", ".join(counts),
+        "operations": _operations_text(report),
         "sliders": ", ".join(report["sliders"]),
         "written": files,
     }

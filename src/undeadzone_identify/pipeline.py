@@ -362,9 +362,7 @@ def identify_output(grid: Grid, options: Options, advance: Callable[[int], None]
             return _identify_servo(grid, options, advance, servo)
     case = _fit_zone_and_maps(shorten_log(grid, options.integrators), options, advance)
     case = case._replace(servo=servo)
-    found = Findings(build_verdict("unclear"), case.fitted.delay, (), {}).add_models(
-        case, case.rivals
-    )
+    found = _begin_findings(case)
     if found.verdict.word == "jump" and _has_unread_edges(case):
         as_jump = msgspec.structs.replace(options, kind="jump")
         return identify_output(case.grid, as_jump, advance)
@@ -398,9 +396,7 @@ def _identify_servo(
     """Return the answer for a servo behind a play, with a fit of its order. Raise InputError."""
     case = _fit_zone_and_maps(grid, to_servo_options(options, servo), advance)
     case = case._replace(options=options)
-    found = Findings(build_verdict("unclear"), case.fitted.delay, (), {}).add_models(
-        case, case.rivals
-    )
+    found = _begin_findings(case)
     named = add_servo_element if servo.is_gap_reported else without_gap
     return Identified(to_answer(case, named(case, servo, found)))
 
@@ -431,6 +427,12 @@ def _fit_zone_and_maps(grid: Grid, options: Options, advance: Callable[[int], No
         suited=fits[suited],
         advance=advance,
     )
+
+
+def _begin_findings(case: Case) -> Findings:
+    """Return the findings with the static maps alone."""
+    begun = Findings(build_verdict("unclear"), case.fitted.delay, (), {})
+    return begun.add_models(case, case.rivals)
 
 
 def _polish_order(chosen: orders.OrderFit) -> orders.OrderFit:

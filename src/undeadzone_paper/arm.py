@@ -110,12 +110,8 @@ def run_arm() -> ArmRuns:
         link, estimate, reference = _run_as_printed(problem, given)
         tracking[words] = rms_or_inf((link - reference)[last])
         estimation[words] = rms_or_inf((estimate - link)[last])
-    return ArmRuns(
-        tracking,
-        estimation,
-        contact.summary()["rms_tracking"],
-        contact.summary()["rms_estimation"],
-    )
+    reached = contact.summary()
+    return ArmRuns(tracking, estimation, reached["rms_tracking"], reached["rms_estimation"])
 
 
 def _run_as_printed(problem: Problem, given: bool) -> tuple[Floats, Floats, Floats]:

@@ -6,8 +6,6 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
-import numpy as np
-
 from undeadzone.results.run import Run
 from undeadzone_paper.both_sides import BothSides, compare_sides
 from undeadzone_paper.claims import Claim, claims_on_equation, judge_claims
@@ -15,7 +13,7 @@ from undeadzone_paper.equations import EQUATIONS
 from undeadzone_paper.evidence import RESTING, Evidence, gather_evidence
 from undeadzone_paper.facts import Fact, compute_facts
 from undeadzone_paper.letters import read_letters
-from undeadzone_paper.measures import width_convergence_rate
+from undeadzone_paper.measures import largest_absolute, width_convergence_rate
 from undeadzone_paper.printed import (
     DEFINITION,
     LAST,
@@ -107,9 +105,9 @@ def _numbers_as_printed(run: Run) -> dict[str, Any]:
     """Return the numbers of a run as printed."""
     steady = run.t >= run.t[-1] - LAST
     numbers = {
-        "max_abs_z": float(np.abs(run.z[steady]).max()),
-        "peak_abs_z": float(np.abs(run.z).max()),
-        "max_abs_y": float(np.abs(run.y).max()),
+        "max_abs_z": largest_absolute(run.z[steady]),
+        "peak_abs_z": largest_absolute(run.z),
+        "max_abs_y": largest_absolute(run.y),
     }
     return numbers | {name: value for name, value in run.summary().items() if name in SHOWN}
 

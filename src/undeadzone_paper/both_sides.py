@@ -7,7 +7,7 @@ taken along the repaired run, on the measured side.
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -34,7 +34,7 @@ from undeadzone_paper.example import (
     example_as_printed,
     example_as_repaired,
 )
-from undeadzone_paper.trials import SHARPNESS, largest_absolute, pole_error
+from undeadzone_paper.trials import SHARPNESS, pole_error
 
 SIGMA: Final = 1.0  # of (25)
 STAND_INS: Final = {
@@ -137,6 +137,26 @@ def _signals_of(run: Run) -> ErrorSignals:
     )
 
 
+def _compare(words: str, left: Floats, right: Any, mended: float | None = None) -> BothSides:
+    """Return the largest difference of two sides as printed, beside that as mended."""
+    return BothSides(words, m.largest_absolute(left - right), mended)
+
+
+def _sum_over_sides(chi: Floats, widths: Floats | float) -> Floats:
+    """Return chi_bar times widths, one for both sides or one for each (N)."""
+    return np.asarray((chi * widths).sum(axis=1))
+
+
+def _innovation_by_errors(s: ErrorSignals, C: Floats, chi: Floats) -> Floats:
+    """Return C x~ - chi_bar d~, the right side of (28) (N)."""
+    return np.asarray(s.x_error @ C[0] - _sum_over_sides(chi, s.d_error))
+
+
+def _branch_flags(values: Floats, edge: float) -> Floats:
+    """Return 1 above the edge, and 1 below minus the edge, else 0 (N x 2)."""
+    return np.stack([values > edge, values < -edge], axis=1) * 1.0
+
+
 def _saturation_by_branches(z: Floats, right: Floats | float, left: Floats | float) -> Floats:
     """Return Sat of (4), branch by branch."""
     return np.where(z > right, right, np.where(z < -left, -left, z))
@@ -154,56 +174,38 @@ def _sides_of_sensor(p: ErrorSignals, q: ErrorSignals) -> dict[int, BothSides]:
     outside = p.side != 0
     read = q.side != 0
     sign = np.sign(p.y)
-    branch = np.stack([p.z > D, p.z < -D], axis=1) * 1.0
-    taken = (p.chi * D).sum(axis=1)
-    taken_mended = (q.mended_chi * D).sum(axis=1)
-    mended_side = np.stack([q.side > 0, q.side < 0], axis=1) * 1.0
-    mended_branch = np.stack([q.z > D, q.z < -D], axis=1) * 1.0
-    side_error = largest_absolute(mended_side - mended_branch)
-    offset_error = largest_absolute((q.y - (q.z - taken_mended))[read])
-    of_z = np.stack([p.z > 0, p.z < 0], axis=1) * 1.0
-    mended_sat = largest_absolute((np.abs(q.z - q.y) - np.abs(taken_mended))[read])
+    branch = _branch_flags(p.z, D)
+    taken = _sum_over_sides(p.chi, D)
+    taken_mended = _sum_over_sides(q.mended_chi, D)
+    mended_side = _branch_flags(q.side, 0.0)
+    mended_branch = _branch_flags(q.z, D)
+    side_error = m.largest_absolute(mended_side - mended_branch)
+    offset_error = m.largest_absolute((q.y - (q.z - taken_mended))[read])
+    of_z = _branch_flags(p.z, 0.0)
+    mended_sat = m.largest_absolute((np.abs(q.z - q.y) - np.abs(taken_mended))[read])
     return {
-        1: BothSides(
-            "y that was read, and Dz(x) by branches", largest_absolute(p.y - branches), None
-        ),
+        1: _compare("y that was read, and Dz(x) by branches", p.y, branches),
         2: BothSides(
             "largest |Sat x|, and the least d_M of the bound",
-            max(0.0, largest_absolute(sat) - abs(D - D)),  # |d_r - d_l| as printed, here 0
-            max(0.0, largest_absolute(sat) - saturation_bound(D, D)),
+            max(0.0, m.largest_absolute(sat) - abs(D - D)),  # |d_r - d_l| as printed, here 0
+            max(0.0, m.largest_absolute(sat) - saturation_bound(D, D)),
         ),
-        3: BothSides("y that was read, and x - Sat(x)", largest_absolute(p.y - (p.z - sat)), None),
-        4: BothSides(
-            "x - y that was read, and Sat(x) by branches", largest_absolute(p.z - p.y - sat), None
-        ),
-        5: BothSides(
-            "chi_r, and whether x > d_r", largest_absolute(of_z[:, 0] - branch[:, 0]), side_error
-        ),
-        6: BothSides(
-            "chi_l, and whether x < -d_l", largest_absolute(of_z[:, 1] - branch[:, 1]), side_error
-        ),
+        3: _compare("y that was read, and x - Sat(x)", p.y, (p.z - sat)),
+        4: _compare("x - y that was read, and Sat(x) by branches", p.z - p.y, sat),
+        5: _compare("chi_r, and whether x > d_r", of_z[:, 0], branch[:, 0], side_error),
+        6: _compare("chi_l, and whether x < -d_l", of_z[:, 1], branch[:, 1], side_error),
         7: BothSides(
             "sgn y, and the side, outside the zone",
-            largest_absolute((sign - p.side)[outside]),
+            m.largest_absolute((sign - p.side)[outside]),
             None,
         ),
-        8: BothSides(
-            "tanh(k_s y), and sgn y", largest_absolute(np.tanh(SHARPNESS * p.y) - sign), side_error
-        ),
-        9: BothSides(
-            "chi_r, and whether x > d_r", largest_absolute(p.chi[:, 0] - branch[:, 0]), side_error
-        ),
-        10: BothSides(
-            "chi_l, and whether x < -d_l", largest_absolute(p.chi[:, 1] - branch[:, 1]), side_error
-        ),
-        11: BothSides(
-            "y, and x - chi_l d_l - chi_r d_r", largest_absolute(p.y - (p.z - taken)), offset_error
-        ),
-        12: BothSides("y, and x - chi_bar d", largest_absolute(p.y - (p.z - taken)), offset_error),
-        13: BothSides(
-            "|Sat|, and |chi_bar d|", largest_absolute(np.abs(sat) - np.abs(taken)), mended_sat
-        ),
-        21: BothSides("chi_bar d, and Sat x", largest_absolute(taken - sat), offset_error),
+        8: _compare("tanh(k_s y), and sgn y", np.tanh(SHARPNESS * p.y), sign, side_error),
+        9: _compare("chi_r, and whether x > d_r", p.chi[:, 0], branch[:, 0], side_error),
+        10: _compare("chi_l, and whether x < -d_l", p.chi[:, 1], branch[:, 1], side_error),
+        11: _compare("y, and x - chi_l d_l - chi_r d_r", p.y, (p.z - taken), offset_error),
+        12: _compare("y, and x - chi_bar d", p.y, (p.z - taken), offset_error),
+        13: _compare("|Sat|, and |chi_bar d|", np.abs(sat), np.abs(taken), mended_sat),
+        21: _compare("chi_bar d, and Sat x", taken, sat, offset_error),
     }
 
 
@@ -215,33 +217,32 @@ def _sides_of_observer(p: ErrorSignals, q: ErrorSignals, linear: Matrices) -> di
     z_sat = _saturation_by_branches(p.z, D, D)
     estimated_sat = _saturation_by_branches(p.z_hat, p.d_hat[:, 0], p.d_hat[:, 1])
     of_18 = p.z - z_sat - p.z_hat + estimated_sat
-    of_19 = p.z - p.z_hat - (p.chi * D).sum(axis=1) + (p.chi * p.d_hat).sum(axis=1)
-    of_20 = p.x_error @ C[0] - (p.chi * p.d_error).sum(axis=1)
+    of_19 = p.z - p.z_hat - _sum_over_sides(p.chi, D) + _sum_over_sides(p.chi, p.d_hat)
+    of_20 = _innovation_by_errors(p, C, p.chi)
     e = _innovation_on_side(q)
     read = q.side != 0
-    mended = q.x_error @ C[0] - (q.mended_chi * q.d_error).sum(axis=1)
-    mended_difference = largest_absolute(np.outer(e - mended, L_mended)[read])
+    mended = _innovation_by_errors(q, C, q.mended_chi)
+    mended_difference = m.largest_absolute(np.outer(e - mended, L_mended)[read])
     moved = "x^', and its right side"
     return {
         14: BothSides(
-            "y that was read, and C x - Sat(C x)", largest_absolute(p.y - p.z + z_sat), None
+            "y that was read, and C x - Sat(C x)", m.largest_absolute(p.y - p.z + z_sat), None
         ),
-        15: BothSides(
+        15: _compare(
             "A of (39), and A of (15)",
-            largest_absolute(A - companion_form(np.zeros(len(A))).A),
-            largest_absolute(A - companion_form(-A[-1]).A),
+            A,
+            companion_form(np.zeros(len(A))).A,
+            m.largest_absolute(A - companion_form(-A[-1]).A),
         ),
         16: BothSides(
             "x^', and x', if x^ = x and d^ = d",
             motion_at_truth(example_as_printed(1.0), p),
             motion_at_truth(example_as_repaired(1.0), p),
         ),
-        17: BothSides(
-            "y^, and y, if x^ = x and d^ = d", largest_absolute(p.y - (p.z - z_sat)), None
-        ),
-        18: BothSides(moved, largest_absolute(np.outer(p.e - of_18, L)), mended_difference),
-        19: BothSides(moved, largest_absolute(np.outer(p.e - of_19, L)), mended_difference),
-        20: BothSides(moved, largest_absolute(np.outer(p.e - of_20, L)), mended_difference),
+        17: _compare("y^, and y, if x^ = x and d^ = d", p.y, (p.z - z_sat)),
+        18: BothSides(moved, m.largest_absolute(np.outer(p.e - of_18, L)), mended_difference),
+        19: BothSides(moved, m.largest_absolute(np.outer(p.e - of_19, L)), mended_difference),
+        20: BothSides(moved, m.largest_absolute(np.outer(p.e - of_20, L)), mended_difference),
     }
 
 
@@ -265,12 +266,12 @@ def motion_at_truth(scenario: Scenario, s: ErrorSignals) -> float:
     apart = moved.x - model.move(model.params, x, u)
     function = ca.Function("apart", [x, u, y, side], [apart])
     values = function.map(len(s.u))(s.x.T, s.u[None], s.y[None], s.side[None])
-    return largest_absolute(np.asarray(values))
+    return m.largest_absolute(np.asarray(values))
 
 
 def _innovation_on_side(q: ErrorSignals) -> Floats:
     """Return y - y^ on the measured side (N), 0 inside the zone."""
-    y_hat = q.z_hat - (q.mended_chi * q.d_hat).sum(axis=1)
+    y_hat = q.z_hat - _sum_over_sides(q.mended_chi, q.d_hat)
     return np.where(q.side != 0, q.y - y_hat, 0.0)
 
 
@@ -288,7 +289,7 @@ def _state_error_forms(
     """
     A, B, C = linear
     push = feed * np.outer(s.u, B[:, 0])
-    offset = np.outer((chi * s.d_error).sum(axis=1), L)
+    offset = np.outer(_sum_over_sides(chi, s.d_error), L)
     seen = np.outer(s.x_error @ C[0], L)
     first = s.x @ A.T + push - s.x_hat @ A.T - (seen - offset)
     second = s.x_error @ A.T + push - (seen - offset)
@@ -307,23 +308,21 @@ def _sides_of_errors(p: ErrorSignals, q: ErrorSignals, linear: Matrices) -> dict
     read = q.side != 0
     moved_mended = q.x_error @ A.T - np.outer(e, L_mended)
     first, second, third = _state_error_forms(q, linear, L_mended, q.mended_chi, 0.0)
-    twice = 2 * np.outer((q.mended_chi * q.d_error).sum(axis=1), L_mended)
+    twice = 2 * np.outer(_sum_over_sides(q.mended_chi, q.d_error), L_mended)
     mended = (first, second, third + twice)  # the sign of the last term is that of (23)
     compared = {
-        number: BothSides(
-            "x~', and its right side",
-            largest_absolute(moved - form),
-            largest_absolute((moved_mended - same)[read]),
+        number: _compare(
+            "x~', and its right side", moved, form, m.largest_absolute((moved_mended - same)[read])
         )
         for number, form, same in zip((22, 23, 24), printed, mended, strict=True)
     }
-    of_28 = p.x_error @ C[0] - (p.chi * p.d_error).sum(axis=1)
-    of_28_mended = q.x_error @ C[0] - (q.mended_chi * q.d_error).sum(axis=1)
-    same = largest_absolute((e - of_28_mended)[read])
+    of_28 = _innovation_by_errors(p, C, p.chi)
+    of_28_mended = _innovation_by_errors(q, C, q.mended_chi)
+    same = m.largest_absolute((e - of_28_mended)[read])
     return {
         **compared,
-        27: BothSides("y~, and C (x - x^) - chi_bar (d - d^)", largest_absolute(p.e - of_28), same),
-        28: BothSides("y~, and C x~ - chi_bar d~", largest_absolute(p.e - of_28), same),
+        27: _compare("y~, and C (x - x^) - chi_bar (d - d^)", p.e, of_28, same),
+        28: _compare("y~, and C x~ - chi_bar d~", p.e, of_28, same),
     }
 
 
@@ -333,29 +332,30 @@ def _sides_of_law(p: ErrorSignals, q: ErrorSignals, linear: Matrices) -> dict[in
     P = _printed_P(linear)
     L = np.array(L_PRINTED)
     # With x^ = x: y~ = -chi_bar d~, on the measured side.
-    of_widths = (p.mended_chi * p.d_error).sum(axis=1)[:, None]
+    of_widths = _sum_over_sides(p.mended_chi, p.d_error)[:, None]
     printed_step = SIGMA * of_widths * float(C[0] @ P @ L) * p.chi
     mended_step = of_widths * p.mended_chi
-    restored = p.y + (p.chi * p.d_hat).sum(axis=1)
-    of_26 = p.z - (p.chi * p.d_error).sum(axis=1)
+    restored = p.y + _sum_over_sides(p.chi, p.d_hat)
+    of_26 = p.z - _sum_over_sides(p.chi, p.d_error)
     read = q.side != 0
-    mended = q.y + (q.mended_chi * q.d_hat).sum(axis=1)
-    of_26_mended = q.z - (q.mended_chi * q.d_error).sum(axis=1)
-    unknown = ALPHA * float(B[:, 0] @ P @ L) * ((p.chi * p.d_error).sum(axis=1) + p.e)
-    halves = 2 * ALPHA * largest_absolute(np.outer(p.e, B[:, 0] @ P))
+    mended = q.y + _sum_over_sides(q.mended_chi, q.d_hat)
+    of_26_mended = q.z - _sum_over_sides(q.mended_chi, q.d_error)
+    unknown = ALPHA * float(B[:, 0] @ P @ L) * (_sum_over_sides(p.chi, p.d_error) + p.e)
+    halves = 2 * ALPHA * m.largest_absolute(np.outer(p.e, B[:, 0] @ P))
     return {
         25: BothSides(
             "rise of |d~|^2 / 2 by d^' with x^ = x, and 0 [1/s]",
             _largest_rise(printed_step, p.d_error),
             _largest_rise(mended_step, p.d_error),
         ),
-        26: BothSides(
+        26: _compare(
             "y + chi_bar d^, and C {x - (d - d^) chi_bar}",
-            largest_absolute(restored - of_26),
-            largest_absolute((mended - of_26_mended)[read]),
+            restored,
+            of_26,
+            m.largest_absolute((mended - of_26_mended)[read]),
         ),
         29: BothSides(
-            "u with d - d^ given, and by (28) with x^ = x", largest_absolute(unknown), None
+            "u with d - d^ given, and by (28) with x^ = x", m.largest_absolute(unknown), None
         ),
         42: BothSides("alpha B'P [y~ y~], and -k_p y~ - k_d y~", halves, None),
     }
@@ -363,7 +363,7 @@ def _sides_of_law(p: ErrorSignals, q: ErrorSignals, linear: Matrices) -> dict[in
 
 def _largest_rise(step: Floats, error: Floats) -> float:
     """Return the largest rate at which d^' = step makes |d~|^2 / 2 rise, at least 0."""
-    return max(0.0, float(-(step * error).sum(axis=1).min()))
+    return max(0.0, float(-_sum_over_sides(step, error).min()))
 
 
 def _sides_of_positivity(resting: Run, repaired: Run) -> BothSides:
@@ -380,7 +380,7 @@ def _sides_of_positivity(resting: Run, repaired: Run) -> BothSides:
     def error_at_zero_V(run: Run) -> float:
         """Return the largest |x~| among samples with V = 0; a run without V counts as V = 0."""
         is_zero = (np.zeros(run.t.size) if run.V is None else run.V) == 0.0
-        return largest_absolute((run.x - run.x_hat)[is_zero]) if is_zero.any() else 0.0
+        return m.largest_absolute((run.x - run.x_hat)[is_zero]) if is_zero.any() else 0.0
 
     return BothSides("|x~| where V = 0, and 0", error_at_zero_V(resting), error_at_zero_V(repaired))
 
@@ -406,8 +406,8 @@ def _sides_of_V(p: ErrorSignals, linear: Matrices, rise: float) -> dict[int, Bot
     size = float(c @ P @ c)
     gain = float(c @ P @ L)
     d_moved = -SIGMA * gain * p.e[:, None] * p.chi  # d^', so that d~' = -d^'
-    of_widths = -(p.d_error * d_moved).sum(axis=1) / SIGMA  # d~ d~' / sigma
-    offset = (p.chi * p.d_error).sum(axis=1)
+    of_widths = -_sum_over_sides(p.d_error, d_moved) / SIGMA  # d~ d~' / sigma
+    offset = _sum_over_sides(p.chi, p.d_error)
     y_moved = np.where(p.side != 0, p.x[:, 1], 0.0)
     estimated_side = 1.0 * (p.z_hat > p.d_hat[:, 0]) - 1.0 * (p.z_hat < -p.d_hat[:, 1])
     x_hat_moved = p.x_hat @ A.T + np.outer(p.e, L)
@@ -431,12 +431,12 @@ def _sides_of_V(p: ErrorSignals, linear: Matrices, rise: float) -> dict[int, Bot
     residual = drift.T @ P + P @ drift - 2 * ALPHA * P @ B @ B.T @ P + Q
     told = "V' along the run, and its right side"
     return {
-        31: BothSides(told, largest_absolute(V_moved - of_31), None),
-        32: BothSides(told, largest_absolute(V_moved - of_32), None),
-        33: BothSides(told, largest_absolute(V_moved - of_33), None),
-        34: BothSides("left side, and -Q", largest_absolute(residual), None),
-        35: BothSides(told, largest_absolute(V_moved - of_35), None),
-        36: BothSides(told, largest_absolute(V_moved - of_36), rise),
+        31: _compare(told, V_moved, of_31),
+        32: _compare(told, V_moved, of_32),
+        33: _compare(told, V_moved, of_33),
+        34: BothSides("left side, and -Q", m.largest_absolute(residual), None),
+        35: _compare(told, V_moved, of_35),
+        36: _compare(told, V_moved, of_36, rise),
     }
 
 
@@ -450,21 +450,17 @@ def _sides_of_example(p: ErrorSignals, linear: Matrices) -> dict[int, BothSides]
     moved = p.x_hat @ A.T
     of_38 = [-1.0, -2.0]
     return {
-        37: BothSides(
-            "its coefficients, and those of (38)",
-            largest_absolute(of_37 - of_38),
-            largest_absolute(mended - of_38),
+        37: _compare(
+            "its coefficients, and those of (38)", of_37, of_38, m.largest_absolute(mended - of_38)
         ),
-        38: BothSides("its coefficients, and A of (39)", largest_absolute(A[1] - of_38), None),
-        39: BothSides("B, and that of (38)", largest_absolute(B[:, 0] - [0.0, 1.0]), None),
+        38: _compare("its coefficients, and A of (39)", A[1], of_38),
+        39: _compare("B, and that of (38)", B[:, 0], [0.0, 1.0]),
         40: BothSides(
             "poles of A - L C, and (-4, -10)",
             pole_error(linear, L_PRINTED),
             pole_error(linear, observer_gain(linear, POLES, None).ravel()),
         ),
-        41: BothSides(
-            "A x^, and its right side",
-            largest_absolute(moved - of_41),
-            largest_absolute(moved - mended_41),
+        41: _compare(
+            "A x^, and its right side", moved, of_41, m.largest_absolute(moved - mended_41)
         ),
     }

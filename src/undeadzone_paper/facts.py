@@ -25,6 +25,7 @@ from undeadzone_paper.example import (
     READINGS,
     example_as_printed,
 )
+from undeadzone_paper.measures import largest_absolute
 from undeadzone_paper.trials import destabilising_alpha, rightmost_pole
 
 STEADY: Final = 4.0  # [s] at the end of a run, over which a steady amplitude is read
@@ -184,12 +185,12 @@ def _response_facts(amplitude: float) -> list[Fact]:
         a0, a1 = -A[1]  # of the plant's polynomial s^2 + a1 s + a0
         force = amplitude * B[1, 0]
         where = f"{name}, u = {amplitude:g} sin 2 pi t"
-        last = float(np.abs(z[t >= t[-1] - STEADY]).max())
+        last = largest_absolute(z[t >= t[-1] - STEADY])
         steady = float(force / np.hypot(a0 - OMEGA**2, a1 * OMEGA))
         rows.append(Fact(where, "steady amplitude of z", last, steady))
         if np.isclose(a1**2, 4 * a0):
-            peak = float(np.abs(_double_pole_response(force, a1 / 2, t)).max())
-            rows.append(Fact(where, "peak of |z| from rest", float(np.abs(z).max()), peak))
+            peak = largest_absolute(_double_pole_response(force, a1 / 2, t))
+            rows.append(Fact(where, "peak of |z| from rest", largest_absolute(z), peak))
     return rows
 
 

@@ -13,6 +13,15 @@ from undeadzone.util.arrays import Floats
 from undeadzone_paper.example import ALPHA, L_PRINTED, example_as_printed
 
 
+def largest_absolute(values: Floats) -> float:
+    """Return the largest absolute value.
+
+    Args:
+        values: any shape.
+    """
+    return float(np.abs(values).max())
+
+
 def reading_estimate(run: Run) -> Floats:
     """Return y^ = C x^ - Sat(C x^) of (17), with the estimated widths (N) [y]."""
     return np.asarray(deadzone(run.z_hat[:, 0], run.d_hat[:, 0], run.d_hat[:, 1]))
@@ -149,5 +158,5 @@ def width_convergence_rate(run: Run) -> float:
 
 def _largest_or_inf(values: Floats) -> float:
     """Return the largest absolute value, or inf if the values diverge."""
-    size = float(np.abs(values).max())
+    size = largest_absolute(values)
     return size if size < LIMIT else np.inf

@@ -32,6 +32,7 @@ from undeadzone_paper.example import (
     example_as_printed,
 )
 from undeadzone_paper.law import PrintedLaw
+from undeadzone_paper.measures import largest_absolute
 from undeadzone_paper.observer import Printed
 from undeadzone_paper.printed import first_divergence, gain_by_name
 
@@ -229,9 +230,7 @@ def _build_outcome(variant: TheoremVariant, signal: Outputs) -> TheoremOutcome:
     last = slice(-round(LAST / STEP), None)
     widths = np.hstack([signal.estimate.right, signal.estimate.left])[last]
     states = (signal.estimate.x - signal.x)[last]
-    return TheoremOutcome(
-        variant, float(np.abs(widths - D).max()), float(np.abs(states).max()), None
-    )
+    return TheoremOutcome(variant, largest_absolute(widths - D), largest_absolute(states), None)
 
 
 def count_theorem(outcomes: Iterable[TheoremOutcome]) -> list[TheoremCount]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from functools import partial
 from typing import Any, Final, NamedTuple, TypeAlias
 
 import casadi as ca
@@ -117,14 +118,22 @@ def _worst_by_start(measure: Measure, evidence: Evidence) -> dict[str, float]:
 
 def _measure_pair(measure: Measure, pair: RunPair) -> ClaimNumbers:
     """Compute a quantity on runs under the same conditions."""
-    return ClaimNumbers(
-        _single_case(_worst_value(measure, pair.printed)), _worst_value(measure, pair.repaired)
+    return _of_single_case(
+        _worst_value(measure, pair.printed), _worst_value(measure, pair.repaired)
     )
 
 
-def _single_case(value: float) -> dict[str, float]:
-    """Return a value of the example as printed that has one case only."""
-    return {"": value}
+def _of_single_case(
+    value: float, repaired: float | None, named: dict[str, Any] | None = None
+) -> ClaimNumbers:
+    """Return the numbers of a claim whose quantity as printed has one case only.
+
+    Args:
+        value: the quantity as printed.
+        repaired: the same as repaired (None: there is nothing to repair).
+        named: numbers that its reason names.
+    """
+    return ClaimNumbers({"": value}, repaired, named or {})
 
 
 def _sensor_claims(e: Evidence) -> Numbers:
@@ -137,10 +146,10 @@ def _sensor_claims(e: Evidence) -> Numbers:
     signed_form = z + D * (side < 0) - D * (side > 0)  # the same with d_l = -D
     corrected = z - offset(side, D, D)
     decomposition = {
-        POSITIVE: largest_absolute(y - printed_form),
-        NEGATIVE: largest_absolute(y - signed_form),
+        POSITIVE: m.largest_absolute(y - printed_form),
+        NEGATIVE: m.largest_absolute(y - signed_form),
     }
-    taken_off = float(np.abs(saturation(z, D, D)).max())
+    taken_off = m.largest_absolute(saturation(z, D, D))
     widths = {
         POSITIVE: max(0.0, taken_off - abs(D - D)),
         NEGATIVE: max(0.0, taken_off - abs(D + D)),
@@ -151,10 +160,10 @@ def _sensor_claims(e: Evidence) -> Numbers:
         "with x the input": _worst_value(_input_deviation, e.printed[BEGUN]),
     }
     return {
-        "decomposition": ClaimNumbers(decomposition, largest_absolute(y - corrected)),
+        "decomposition": ClaimNumbers(decomposition, m.largest_absolute(y - corrected)),
         "width-bound": ClaimNumbers(widths, max(0.0, taken_off - saturation_bound(D, D))),
         "figure-1": ClaimNumbers(figure_1, _worst_value(_output_deviation, e.repaired)),
-        "indicators": ClaimNumbers(_single_case(smooth), _worst_value(m.side_error, e.repaired)),
+        "indicators": _of_single_case(smooth, _worst_value(m.side_error, e.repaired)),
     }
 
 
@@ -162,27 +171,18 @@ def _slope_claim(e: Evidence) -> Numbers:
     """Compute the numbers of the claim on m: errors of a reading divided by m, and effects."""
     z = np.linspace(-5.0, 5.0, 1001)
     divided = deadzone(z, D, D, SLOPE) / SLOPE
-    of_reading = largest_absolute(divided - deadzone(z, D, D))
-    return {
-        "unit-slope": ClaimNumbers(
-            _single_case(of_reading), m.width_difference(e.repaired[0], e.scaled)
-        )
-    }
+    of_reading = m.largest_absolute(divided - deadzone(z, D, D))
+    return {"unit-slope": _of_single_case(of_reading, m.width_difference(e.repaired[0], e.scaled))}
 
 
 def _output_deviation(run: Run) -> float:
     """Return the largest difference of y from the dead zone of the plant's output [y]."""
-    return largest_absolute(run.y - deadzone(run.z, D, D))
+    return m.largest_absolute(run.y - deadzone(run.z, D, D))
 
 
 def _input_deviation(run: Run) -> float:
     """Return the largest difference of y from the dead zone of the plant's input [y]."""
-    return largest_absolute(run.y - deadzone(run.u, D, D))
-
-
-def largest_absolute(values: Floats) -> float:
-    """Return the largest absolute value."""
-    return float(np.abs(values).max())
+    return m.largest_absolute(run.y - deadzone(run.u, D, D))
 
 
 def _smooth_indicator_error(run: Run) -> float:
@@ -203,11 +203,11 @@ def _gain_claims(linear: Matrices) -> Numbers:
         "fed_back": _worst_rightmost_pole(linear, printed_drift),
     }
     return {
-        "observer-poles": ClaimNumbers(
-            _single_case(pole_error(linear, L_PRINTED)), pole_error(linear, placed), where
+        "observer-poles": _of_single_case(
+            pole_error(linear, L_PRINTED), pole_error(linear, placed), where
         ),
-        "riccati-gain": ClaimNumbers(
-            _single_case(max(innovation_loop_pole(linear, alpha) for alpha in _alphas())),
+        "riccati-gain": _of_single_case(
+            max(innovation_loop_pole(linear, alpha) for alpha in _alphas()),
             _worst_rightmost_pole(linear, linear.A),
             of_riccati,
         ),
@@ -222,7 +222,7 @@ def _error_matrix(linear: Matrices, L: Iterable[float]) -> Floats:
 def pole_error(linear: Matrices, L: Iterable[float]) -> float:
     """Return the largest distance of a pole of A - L C from the paper's target [1/s]."""
     poles = np.sort(np.linalg.eigvals(_error_matrix(linear, L)))
-    return float(np.abs(poles - np.sort(POLES)).max())
+    return m.largest_absolute(poles - np.sort(POLES))
 
 
 def rightmost_pole(linear: Matrices, drift: Floats, alpha: float) -> float:
@@ -276,8 +276,8 @@ def _observer_claims(e: Evidence) -> Numbers:
     tests: dict[str, Measure] = {
         "switching": relative_to_blind,
         "reading-tracked": m.reading_error,
-        "state-1": _x1_error,
-        "state-2": _x2_error,
+        "state-1": partial(m.state_error, index=0),
+        "state-2": partial(m.state_error, index=1),
         "displacements": m.steep_ratio,
         "widths": m.width_error,
         "adaptation-bounded": m.growth_of_widths,
@@ -291,7 +291,7 @@ def _observer_claims(e: Evidence) -> Numbers:
     }
     silent = e.printed[RESTING][0]
     numbers["tracking"] = numbers["tracking"]._replace(
-        named={"moved": float(np.abs(silent.z[silent.last]).max())}
+        named={"moved": m.largest_absolute(silent.z[silent.last])}
     )
     rises = _worst_value(m.lyapunov_rise, (*e.repaired, e.sampled))
     return (
@@ -321,15 +321,15 @@ def _width_claims(e: Evidence) -> Numbers:
             },
         ),
         **_reference_claims(e),
-        "symmetric": ClaimNumbers(
-            _single_case(_worst_value(_lopsided_error, e.lopsided.printed)),
+        "symmetric": _of_single_case(
+            _worst_value(_lopsided_error, e.lopsided.printed),
             _worst_value(_lopsided_error, e.lopsided.repaired),
         ),
-        "physical": ClaimNumbers(
-            _single_case(max((width.high - width.low) / 2 for width in e.identified)), None
+        "physical": _of_single_case(
+            max((width.high - width.low) / 2 for width in e.identified), None
         ),
         "unknown-width": ClaimNumbers(unaware, m.width_error(e.repaired[0])),
-        "predetermined": ClaimNumbers(_single_case(beforehand), None),
+        "predetermined": _of_single_case(beforehand, None),
     }
 
 
@@ -346,8 +346,8 @@ def _reference_claims(e: Evidence) -> Numbers:
     run = e.printed[RESTING][0]
     period = run.r[: round(1.0 / run.info.step), 0]
     return {
-        "reference-amplitude": ClaimNumbers(
-            _single_case(_worst_value(m.width_error, e.unaware.values())),
+        "reference-amplitude": _of_single_case(
+            _worst_value(m.width_error, e.unaware.values()),
             max(*errors.values(), _worst_value(m.width_error, e.repaired)),
             {
                 "inside": float(inside.d_hat[-1].max()),
@@ -356,22 +356,12 @@ def _reference_claims(e: Evidence) -> Numbers:
                 "outside": max(errors[LESSER[-1]], _worst_value(m.width_error, e.repaired)),
             },
         ),
-        "reference-centre": ClaimNumbers(
-            _single_case(abs(float(period.mean()) - (D - D) / 2)),
+        "reference-centre": _of_single_case(
+            abs(float(period.mean()) - (D - D) / 2),
             None,
             {"still": m.width_error(e.still)},
         ),
     }
-
-
-def _x1_error(run: Run) -> float:
-    """Return the rms of x^1 - x1 over the last 2 s."""
-    return m.state_error(run, 0)
-
-
-def _x2_error(run: Run) -> float:
-    """Return the rms of x^2 - x2 over the last 2 s."""
-    return m.state_error(run, 1)
 
 
 def _robustness_claims(e: Evidence) -> Numbers:
@@ -381,14 +371,14 @@ def _robustness_claims(e: Evidence) -> Numbers:
     diverging = _worst_by_start(_divergence_flag, e)
     return {
         "bounded": ClaimNumbers(diverging, bounded),
-        "unstable": ClaimNumbers(_single_case(1.0 - max(diverging.values())), None),
+        "unstable": _of_single_case(1.0 - max(diverging.values()), None),
         "global": _measure_pair(m.width_error, e.far),
         "robust-noise": _measure_pair(m.width_error, e.noisy),
         "robust-model": _measure_pair(m.width_error, e.mismatched),
         "robust-disturbance": _measure_pair(m.width_error, e.disturbed),
         "practical-use": _measure_pair(m.tracking_error, e.noisy),
-        "mismatch": ClaimNumbers(
-            _single_case(_mismatch_effect(e.mismatch.printed)),
+        "mismatch": _of_single_case(
+            _mismatch_effect(e.mismatch.printed),
             _mismatch_effect(e.mismatch.repaired),
         ),
     }
@@ -418,19 +408,19 @@ def _remedy_claims(e: Evidence) -> Numbers:
     return {
         "tanh-term": _missing_words("robust term")._replace(named={"worse": with_term / without}),
         "filtering": ClaimNumbers(filtered, None),
-        "identification": ClaimNumbers(_single_case(beforehand / m.width_error(e.logged)), None),
+        "identification": _of_single_case(beforehand / m.width_error(e.logged), None),
     }
 
 
 def _paper_claims(e: Evidence) -> Numbers:
     """Compute the numbers of the claims on cost and on the announced comparisons."""
     return {
-        "practical": ClaimNumbers(
-            _single_case(observer_operations(example_as_printed(5.0))),
+        "practical": _of_single_case(
+            observer_operations(example_as_printed(5.0)),
             observer_operations(example_as_repaired(5.0)),
         ),
-        "too-slow": ClaimNumbers(
-            _single_case(m.width_convergence_rate(e.slow)), m.width_convergence_rate(e.repaired[0])
+        "too-slow": _of_single_case(
+            m.width_convergence_rate(e.slow), m.width_convergence_rate(e.repaired[0])
         ),
         "beta": _missing_words("beta"),
         "compared": _missing_words("fuzzy", "neural", "sliding mode"),
@@ -448,7 +438,7 @@ def _paper_claims(e: Evidence) -> Numbers:
 def _missing_words(*words: str) -> ClaimNumbers:
     """Count the words that no caption and no equation contains. No repair can supply them."""
     shown = "\n".join([*FIGURES.values(), *(equation.what for equation in EQUATIONS)])
-    return ClaimNumbers(_single_case(float(sum(word not in shown for word in words))), None)
+    return _of_single_case(float(sum(word not in shown for word in words)), None)
 
 
 OTHERS: Final[dict[str, dict[str, Any]]] = {
@@ -479,7 +469,7 @@ def _comparison_claims() -> Numbers:
             None,
             {"laws": f"A law alone takes {words}."},
         ),
-        "chattering": ClaimNumbers(_single_case(calm["sign"] / calm["smooth"]), None, calm),
+        "chattering": _of_single_case(calm["sign"] / calm["smooth"], None, calm),
     }
 
 
@@ -513,8 +503,8 @@ def _theorem_claims(e: Evidence) -> Numbers:
             repaired,
             named,
         ),
-        "theorem-known": ClaimNumbers(
-            _single_case(_change_of_input(law)),
+        "theorem-known": _of_single_case(
+            _change_of_input(law),
             _change_of_input(example_as_repaired(5.0).controller),
         ),
         "theorem-bounded": ClaimNumbers(
@@ -547,8 +537,8 @@ def _input_claims(e: Evidence) -> Numbers:
     seen = _output_error(e.at_input) / _output_error(e.at_output)
     silence = {"silence": float((e.at_output.side[:, 0] == 0).mean())}
     return {
-        "input-easier": ClaimNumbers(_single_case(controlled), None),
-        "output-harder": ClaimNumbers(_single_case(seen), None, silence),
+        "input-easier": _of_single_case(controlled, None),
+        "output-harder": _of_single_case(seen, None, silence),
     }
 
 

@@ -136,14 +136,12 @@ def test_families_of_other_readings_are_compared_by_what_they_gain() -> None:
 
 
 def test_which_models_hold_which() -> None:
-    sensor = PlaceShape("sensor", "dead_zone", sensor=True)
-    both = PlaceShape("both", "zone_and_friction", sensor=True, inner=True, free=1)
+    sensor = PlaceShape("sensor", sensor=True)
+    both = PlaceShape("both", sensor=True, inner=True, free=1)
     assert both.contains_shape(sensor)
-    assert both.contains_shape(PlaceShape("none", "none"))
+    assert both.contains_shape(PlaceShape("none"))
     assert not sensor.contains_shape(both)
-    assert not both.contains_shape(
-        PlaceShape("at a position", "friction", inner=True, position=True)
-    )
+    assert not both.contains_shape(PlaceShape("at a position", inner=True, position=True))
 
 
 # --- levels
@@ -573,7 +571,7 @@ def test_prediction_errors_know_the_actuators_zone_better_in_a_loop() -> None:
         truth[5:] = log.input
         begun = np.concatenate([plain.theta[: plain.objective.layout.right], truth])
         begun = np.append(begun, np.zeros(log.order))
-        shape = PlaceShape("input", "input_zone", input=True)
+        shape = PlaceShape("input", input=True)
         fit = fit_place(plain.objective.simulator, shape, [begun])
         assert fit is not None
         for predicts, one in ((False, fit), (True, fit.prediction_fit)):

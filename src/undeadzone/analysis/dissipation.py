@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from undeadzone.linalg.matrices import symmetric_part
 from undeadzone.linalg.riccati import storage_of
 from undeadzone.numerics.semidefinite import minimise_semidefinite, symmetric_matrix
 from undeadzone.util.arrays import Floats
@@ -230,7 +231,7 @@ def _solve_in_local_units(
     if x is None:
         return None
     P = inverse.T @ symmetric_matrix(x[:entries], n) @ inverse
-    return Solution((P + P.T) / 2, x[entries : entries + cost.size])
+    return Solution(symmetric_part(P), x[entries : entries + cost.size])
 
 
 def _diagonal_scales(inequality: Inequality, P: Floats) -> list[Floats]:
@@ -337,4 +338,4 @@ def _least_eigenvalue_and_rounding(M: Floats, size: Floats) -> tuple[float, floa
     scale = 1 / np.sqrt(np.outer(diagonal, diagonal))
     unit = 4 * (n + 4) * np.finfo(float).eps
     rounding = unit * (np.linalg.norm(size * scale) + n)
-    return float(np.linalg.eigvalsh((M + M.T) / 2 * scale)[0]), float(rounding)
+    return float(np.linalg.eigvalsh(symmetric_part(M) * scale)[0]), float(rounding)

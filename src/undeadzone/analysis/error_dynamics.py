@@ -15,7 +15,7 @@ import numpy as np
 
 from undeadzone.analysis.dissipation import Inequality, build_quadratic_form
 from undeadzone.errors import InputError
-from undeadzone.linalg.matrices import Matrices, balance_states, delta_form
+from undeadzone.linalg.matrices import Matrices, balance_states, delta_form, symmetric_part
 from undeadzone.util.arrays import Floats, require_array, require_matrix, require_vector
 
 
@@ -194,7 +194,7 @@ def adaptation_matrix(gamma: Floats, p: int) -> Floats:
         rounding = 8 * np.finfo(float).eps * np.abs(gains).max()
         if np.abs(gains - gains.T).max() > rounding or np.linalg.eigvalsh(gains)[0] <= 0:
             raise InputError("gamma: a full matrix must be symmetric and positive definite")
-        return np.asarray((gains + gains.T) / 2)
+        return symmetric_part(gains)
     if gains.ndim < 2:
         per_edge = np.repeat(require_vector("gamma", gains, p, "one per output"), 2)
     else:

@@ -11,6 +11,7 @@ from undeadzone.controllers.parts.tracked_error import require_square, select_tr
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate
+from undeadzone.linalg.matrices import spectral_radius
 from undeadzone.plants.interop import to_state_space
 from undeadzone.plants.system import System
 from undeadzone.registry import Options
@@ -228,4 +229,4 @@ def _largest_pole(A: Floats, Ts: float | None) -> float | None:
     """Return the largest abs(pole) of a continuous controller [1/s], or None without poles."""
     if Ts is not None or A.size == 0:
         return None
-    return float(np.abs(np.linalg.eigvals(A)).max()) or None
+    return spectral_radius(A) or None

@@ -45,6 +45,26 @@ def delta_form(linear: Matrices, Ts: float | None) -> Matrices:
     return Matrices((A - np.eye(A.shape[0])) / Ts, B / Ts, C)
 
 
+def symmetric_part(M: Floats) -> Floats:
+    """Return (M + M') / 2 (n x n)."""
+    return np.asarray((M + M.T) / 2)
+
+
+def spectral_radius(A: Floats) -> float:
+    """Return the largest size of an eigenvalue of a matrix (n x n)."""
+    return float(np.abs(np.linalg.eigvals(A)).max())
+
+
+def scale_states(A: Floats, unit: Floats) -> Floats:
+    """Return A for states in other units (n x n).
+
+    Args:
+        A: (n x n).
+        unit: of each state (n).
+    """
+    return A * unit / unit[:, None]
+
+
 def companion_form(a: Any, b: Any = (1.0,)) -> Matrices:
     """Return the companion form (15): A with last row -a, B = e_n, C = [b_0, b_1, ...].
 
@@ -74,7 +94,7 @@ def state_response_sizes(A: Floats, B: Floats, omega: float = 0.0) -> Floats:
     Returns:
         The sizes (n).
     """
-    rate = omega or float(np.abs(np.linalg.eigvals(A)).max()) or float(np.abs(A).max()) or 1.0
+    rate = omega or spectral_radius(A) or float(np.abs(A).max()) or 1.0
     resolvent = (1 + 1j) * rate * np.eye(A.shape[0]) - A
     size = np.linalg.norm(np.linalg.solve(resolvent, B.astype(complex)), axis=1)
     if not (np.isfinite(size).all() and size.any()):

@@ -11,7 +11,14 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.errors import InputError, StructureError
-from undeadzone.linalg.matrices import Matrices, delta_form, state_response_sizes
+from undeadzone.linalg.matrices import (
+    Matrices,
+    delta_form,
+    scale_states,
+    spectral_radius,
+    state_response_sizes,
+    symmetric_part,
+)
 from undeadzone.linalg.poles import slowest_growth_rate
 from undeadzone.util.arrays import Array, Floats, list_numbers, require_array, require_matrix
 
@@ -99,7 +106,7 @@ def solve_riccati(linear: Matrices, Q: Floats, R: Floats, Ts: float | None = Non
         if best.residual == 0 or not slowest_growth_rate(np.linalg.eigvals(closed), Ts) < 0:
             break
         P = best.P + storage_of(closed, best.left, Ts)
-        candidate = _evaluate_riccati(equation, (P + P.T) / 2)
+        candidate = _evaluate_riccati(equation, symmetric_part(P))
         if not candidate.residual < best.residual / 2:
             break
         best = candidate
@@ -154,7 +161,7 @@ def riccati_along(A: Floats, B: Floats, Q: Floats, R: Floats, P: Floats) -> Floa
         gain = P @ B[k]
         K[k] = np.linalg.solve(R + B[k].T @ gain, gain.T @ A[k])
         P = Q + A[k].T @ P @ (A[k] - B[k] @ K[k])
-        P = (P + P.T) / 2
+        P = symmetric_part(P)
     return K
 
 
@@ -200,7 +207,7 @@ def paper_feedback(linear: Matrices, alpha: float, Q: Floats, Ts: float | None) 
     if Ts is None:
         return paper_riccati(A, B, alpha, Q).K
     K = solve_riccati(linear, Q * Ts, np.eye(B.shape[1]) * Ts / (2 * alpha), Ts).K / 2
-    radius = float(np.abs(np.linalg.eigvals(A - B @ K)).max())
+    radius = spectral_radius(A - B @ K)
     if radius >= 1:
         raise StructureError(
             f"controller.alpha: (34) sampled at {Ts:g} s does not stabilise (spectral radius "
@@ -264,7 +271,7 @@ def fast_gain(linear: Matrices, speed: float, Ts: float | None) -> Floats:
     flow = delta_form(linear, Ts).A
     # the unit of each state, so that the equations below are near 1
     unit = 1 / (speed * state_response_sizes(flow.T, C.T, speed))
-    A = A * unit / unit[:, None]
+    A = scale_states(A, unit)
     C = C * unit
     L = _riccati_gain_with_shift(A, C, speed, Ts)
     if not slowest_growth_rate(np.linalg.eigvals(A - L @ C), Ts) < -speed / 4:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.errors import StructureError
-from undeadzone.linalg.matrices import Matrices, state_response_sizes
+from undeadzone.linalg.matrices import Matrices, scale_states, state_response_sizes
 from undeadzone.util.arrays import LARGEST, Floats, list_numbers
 
 TOLERANCE = 1e-9
@@ -36,7 +36,7 @@ def unobservable_modes(A: Floats, C: Floats) -> list[complex]:
     """
     C = _unit_rows(C)
     unit = 1 / state_response_sizes(A.T, C.T)
-    A = A * unit / unit[:, None]
+    A = scale_states(A, unit)
     scale = max(float(np.linalg.norm(A, 2)), 1e-300)
     C = _unit_rows(C * unit) * scale
     modes = []
@@ -90,7 +90,7 @@ def output_chains(A: Floats, C: Floats) -> OutputChains:
     n = A.shape[0]
     p = C.shape[0]
     unit = 1 / state_response_sizes(A.T, C.T)
-    scaled = A * unit / unit[:, None]
+    scaled = scale_states(A, unit)
     rate = max(float(np.linalg.norm(scaled, 2)), 1e-300)
     kept: list[Floats] = []
     basis = np.zeros((0, n))

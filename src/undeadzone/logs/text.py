@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 
 from undeadzone.errors import FileError, InputError
 from undeadzone.logs.names import Title, split_unit
-from undeadzone.util.files import failure_reason, open_plain
+from undeadzone.util.files import open_plain, unreadable_file
 
 BLOCK: Final = 1 << 22  # bytes of a file that are read at once
 LONGEST_LINE: Final = 65_536  # characters of a line; a longer one is no line of numbers
@@ -63,7 +63,7 @@ def blocks_of(path: Path, largest: int) -> Iterator[tuple[bytes, bool]]:
     except (OSError, ValueError) as error:
         if isinstance(error, InputError):
             raise
-        raise FileError(f"{path}: cannot read: {failure_reason(error)}") from None
+        raise unreadable_file(path, error) from None
 
 
 class Text:

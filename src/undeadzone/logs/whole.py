@@ -36,9 +36,9 @@ from undeadzone.util.arrays import Floats
 from undeadzone.util.files import (
     LARGEST_RUN,
     LARGEST_TABLE,
-    failure_reason,
     load_arrays,
     read_bytes,
+    unreadable_file,
 )
 
 JSON_LINES: Final = (".jsonl", ".ndjson")  # endings of files of JSON objects, one a line
@@ -191,7 +191,7 @@ def of_npz(path: Path) -> Columns:
         arrays = load_arrays(path, LARGEST_RUN)
         arrays.pop("info", None)
     except (OSError, ValueError, EOFError, zipfile.BadZipFile, KeyError) as error:
-        raise FileError(f"{path}: cannot read: {failure_reason(error)}") from None
+        raise unreadable_file(path, error) from None
     except Exception as error:  # damaged archives raise whatever their decoders raise
         raise FileError(f"{path}: cannot read: {type(error).__name__}") from None
     return _columns_of(arrays, path)
@@ -206,7 +206,7 @@ def of_json_lines(path: Path) -> Columns:
     try:
         lines = read_bytes(path, LARGEST_TABLE).decode().splitlines()
     except (OSError, ValueError) as error:
-        raise FileError(f"{path}: cannot read: {failure_reason(error)}") from None
+        raise unreadable_file(path, error) from None
     rows = []
     for k, line in enumerate(lines, 1):
         try:
@@ -257,7 +257,7 @@ def of_mat(path: Path) -> Columns:
     except InputError:
         raise
     except (OSError, ValueError, MatReadError) as error:
-        raise FileError(f"{path}: cannot read: {failure_reason(error)}") from None
+        raise unreadable_file(path, error) from None
     except Exception as error:  # damaged files raise whatever their decoders raise
         raise FileError(f"{path}: cannot read: {type(error).__name__}") from None
     named = {name: array for name, array in arrays.items() if not name.startswith("__")}

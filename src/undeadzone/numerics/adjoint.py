@@ -87,16 +87,14 @@ def adjoint_information(before: Any, after: Any, rows: Floats) -> tuple[Floats, 
     gained = after.mean - before.mean
     along = P @ np.swapaxes(rows, 1, 2)
     seen = rows @ along
-    scale = np.sqrt(np.maximum(np.diagonal(seen, axis1=1, axis2=2), 0.0)) + 1e-300
-    square = scale[:, :, None] * scale[:, None, :]
+    scale, square = _deviations(seen)
     fine = np.isfinite(seen).all(axis=(1, 2)) & np.isfinite(lost).all(axis=(1, 2))
     inverse = _pseudo_inverses(np.where(fine[:, None, None], seen / square, 0.0))
     weight = inverse @ (rows @ lost @ np.swapaxes(rows, 1, 2) / square) @ inverse / square
     shift = (inverse @ ((rows @ gained[:, :, None]) / scale[:, :, None])) / scale[:, :, None]
     push = (np.swapaxes(rows, 1, 2) @ shift)[:, :, 0]
     known = np.swapaxes(rows, 1, 2) @ weight @ rows
-    std = np.sqrt(np.maximum(np.diagonal(P, axis1=1, axis2=2), 0.0)) + 1e-300
-    pairs = std[:, :, None] * std[:, None, :]
+    std, pairs = _deviations(P)
     off = np.abs(lost - along @ weight @ np.swapaxes(along, 1, 2)) / pairs
     rest = np.abs(gained - (along @ shift)[:, :, 0]) / std
     otherwise = fine & ((off.max(axis=(1, 2)) > EXACT) | (rest.max(axis=1) > EXACT))
@@ -105,6 +103,12 @@ def adjoint_information(before: Any, after: Any, rows: Floats) -> tuple[Floats, 
         push[k] = whole @ gained[k]
         known[k] = whole @ lost[k] @ whole
     return push, known
+
+
+def _deviations(covariances: Floats) -> tuple[Floats, Floats]:
+    """Return standard deviations (B x N), never 0, and their products in pairs (B x N x N)."""
+    std = np.sqrt(np.maximum(np.diagonal(covariances, axis1=1, axis2=2), 0.0)) + 1e-300
+    return std, std[:, :, None] * std[:, None, :]
 
 
 def _pseudo_inverses(matrices: Floats) -> Floats:

@@ -8,6 +8,7 @@ import numpy as np
 
 from undeadzone.errors import StepError
 from undeadzone.interfaces import Observer
+from undeadzone.linalg.matrices import spectral_radius
 from undeadzone.linalg.structure import output_chains
 from undeadzone.nonlinearities.sensor import Zone
 from undeadzone.observers.adaptive.output_error import (
@@ -54,7 +55,7 @@ class HighGain(Options, frozen=True, kw_only=True, tag="high_gain"):
         L = high_gain_matrix(model, epsilon)
         if model.Ts is not None:
             L = L * model.Ts
-            fastest = np.abs(np.linalg.eigvals(model.linear.A - L @ model.linear.C)).max()
+            fastest = spectral_radius(model.linear.A - L @ model.linear.C)
             if fastest >= 1:
                 raise StepError(
                     f"simulation.step: {model.Ts:g} s is too coarse for observer.epsilon = "

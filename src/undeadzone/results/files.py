@@ -19,7 +19,7 @@ from undeadzone.errors import FileError, InputError
 from undeadzone.results.signals import Layout, Signals, signal_unit, signals_from_columns
 from undeadzone.util import files, shown
 from undeadzone.util.arrays import Floats
-from undeadzone.util.files import LARGEST_RUN, Name, failure_reason, replace_file, to_path
+from undeadzone.util.files import LARGEST_RUN, Name, replace_file, to_path, unreadable_file
 from undeadzone.util.text import escape_controls, escape_json_controls
 
 CHECKSUM: Final = '"sha256":"'  # the last key of the info in a `.csv`
@@ -149,7 +149,7 @@ def read_result(path: Name, layout: Layout, kind: type[msgspec.Struct]) -> tuple
         signals = {name: arrays[name] for name in layout.names if name in arrays}
         return info, Signals(layout, signals)
     except OSError as error:
-        raise FileError(f"{path}: cannot read: {failure_reason(error)}") from None
+        raise unreadable_file(path, error) from None
     except NOT_A_RUN as error:
         raise FileError(f"{path}: not a run saved by undeadzone ({error})") from None
 

@@ -24,7 +24,7 @@ from undeadzone.scenario.messages import explain
 from undeadzone.scenario.schema import Scenario
 from undeadzone.util.arrays import parse_matlab_matrix
 from undeadzone.util.earlier import translate_scenario
-from undeadzone.util.files import LARGEST_TABLE, failure_reason, read_bytes, read_text, to_path
+from undeadzone.util.files import LARGEST_TABLE, read_bytes, read_text, to_path, unreadable_file
 from undeadzone.util.toml import require_short_keys
 
 FILE_KEYS: Final = ("path", "design")  # of a table, which name a file that is read
@@ -149,7 +149,7 @@ def _text(path: Path) -> str:
     except UnicodeDecodeError:
         raise FileError(f"{path}: cannot read: not UTF-8 text. Save it as UTF-8") from None
     except (OSError, ValueError) as error:
-        raise FileError(f"{path}: cannot read: {failure_reason(error)}") from None
+        raise unreadable_file(path, error) from None
 
 
 @contextmanager

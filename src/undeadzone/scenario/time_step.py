@@ -8,6 +8,7 @@ import numpy as np
 
 from undeadzone.errors import InputError, ShapeError, StepError, StructureError
 from undeadzone.interfaces import Controller, Observer
+from undeadzone.linalg.matrices import spectral_radius
 from undeadzone.linalg.poles import slowest_growth_rate
 from undeadzone.plants.system import System, sample_plant
 from undeadzone.scenario.schema import Scenario, Simulation
@@ -184,7 +185,7 @@ def require_fine_step(
     if controller.rate is not None:
         parts["the controller's filter"] = np.array([[-controller.rate]])
     for name, matrix in parts.items():
-        fastest = float(np.abs(np.linalg.eigvals(matrix)).max())
+        fastest = spectral_radius(matrix)
         if fastest * step > STABLE:
             raise StepError(
                 f"simulation.step: {step:g} s is too coarse: {name} has a mode at {fastest:.4g} "

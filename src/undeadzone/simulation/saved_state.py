@@ -17,9 +17,9 @@ from undeadzone.errors import FileError
 from undeadzone.util.files import (
     LARGEST_TABLE,
     NO_ARRAYS,
-    failure_reason,
     load_arrays,
     replace_file,
+    unreadable_file,
 )
 
 DIGEST: Final = "digest"
@@ -63,7 +63,7 @@ def load(path: Path, parts: Mapping[str, Any], digest: str) -> None:
             for owner, name, key in _stored_arrays(parts):
                 setattr(owner, name, _like(getattr(owner, name), arrays[key], key))
     except OSError as error:
-        raise FileError(f"{path}: cannot read: {failure_reason(error)}") from None
+        raise unreadable_file(path, error) from None
     except NO_ARRAYS as error:
         raise FileError(
             f"{path}: no state saved by undeadzone, or a damaged one ({error}). Name another file, "

@@ -76,10 +76,10 @@ def parse_matlab_matrix(text: str) -> list[list[float]]:
         ValueError: another text.
     """
     body = text.strip()
-    if not (body.startswith("[") and body.endswith("]")):
-        raise ValueError(f"expected numbers, found {text!r:.60}")
     rows = body[1:-1].strip().strip(";").split(";")
     try:
+        if not (body.startswith("[") and body.endswith("]")):
+            raise ValueError  # no brackets
         return [[float(entry) for entry in row.replace(",", " ").split()] for row in rows]
     except ValueError:
         raise ValueError(f"expected numbers, found {text!r:.60}") from None

@@ -286,6 +286,11 @@ def write_text(text: str, path: Name) -> Path:
     return target
 
 
+def unreadable_file(path: Name, error: Exception) -> FileError:
+    """Return the error of a file that cannot be read, with the reason."""
+    return FileError(f"{path}: cannot read: {failure_reason(error)}")
+
+
 def failure_reason(error: Exception) -> str:
     """Return the reason that a file could not be read or written, without its path.
 

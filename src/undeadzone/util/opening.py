@@ -58,13 +58,12 @@ def bind_folder(folder: Path) -> None:
     _BOUNDS.append(Bound(folder, real, descriptor))
 
 
-def open_descriptor(path: str | os.PathLike[str], flags: int, mode: int = 0o600) -> int:
+def open_descriptor(path: str | os.PathLike[str], flags: int) -> int:
     """Open a file or folder that a user or a scenario names, and return its descriptor.
 
     Args:
         path: of it.
         flags: of `os.open`. A call that would wait for the other end of a pipe does not.
-        mode: of a new file.
 
     Raises:
         OSError: with the reason, also for what leads out of a folder that binds this process.
@@ -74,8 +73,8 @@ def open_descriptor(path: str | os.PathLike[str], flags: int, mode: int = 0o600)
         flags |= getattr(os, "O_NONBLOCK", 0)
     bound = next((each for each in _BOUNDS if each.contains_path(Path(path))), None)
     if bound is None:
-        return os.open(path, flags, mode)
-    descriptor = _open_beneath(bound, _resolve(bound, Path(path), flags), flags, mode)
+        return os.open(path, flags, 0o600)
+    descriptor = _open_beneath(bound, _resolve(bound, Path(path), flags), flags, 0o600)
     status = os.fstat(descriptor)
     if stat.S_ISREG(status.st_mode) and status.st_nlink > 1:
         os.close(descriptor)

@@ -122,13 +122,13 @@ def create_symbols(like: Any, name: str) -> tuple[ca.SX, Any]:
     return column, unpack_column(like, column)
 
 
-def number_addresses(tree: Any, prefix: str = "") -> list[str]:
+def number_addresses(tree: Any) -> list[str]:
     """Return an address for every number, in `pack_tree` order:
 
     `plant.A[1,0]`, `sensor.right[0]`.
     """
     addresses = []
-    for name, leaf in iterate_leaves(tree, prefix):
+    for name, leaf in iterate_leaves(tree):
         shape = np.shape(leaf)
         if not shape:
             addresses.append(name)

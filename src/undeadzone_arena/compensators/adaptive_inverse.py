@@ -20,6 +20,7 @@ from undeadzone.compensators.parts.coasting import (
 )
 from undeadzone.errors import InputError, StructureError
 from undeadzone.interfaces import Compensator, Estimate, Reading
+from undeadzone.linalg.matrices import spectral_radius
 from undeadzone.nonlinearities.actuator import Actuator as Plain
 from undeadzone.nonlinearities.actuator import Belief, Drive, resolve_actuator
 from undeadzone.nonlinearities.sensor import present
@@ -66,7 +67,7 @@ class AdaptiveZoneInverse(
                 "compensator.method: 'adaptive_inverse' needs samples. Set simulation.time = "
                 '"sampled"'
             )
-        stable = np.abs(np.linalg.eigvals(model.linear.A)).max() < 1
+        stable = spectral_radius(model.linear.A) < 1
         if model.nonlinear or not stable:
             raise StructureError(
                 "compensator.method: 'adaptive_inverse' needs a linear, stable plant. Use "

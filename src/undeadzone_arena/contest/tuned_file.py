@@ -8,7 +8,7 @@ import msgspec
 
 from undeadzone.errors import FileError
 from undeadzone.util import toml
-from undeadzone.util.files import failure_reason, read_bytes, write_text
+from undeadzone.util.files import read_bytes, unreadable_file, write_text
 from undeadzone.util.own_files import is_own_file, mark_toml
 
 HEAD = (
@@ -67,6 +67,6 @@ def load_tuned(path: Path) -> Tuned:
     try:
         return msgspec.toml.decode(read_bytes(path), type=Tuned)
     except OSError as error:
-        raise FileError(f"{path}: cannot read: {failure_reason(error)}") from None
+        raise unreadable_file(path, error) from None
     except msgspec.DecodeError as error:
         raise FileError(f"{path}: not written by undeadzone arena --tune ({error})") from None

@@ -13,7 +13,7 @@ import numpy as np
 from undeadzone.errors import InputError, StepError, StructureError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate
-from undeadzone.linalg.matrices import Matrices, state_response_sizes
+from undeadzone.linalg.matrices import Matrices, scale_states, state_response_sizes
 from undeadzone.linalg.poles import state_gain
 from undeadzone.plants.system import System, fastest_pole
 from undeadzone.registry import Options
@@ -22,7 +22,7 @@ from undeadzone.util.arrays import (
     Floats,
     require_nonnegative,
     require_number,
-    require_vector,
+    require_positive,
 )
 
 
@@ -92,9 +92,7 @@ class SlidingMode(Options, frozen=True, kw_only=True, tag="sliding_mode"):
                 "controller.gain: must be positive, found 0. Without it the law is a state feedback"
             )
         width = gain / (2 * rate) if self.boundary is None else self.boundary
-        boundary = require_vector("controller.boundary", width, m, "one per input")
-        if (boundary <= 0).any():
-            raise InputError(f"controller.boundary: must be positive, found {boundary.min():g}")
+        boundary = require_positive("controller.boundary", width, m, "one per input")
         return gain, boundary
 
 
@@ -129,7 +127,7 @@ def sliding_surface(model: System, poles: Array) -> Floats:
     A, B, _ = model.linear
     n, m = B.shape
     size = state_response_sizes(A if model.Ts is None else (A - np.eye(n)) / model.Ts, B)
-    A = A * size / size[:, None]
+    A = scale_states(A, size)
     B = B / size[:, None]
     rank = np.linalg.matrix_rank(B)
     if rank < m:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.errors import InputError, StructureError
+from undeadzone.errors import StructureError
 from undeadzone.interfaces import Observer
 from undeadzone.linalg.structure import output_chains
 from undeadzone.nonlinearities.sensor import Zone
@@ -21,7 +21,7 @@ from undeadzone.observers.adaptive.output_error import (
 )
 from undeadzone.plants.system import System, fastest_pole
 from undeadzone.registry import Options
-from undeadzone.util.arrays import Array, Floats, require_vector
+from undeadzone.util.arrays import Array, Floats, require_positive
 from undeadzone_arena.gain_defaults import injection_gain
 
 # Gains of the recursive differentiator, from the last derivative up.
@@ -100,10 +100,7 @@ class SuperTwisting(Options, frozen=True, kw_only=True, tag="super_twisting"):
         """
         default = (5 * fastest_pole(model)) ** np.array(orders, float)
         chosen = default if self.lipschitz is None else self.lipschitz
-        bound = require_vector("observer.lipschitz", chosen, model.p, "one per output")
-        if (bound <= 0).any():
-            raise InputError(f"observer.lipschitz: must be positive, found {bound.min():g}")
-        return bound
+        return require_positive("observer.lipschitz", chosen, model.p, "one per output")
 
 
 class TwistingLaw(NamedTuple):

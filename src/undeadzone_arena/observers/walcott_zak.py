@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.errors import InputError, StepError, StructureError
+from undeadzone.errors import StepError, StructureError
 from undeadzone.interfaces import Observer
-from undeadzone.linalg.matrices import Matrices, state_response_sizes
+from undeadzone.linalg.matrices import Matrices, scale_states, spectral_radius, state_response_sizes
 from undeadzone.linalg.riccati import lyapunov_of_loop, require_weight
 from undeadzone.nonlinearities.sensor import Zone
 from undeadzone.observers.adaptive.output_error import (
@@ -22,7 +22,13 @@ from undeadzone.observers.adaptive.output_error import (
 )
 from undeadzone.plants.system import System, fastest_pole
 from undeadzone.registry import Options
-from undeadzone.util.arrays import Array, Floats, list_numbers, require_nonnegative, require_vector
+from undeadzone.util.arrays import (
+    Array,
+    Floats,
+    list_numbers,
+    require_nonnegative,
+    require_positive,
+)
 from undeadzone_arena.gain_defaults import injection_gain
 
 
@@ -82,9 +88,7 @@ class WalcottZak(Options, frozen=True, kw_only=True, tag="walcott_zak"):
         default = 5 * fastest_pole(model)
         chosen = default if self.rho is None else self.rho
         rho = require_nonnegative("observer.rho", chosen, p, "one per output")
-        boundary = require_vector("observer.boundary", self.boundary, p, "one per output")
-        if (boundary <= 0).any():
-            raise InputError(f"observer.boundary: must be positive, found {boundary.min():g}")
+        boundary = require_positive("observer.boundary", self.boundary, p, "one per output")
         if model.Ts is not None:
             rho = rho * model.Ts
         return rho, boundary
@@ -112,7 +116,7 @@ def sliding_term(law: SlidingLaw, e: Any) -> Any:
 def _require_stable_layer(model: System, L: Floats, law: SlidingLaw) -> None:
     """Raise StepError if the sampled observer is not stable inside the boundary layer."""
     gain = L + law.G * (law.rho / law.boundary)
-    fastest = np.abs(np.linalg.eigvals(model.linear.A - gain @ model.linear.C)).max()
+    fastest = spectral_radius(model.linear.A - gain @ model.linear.C)
     if fastest >= 1:
         raise StepError(
             f"simulation.step: {model.Ts:g} s is too coarse for rho / boundary inside the boundary "
@@ -141,7 +145,7 @@ def sliding_direction(model: System, L: Floats, Q: Array | None) -> Floats:
     _require_stable_matrix(closed, Ts, "A - L C")
     rate = closed if Ts is None else (closed - np.eye(n)) / Ts
     unit = 1 / state_response_sizes(rate.T, model.linear.C.T)  # of each state
-    A = model.linear.A * unit / unit[:, None]
+    A = scale_states(model.linear.A, unit)
     L = L / unit[:, None]
     C = model.linear.C * unit
     weights = np.eye(n) if Q is None else require_weight("observer.Q", Q, n) * np.outer(unit, unit)

@@ -20,7 +20,7 @@ from undeadzone.logs.range_ends import RangeEnds, range_ends
 from undeadzone.util.arrays import Flags, Floats, Integers, bounds_of_runs
 from undeadzone_identify.logs.grid import SPIKE, Grid, find_spikes
 from undeadzone_identify.logs.log import Options
-from undeadzone_identify.models.likelihood import zone_offset
+from undeadzone_identify.models.likelihood import root_mean_square, zone_offset
 from undeadzone_identify.models.plant import PlantSimulator, RecordData
 from undeadzone_identify.models.zone import WidthLimits
 from undeadzone_identify.models.zone_fit import fit_linear
@@ -223,7 +223,7 @@ def prepare_log(grid: Grid, options: Options) -> PreparedLog:
         length, settles = _settled_length(whole, orders, options.integrators)
         start = _split_records(grid, length, remarks)
     u_scale = grid.u.std(axis=0)
-    y_scale = float(np.sqrt(np.mean(y[ok] ** 2)))
+    y_scale = root_mean_square(y[ok])
     u = grid.u / u_scale
     y = y / y_scale
     data = RecordData(u, y, ok, start, side, ahead, u_scale, y_scale, grid.climbs)
@@ -348,7 +348,7 @@ def _settled_length(data: RecordData, orders: list[int], integrators: int) -> tu
     """
     order = max(integrators + 1, min(orders))
     u_scale = data.u.std(axis=0)
-    y_scale = float(np.sqrt(np.mean(data.y[data.ok] ** 2)))
+    y_scale = root_mean_square(data.y[data.ok])
     scaled = data._replace(u=data.u / u_scale, y=data.y / y_scale)
     length = STRETCH
     most = int(np.diff(np.append(data.start, data.y.size)).max())

@@ -19,7 +19,7 @@ from undeadzone.nonlinearities.play import contact, levels
 from undeadzone.util.arrays import Floats, Integers
 from undeadzone_identify.models.estimates import cache_latest, weight_row
 from undeadzone_identify.models.least_squares import Density, FittedModel, LeastSquares
-from undeadzone_identify.models.likelihood import dead_zone
+from undeadzone_identify.models.likelihood import ROOT, dead_zone, unit_density
 from undeadzone_identify.models.plant import CREDIBLE, PlantSimulator, RecordData
 from undeadzone_identify.models.zone_fit import ZoneFit, fit_linear, widths_about_level
 
@@ -32,7 +32,6 @@ FEWEST = 10  # samples beyond an edge or a limit, from which it is known
 # or if a few extreme readings determine an edge (Zhang and Siegmund 2007).
 BREAKS = 2
 BLUR_BEHIND = 0.03  # rms of the noise ahead of a map if noise enters behind the zone
-ROOT = math.sqrt(2 * math.pi)
 
 T = TypeVar("T")
 
@@ -270,7 +269,7 @@ def cubic_map(z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
 def noisy_zone_map(blur: float, z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
     """Return the mean reading of a dead zone with noise of rms `blur` ahead, with derivatives."""
     a, b, above, below = _edge_chances(blur, z, p)
-    value = blur * (np.exp(-0.5 * a**2) / ROOT + a * above - np.exp(-0.5 * b**2) / ROOT - b * below)
+    value = blur * (unit_density(a) + a * above - unit_density(b) - b * below)
     return value, above + below, np.column_stack([-above, below])
 
 

@@ -303,6 +303,11 @@ class Interval(NamedTuple):
         return 0.5 * (self.high - self.low)
 
 
+def variance_along(V: Floats, direction: Floats) -> float:
+    """Return the variance of direction' theta (P) of a covariance V (P x P), not below 0."""
+    return max(float(direction @ V @ direction), 0.0)
+
+
 class EstimateCovariance(NamedTuple):
     """Covariance of estimates, robust and naive.
 
@@ -324,7 +329,7 @@ class EstimateCovariance(NamedTuple):
         If a few samples dominate the estimate, the variance is biased and has fewer degrees of
         freedom than cosines. Both are corrected: docs/identify.md, "Few passages".
         """
-        variance = max(float(direction @ self.V @ direction), 0.0)
+        variance = variance_along(self.V, direction)
         share, degrees = few_sample_correction(self.scores, self.naive @ direction, self.degrees)
         return variance / share, degrees
 

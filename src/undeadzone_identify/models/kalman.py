@@ -13,9 +13,10 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.compile import lanes
+from undeadzone.numerics.gaussian import to_upper_entries
 from undeadzone.util.arrays import Floats, Integers
 from undeadzone_identify.models import estimates
-from undeadzone_identify.models.likelihood import LOG_ROOT
+from undeadzone_identify.models.likelihood import LOG_ROOT, log_unit_density
 from undeadzone_identify.models.plant import Layout, RecordData, input_noise_gain, polynomial_roots
 from undeadzone_identify.models.zone import WidthLimits
 from undeadzone_identify.models.zone_fit import ZoneFit
@@ -45,7 +46,7 @@ def log_normal_cdf(x: Any) -> Any:
     fraction = far
     for k in range(DEPTH, 0, -1):
         fraction = far + k / fraction
-    tail = -0.5 * far**2 - LOG_ROOT - ca.log(fraction)
+    tail = log_unit_density(far) - ca.log(fraction)
     return ca.if_else(x > TAIL, ca.log(0.5 * (1 + ca.erf(near / math.sqrt(2)))), tail)
 
 
@@ -81,8 +82,8 @@ def measurement_terms(
     a = (y + right - mean) / s
     b = (y - left - mean) / s
     mass = log_interval_mass(a, b)
-    at_a = ca.exp(ca.fmin(-0.5 * a**2 - LOG_ROOT - mass, 700.0))
-    at_b = ca.exp(ca.fmin(-0.5 * b**2 - LOG_ROOT - mass, 700.0))
+    at_a = ca.exp(ca.fmin(log_unit_density(a) - mass, 700.0))
+    at_b = ca.exp(ca.fmin(log_unit_density(b) - mass, 700.0))
     # Far in a tail, or for a narrow zone, the moments cancel: use those of a uniform density.
     cancels = ca.logic_or(mass < -700.0, a - b < NARROW)
     shift = ca.if_else(cancels, 0.0, at_b - at_a)
@@ -135,13 +136,13 @@ def build_kalman_kernel(n: int, m: int, model: int, moments: bool = False) -> la
     density, g, k = measurement_terms(y, side, ca.if_else(diverged, 0.0, mean), s, right, left)
     g = ok * g
     k = ok * k
-    before = ca.vertcat(x, ca.project(P, upper).nz[:])
+    before = ca.vertcat(x, to_upper_entries(P, upper))
     x = x + PH * g / s
     P = P - PH @ PH.T * k / s**2
-    all_moments = ca.vertcat(before, x, ca.project(P, upper).nz[:], g)
+    all_moments = ca.vertcat(before, x, to_upper_entries(P, upper), g)
     x = F @ x + B @ u
     P = F @ P @ F.T + q2 * G
-    following = ca.vertcat(x, ca.project(P, upper).nz[:])
+    following = ca.vertcat(x, to_upper_entries(P, upper))
     log = ok * ca.if_else(diverged, WORST, density)
     output = all_moments if moments else log
     step = ca.Function("kalman", [state, exogenous, numbers], [following, output])

@@ -16,6 +16,7 @@ from scipy.stats import f as fisher
 
 from undeadzone.util.arrays import Floats, Integers
 from undeadzone_identify.models import estimates
+from undeadzone_identify.models.likelihood import root_mean_square
 from undeadzone_identify.models.plant import PlantSimulator, RecordData, mean_lag_products
 from undeadzone_identify.models.zone import FAR
 
@@ -143,7 +144,7 @@ class LeastSquares(Generic[M]):
 
     def residual_rms(self, theta: Floats) -> float:
         """Return the rms of the residual over the available readings, scaled."""
-        return float(np.sqrt(np.mean(self.reading_residual(theta)[self.data.ok] ** 2)))
+        return root_mean_square(self.reading_residual(theta)[self.data.ok])
 
     def total_log_likelihood(self, theta: Floats) -> float:
         """Return -N/2 ln(mean squared residual); -inf if theta is inadmissible."""
@@ -257,7 +258,7 @@ class LeastSquares(Generic[M]):
         variance = float(np.mean(innovation**2)) + 1e-12
         numbers = self.free.size + self.model.has_level + coloured.past.size + 1
         density = build_gaussian_density(self.model.name, innovation, numbers, variance)
-        return density._replace(rms=float(np.sqrt(np.mean(e**2))))
+        return density._replace(rms=root_mean_square(e))
 
 
 class FittedModel(NamedTuple, Generic[M]):

@@ -8,7 +8,7 @@ derives the formulas.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import log_ndtr, ndtr
@@ -17,6 +17,7 @@ from undeadzone.util.arrays import Flags, Floats, Integers
 
 Z, Z_BEFORE, RIGHT, LEFT, LOG_S, ATANH_RHO = range(6)  # columns of `DensityTerms.slopes`
 LOG_ROOT = 0.5 * math.log(2 * math.pi)
+ROOT = math.sqrt(2 * math.pi)
 NARROW = 1e-5  # width of an interval below which its mass is width times density: no cancellation
 FAR = -36.0  # limit below which a tail's mass underflows, so that its logarithm is computed
 REACH = 7.0  # standard deviations beyond which a Gaussian is neglected: 2e-11 of its mass
@@ -65,6 +66,25 @@ class ZoneNoise(NamedTuple):
     left: float
     s: float
     rho: float
+
+
+def root_mean_square(values: Floats) -> float:
+    """Return the root of the mean square of all values.
+
+    Args:
+        values: any shape.
+    """
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def log_unit_density(x: Any) -> Any:
+    """Return the log density of a standard Gaussian at x, NumPy's or CasADi's."""
+    return -0.5 * x**2 - LOG_ROOT
+
+
+def unit_density(x: Floats) -> Floats:
+    """Return the density of a standard Gaussian at each x."""
+    return np.exp(-0.5 * x**2) / ROOT
 
 
 def dead_zone(z: Floats, right: float, left: float) -> Floats:
@@ -370,8 +390,8 @@ def limit_hazards(a: Floats, b: Floats, log_mass: Floats) -> tuple[Floats, Float
         a, b: upper and lower limits (any shape).
         log_mass: ln(Phi(a) - Phi(b)).
     """
-    at_a = np.exp(np.minimum(-0.5 * a**2 - LOG_ROOT - log_mass, 700.0))
-    at_b = np.exp(np.minimum(-0.5 * b**2 - LOG_ROOT - log_mass, 700.0))
+    at_a = np.exp(np.minimum(log_unit_density(a) - log_mass, 700.0))
+    at_b = np.exp(np.minimum(log_unit_density(b) - log_mass, 700.0))
     return at_a, at_b
 
 
@@ -428,7 +448,7 @@ def _integrate_over_first(
     half = 0.5 * (high - low)
     x = 0.5 * (high + low)[:, None] + half[:, None] * NODES
     inside = log_cdf_difference((a[:, None] - rho * x) / q, (b[:, None] - rho * x) / q)
-    logs = -0.5 * x**2 - LOG_ROOT + inside
+    logs = log_unit_density(x) + inside
     return _log_weighted_sum(logs, half[:, None] * WEIGHTS)
 
 
@@ -457,7 +477,7 @@ def _integrate_over_innovation(
     v = (ends[row, column] + width)[:, None] + width[:, None] * NODES
     x_high = np.minimum(a0[row, None], (a[row, None] - q * v) / rho)
     x_low = np.maximum(b0[row, None], (b[row, None] - q * v) / rho)
-    logs = -0.5 * v**2 - LOG_ROOT + log_cdf_difference(x_high, np.minimum(x_low, x_high))
+    logs = log_unit_density(v) + log_cdf_difference(x_high, np.minimum(x_low, x_high))
     parts = np.full(half.shape, -np.inf)
     parts[row, column] = _log_weighted_sum(logs, width[:, None] * WEIGHTS)
     return np.logaddexp(np.logaddexp(parts[:, 0], parts[:, 1]), parts[:, 2])
@@ -488,7 +508,7 @@ def rectangle_edge_slopes(
         inside = log_cdf_difference(
             (other_a - rho * edge) / spread, (other_b - rho * edge) / spread
         )
-        log_slope = -0.5 * edge**2 - LOG_ROOT + inside - log_mass
+        log_slope = log_unit_density(edge) + inside - log_mass
         slopes.append(np.exp(np.minimum(log_slope, 700.0)))
     return slopes[0], -slopes[1]
 

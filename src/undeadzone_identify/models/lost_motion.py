@@ -210,7 +210,7 @@ class MotionFit:
     def squares(self, gaps: Floats, delay: float, lag: float) -> Floats:
         """Return the sums of squared residuals of K gaps (K), each from its best start."""
         found = self.residuals(gaps, np.array([delay, lag]))
-        return np.min([np.einsum("nk,nk->k", e, e) for e, _ in found], axis=0)
+        return _sum_squares_by_start(found).min(axis=0)
 
     def fit(self, gaps: Floats | None = None) -> LostMotion:
         """Return the best fit.
@@ -227,7 +227,7 @@ class MotionFit:
 
     def _cost(self, at: Floats) -> float:
         """Return the sum of squared residuals at gap [u], delay [s] and time constant [s] (3)."""
-        return float(np.min([np.einsum("nk,nk->k", e, e)[0] for e, _ in self._residuals_at(at)]))
+        return float(_sum_squares_by_start(self._residuals_at(at)).min())
 
     @cache_latest
     def _residuals_at(self, at: Floats) -> list[tuple[Floats, Floats]]:
@@ -307,7 +307,7 @@ class MotionFit:
 
     def _best_start(self, at: Floats) -> int:
         """Return the place in `STARTS` of the position at which the record best begins."""
-        return int(np.argmin([np.sum(e[:, 0] ** 2) for e, _ in self._residuals_at(at)]))
+        return int(np.argmin(_sum_squares_by_start(self._residuals_at(at))))
 
     def _scan_lags(self) -> list[tuple[float, float]]:
         """Return the delays and time constants of the scan [s]."""
@@ -432,6 +432,11 @@ class MotionFit:
         clustered = float(sums @ sums) * count / max(count - GIVEN, 1)
         white = max(naive * self.information(found), 1e-300)
         return max(clustered / white, 1.0), max(count - 1.0, 2.0)
+
+
+def _sum_squares_by_start(found: list[tuple[Floats, Floats]]) -> Floats:
+    """Return the sums of squared residuals (starts x K) of `MotionFit.residuals`."""
+    return np.array([np.einsum("nk,nk->k", e, e) for e, _ in found])
 
 
 def lag_signal(u: Floats, t: Floats, lag: float, count: int) -> Floats:

@@ -28,6 +28,7 @@ import numpy as np
 from undeadzone.nonlinearities.play import detect_tick
 from undeadzone.util.arrays import Flags, Floats, Integers, rows_since_start
 from undeadzone_identify.models.kalman import WHITE, observer_form_matrices
+from undeadzone_identify.models.likelihood import root_mean_square
 from undeadzone_identify.models.plant import PlantSimulator, input_noise_gain
 
 SURE = 5.5  # standard deviations of a slope: one false side in a gap's log ruins its estimate
@@ -284,7 +285,7 @@ def estimate_four_offsets(
         The offsets with their covariance.
     """
     n = plant.H.size
-    rms = float(np.sqrt(np.mean(y[ok] ** 2)))
+    rms = root_mean_square(y[ok])
     directions = motion_sides(y, ok, start, rule)
     first = set(start.tolist())
     X = np.zeros(n + 4)

@@ -27,7 +27,7 @@ from undeadzone_identify.models.estimates import (
     run_lanes_along,
 )
 from undeadzone_identify.models.least_squares import FittedModel, LeastSquares
-from undeadzone_identify.models.likelihood import dead_zone
+from undeadzone_identify.models.likelihood import dead_zone, root_mean_square
 from undeadzone_identify.models.plant import PlantSimulator, RecordData
 from undeadzone_identify.models.zone import Kind, ZoneObjective
 from undeadzone_identify.models.zone_fit import (
@@ -119,7 +119,6 @@ class PlaceShape(NamedTuple):
 
     Attributes:
         name: name of the model.
-        word: class of its verdict.
         sensor: whether the sensor has a zone, d_r and d_l.
         inner: whether the recursion has friction, phi_r and phi_l.
         input: whether the input has a zone, u_r and u_l.
@@ -130,7 +129,6 @@ class PlaceShape(NamedTuple):
     """
 
     name: str
-    word: str
     sensor: bool = False
     inner: bool = False
     input: bool = False
@@ -142,7 +140,7 @@ class PlaceShape(NamedTuple):
         """Return whether a smaller model is this model with some of its parameters 0."""
         if other.inner and other.position != self.position:
             return False
-        return all(mine >= theirs for mine, theirs in zip(self[2:], other[2:], strict=True))
+        return all(mine >= theirs for mine, theirs in zip(self[1:], other[1:], strict=True))
 
 
 class PlaceModel:
@@ -324,7 +322,7 @@ class PlaceStarts:
         self.linear_plant = fit_linear(self.simulator, fit.objective.readings.ok).theta[:base]
         self.widths = np.clip([fit.right, fit.left], 0.02, 5.0)
         gain = abs(float(self.simulator.dc_gain(fit.theta)[0]))
-        usual_gain = float(np.sqrt(np.mean(fit.z**2)))  # the input is scaled to rms 1
+        usual_gain = root_mean_square(fit.z)  # the input is scaled to rms 1
         self.gain = gain if gain > 0.1 * usual_gain else max(usual_gain, 1e-3)
 
     def without_zone(self) -> list[Floats]:

@@ -21,8 +21,14 @@ from undeadzone.nonlinearities.sensor import DIRECTIONS, heaviest
 from undeadzone.util.arrays import Floats
 from undeadzone_identify.models import motion
 from undeadzone_identify.models.elements import PlayFit, PlayModel
-from undeadzone_identify.models.estimates import Interval, maximise_likelihood, student_quantile
+from undeadzone_identify.models.estimates import (
+    Interval,
+    maximise_likelihood,
+    student_quantile,
+    variance_along,
+)
 from undeadzone_identify.models.least_squares import LeastSquares
+from undeadzone_identify.models.likelihood import root_mean_square
 from undeadzone_identify.models.plant import (
     InputDisturbance,
     RecordData,
@@ -152,7 +158,7 @@ def _indirect_inference_gap(fit: PlayFit, noise: float, quantum: float, in_loop:
     for name, row in ROWS.items():
         weights = np.zeros(model.size)
         weights[model.base :][: len(row)] = row
-        std = math.sqrt(max(float(weights @ scatter @ weights), 0.0) * (1 + 1 / RUNS))
+        std = math.sqrt(variance_along(scatter, weights) * (1 + 1 / RUNS))
         own = max(halves[name], simulation_halves[name], student_quantile(RUNS - 1) * std)
         difference = float(weights @ (simulation_fit.theta - theta))
         correction = float(weights @ (corrected - theta))
@@ -198,7 +204,7 @@ def _match_simulated_fits(
         w = plant_response(layout, theta, colour)
         w *= rms / max(float(w.std()), 1e-300)
         fits, residuals = _refit_simulated(fit, theta, w, behind, quantum)
-        simulated = _excess_power(float(np.sqrt(np.mean(residuals**2))), noise)
+        simulated = _excess_power(root_mean_square(residuals), noise)
         rms *= min(math.sqrt(target / simulated), MOST)
         theta = _add_correction(fit, theta, fit.theta - fits.mean(axis=0))
     gain = ahead.at_input / max(ahead.rms, 1e-300)

@@ -31,6 +31,7 @@ from undeadzone.compile import lanes
 from undeadzone.util.arrays import Flags, Floats, Integers
 from undeadzone_identify.models.estimates import Interval, cosine_coefficients
 from undeadzone_identify.models.least_squares import Density, build_gaussian_density
+from undeadzone_identify.models.likelihood import root_mean_square
 
 ORDERS = (1, 2, 3, 4, 6, 8, 12)  # autoregressive orders of the readings
 MEMORY = (3.0, 8.0, 20.0, 60.0)  # samples of the exponential averages that are regressors as well
@@ -233,6 +234,16 @@ class Regression:
             errors[:, begin : begin + CHUNK] = self._target[:, None] - explained.T
         return errors
 
+    def regressors(self, v: Floats, lags: range) -> Floats:
+        """Return the past, the lagged position, and a constant (n x columns).
+
+        Args:
+            v: position (N).
+            lags: lags of the position [samples].
+        """
+        ones = np.ones((self.rows.size, 1))
+        return np.hstack([self.past, self.lagged(v[:, None], lags)[:, 0], ones])
+
     def response(self, v: Floats, lags: range, z: complex) -> complex:
         """Return the frequency response from the position of the valve to y.
 
@@ -244,10 +255,7 @@ class Regression:
             lags: lags of the position [samples].
             z: exp(-i w), with w the frequency [rad/sample].
         """
-        columns = np.hstack(
-            [self.past, self.lagged(v[:, None], lags)[:, 0], np.ones((self.rows.size, 1))]
-        )
-        coefficients = np.linalg.lstsq(columns, self.y, rcond=1e-9)[0]
+        coefficients = np.linalg.lstsq(self.regressors(v, lags), self.y, rcond=1e-9)[0]
         decay = np.exp(-1 / np.array(MEMORY))
         averaged = (1 - decay) / (1 - decay * z)  # response of each exponential average
         past = np.append(z ** np.arange(1, self.order + 1), z * averaged)
@@ -350,7 +358,7 @@ class LoopLog:
     @property
     def step(self) -> float:
         """Return the rms change of u in a sample [range of u]; a smaller S cannot be identified."""
-        return math.sqrt(float(np.mean(np.diff(self.u) ** 2)))
+        return root_mean_square(np.diff(self.u))
 
     @property
     def turns(self) -> int:

@@ -65,7 +65,7 @@ class ZoneObjective:
         self.kind = kind
         self.limits = limits or WidthLimits()
         self.readings = self.data.select_readings(use)
-        rms = float(np.sqrt(np.mean(self.data.y[self.data.ok] ** 2)))
+        rms = likelihood.root_mean_square(self.data.y[self.data.ok])
         self.x0_weight = 1 / (3 * rms + 1e-12) ** 2
         self.free: Integers = np.flatnonzero(~self._constant_places())
 

@@ -10,7 +10,7 @@ from scipy.special import ndtr
 
 from undeadzone.util.arrays import Flags, Floats, Integers, rows_since_start
 from undeadzone_identify.models.estimates import Maximum, best_maximum, maximise_likelihood
-from undeadzone_identify.models.likelihood import dead_zone
+from undeadzone_identify.models.likelihood import dead_zone, unit_density
 from undeadzone_identify.models.plant import (
     PlantSimulator,
     RecordData,
@@ -91,7 +91,7 @@ def mean_reading(fit: ZoneFit) -> Floats:
 
 def _mean_excess(x: Floats) -> Floats:
     """Return E max(x + e, 0) with e a unit Gaussian, for each x (N)."""
-    return np.exp(-0.5 * x**2) / math.sqrt(2 * math.pi) + x * ndtr(x)
+    return unit_density(x) + x * ndtr(x)
 
 
 def fit_zone(simulator: PlantSimulator, kind: Kind, limits: WidthLimits) -> ZoneFit:

@@ -16,6 +16,7 @@ from undeadzone_identify.models.estimates import Interval, student_quantile
 from undeadzone_identify.models.kalman import AT_INPUT, NAMES
 from undeadzone_identify.models.kalman_fit import KalmanFit, filter_innovations
 from undeadzone_identify.models.least_squares import CHANCE
+from undeadzone_identify.models.likelihood import root_mean_square
 from undeadzone_identify.models.plant import MANY, Layout, PlantSimulator
 from undeadzone_identify.models.shape import SensorShape, measure_shape
 from undeadzone_identify.models.zone_fit import ZoneFit
@@ -265,7 +266,7 @@ class Answer(NamedTuple):
         time = -step / math.log(fit.rho) if 0.05 < fit.rho < 1 else None
         if fit.objective.kind == "behind":  # the climb to s ends early at a zone without width
             left = fit.objective.unexplained_readings(fit.theta)[fit.objective.readings.ok]
-            rms = math.sqrt(float(np.mean(left**2)))
+            rms = root_mean_square(left)
             return Disturbance(rms * scale, time, None, None, False)
         if not self.found.kalman:
             return Disturbance(fit.disturbance_rms * scale, time, None, None, True)

@@ -10,7 +10,7 @@ import numpy as np
 from undeadzone.util.arrays import to_json_value
 from undeadzone.util.text import append_unit, bracket_interval
 from undeadzone_identify.logs.grid import Grid
-from undeadzone_identify.models.estimates import Interval
+from undeadzone_identify.models.estimates import Interval, variance_along
 from undeadzone_identify.selection.decision import Case
 from undeadzone_identify.selection.valve import BUMP, TIGHT, ValveFindings
 
@@ -104,7 +104,7 @@ def jump_of_reading(case: Case, valve: ValveFindings) -> Interval | None:
     slope[simulator.layout.denominator] = -gain / below
     slope[simulator.layout.numerators] = 1 / below
     V = plant.squares.robust_covariance(theta).V
-    unsure = 2 * math.sqrt(max(float(slope @ V @ slope), 0.0)) / max(abs(gain), 1e-12)
+    unsure = 2 * math.sqrt(variance_along(V, slope)) / max(abs(gain), 1e-12)
     if unsure > UNSURE:
         return None
     moved = valve.jump.scale_by(

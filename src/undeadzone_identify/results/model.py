@@ -9,6 +9,7 @@ from scipy.signal import lfilter
 
 from undeadzone.errors import InputError
 from undeadzone.nonlinearities import sensor
+from undeadzone.nonlinearities.play import levels
 from undeadzone.scenario.reader import parse
 from undeadzone.simulation.estimate import estimate
 from undeadzone.util.arrays import Floats, shift_rows
@@ -91,12 +92,7 @@ def follow_play(z: Floats, right: float, left: float) -> Floats:
         z: its input (N).
         right, left: half gaps c_r, c_l.
     """
-    level = 0.0
-    levels = np.empty_like(z)
-    for k, at in enumerate(z):
-        level = min(max(level, at - right), at + left)
-        levels[k] = level
-    return levels
+    return levels(z[:, None], np.array([right]), np.array([left]), np.zeros(1))[:, 0]
 
 
 def _require_widths(answer: Answer) -> tuple[float, float]:

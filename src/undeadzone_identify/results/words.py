@@ -316,7 +316,7 @@ def summarise_answer(answer: Answer) -> dict[str, Any]:
     if answer.reasons:
         lines["why"] = answer.reasons
     if answer.found.odds:
-        lines["odds"] = describe_probabilities(answer)
+        lines["odds"] = describe_shares(answer.found.odds)
     if answer.possible:
         lines["possible"] = describe_possible(answer)
     unit = unit_suffix(grid.output_unit)
@@ -506,13 +506,8 @@ def _describe_certainty(answer: Answer) -> str:
     return f" ({describe_p_value(answer.case.no_zone.chance)})"
 
 
-def describe_probabilities(answer: Answer) -> str:
-    """Describe the classes by posterior probability: sensor 97 %, friction 3 %."""
-    return describe_shares(answer.found.odds)
-
-
 def describe_shares(odds: dict[str, float]) -> str:
-    """Describe probabilities of classes, those that are worth a word.
+    """Describe probabilities of classes, those that are worth a word: sensor 97 %, friction 3 %.
 
     Args:
         odds: by class [1].

@@ -35,7 +35,7 @@ from undeadzone_identify.models.least_squares import (
     FittedModel,
     LeastSquares,
 )
-from undeadzone_identify.models.likelihood import dead_zone
+from undeadzone_identify.models.likelihood import dead_zone, root_mean_square
 from undeadzone_identify.models.measured import Measured, measure_fit, measure_levels
 from undeadzone_identify.models.motion import (
     THERE,
@@ -556,7 +556,7 @@ def _zones_element(zoned: InputZoneFit, case: Case) -> Element:
         fit.squares.reading_residual(numbers),
         data.ok & ((data.side != 0) | (not data.silent_zeros)),
     )
-    rms = float(np.sqrt(np.mean(e[heard] ** 2)))
+    rms = root_mean_square(e[heard])
     return Element(
         kind=model.name,
         fit=fit,

@@ -60,26 +60,25 @@ def _fit_all_locations(fit: ZoneFit) -> dict[str, PlaceFit]:
         if fitted is not None:
             fits[shape.name] = fitted
 
-    enter(PlaceShape("none", "none"), starts.without_zone())
-    enter(PlaceShape("sensor", "dead_zone", sensor=True), starts.zone_at_sensor())
+    enter(PlaceShape("none"), starts.without_zone())
+    enter(PlaceShape("sensor", sensor=True), starts.zone_at_sensor())
     if starts.simulator.layout.m == 1:
-        enter(PlaceShape("input", "input_zone", input=True), starts.zone_at_input())
-    enter(PlaceShape("friction", "friction", inner=True), starts.friction_at_input())
-    shape = PlaceShape("friction of a position", "friction", inner=True, position=True)
+        enter(PlaceShape("input", input=True), starts.zone_at_input())
+    enter(PlaceShape("friction", inner=True), starts.friction_at_input())
+    shape = PlaceShape("friction of a position", inner=True, position=True)
     enter(shape, starts.friction_at_input())
     if starts.n > 1:
-        shape = PlaceShape("friction, free", "friction", inner=True, free=starts.n - 1)
+        shape = PlaceShape("friction, free", inner=True, free=starts.n - 1)
         enter(shape, starts.friction_elsewhere(fits))
     for name in ("friction", "friction, free"):
         if name in fits:
             free = fits[name].model.shape.free
-            shape = PlaceShape(f"{name}, sticking", "friction", inner=True, sticks=True, free=free)
+            shape = PlaceShape(f"{name}, sticking", inner=True, sticks=True, free=free)
             enter(shape, starts.add_breakaway(fits[name]))
-            together = "zone_and_friction"
-            shape = PlaceShape(f"sensor and {name}", together, sensor=True, inner=True, free=free)
+            shape = PlaceShape(f"sensor and {name}", sensor=True, inner=True, free=free)
             enter(shape, starts.add_sensor_zone(fits[name]))
     if "input" in fits:
-        shape = PlaceShape("sensor and input", "two_zones", sensor=True, input=True)
+        shape = PlaceShape("sensor and input", sensor=True, input=True)
         enter(shape, starts.add_sensor_zone(fits["input"]))
     return fits
 

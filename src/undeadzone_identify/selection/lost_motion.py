@@ -8,6 +8,7 @@ with dynamics.
 from __future__ import annotations
 
 import math
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +17,7 @@ from undeadzone.errors import FileError
 from undeadzone.util.arrays import Flags, Floats
 from undeadzone_identify.logs.grid import find_sample_time, printed_step
 from undeadzone_identify.logs.log import Log, Options
-from undeadzone_identify.models.estimates import Interval, student_quantile
+from undeadzone_identify.models.estimates import Interval, student_quantile, variance_along
 from undeadzone_identify.models.free_load import fit_free_load
 from undeadzone_identify.models.least_squares import Density
 from undeadzone_identify.models.lost_motion import (
@@ -158,7 +159,8 @@ def find_lost_motion(log: Log, options: Options) -> tuple[LostMotionAnswer | Non
     free = fit_free_load(data) if _may_float(log, is_goal or is_summed, white) else None
     if free is not None:
         family = {
-            word: min(one, free.rivals.get(word, one), key=_bic) for word, one in family.items()
+            word: min(one, free.rivals.get(word, one), key=attrgetter("bic"))
+            for word, one in family.items()
         }
         if family["play"] is free.density:
             fit, found, gap = MotionFit(data, Structure()), free.found, free.gap
@@ -310,11 +312,6 @@ def _may_float(log: Log, is_told: bool, white: bool) -> bool:
     return alike and log.t.size >= FEWEST_LATE and _has_grid(log)
 
 
-def _bic(one: Density) -> float:
-    """Return the BIC of a density."""
-    return one.bic
-
-
 def _family(found: LostMotion, flat: LostMotion, curved: LostMotion, quantum: float) -> Family:
     """Return the densities of lost motion, of none, and of a curve in its place."""
     least = quantum / math.sqrt(12)
@@ -377,7 +374,7 @@ def _split(answer: LostMotionAnswer) -> LostMotionAnswer:
     if kp <= 3 * math.sqrt(V[0, 0]):
         return answer
     slope = np.array([2 * step / kp**2, -2 / kp, 0.0])
-    half = student_quantile(max(count - 3.0, 2.0)) * math.sqrt(max(float(slope @ V @ slope), 0.0))
+    half = student_quantile(max(count - 3.0, 2.0)) * math.sqrt(variance_along(V, slope))
     gap = Interval.from_half_width(float(-2 * step / kp), half)
     total = answer.gap
     around = max(total.high - total.value, total.value - total.low)

@@ -18,6 +18,7 @@ from undeadzone_identify.models.least_squares import (
     regress_residual,
     regression_residual,
 )
+from undeadzone_identify.models.likelihood import root_mean_square
 from undeadzone_identify.models.plant import CREDIBLE, PlantSimulator, RecordData, lag_products
 from undeadzone_identify.models.zone import WidthLimits
 
@@ -29,7 +30,6 @@ LAGS = 20
 PAST_INPUTS = 8  # past inputs, of which one-step residuals should be free
 FEEDBACK_LAGS = 3  # one-step residuals, or readings, to which a loop's input answers
 ALONE = 1e-6  # share of an input's rms that its reference leaves, below which it makes all of it
-SHARE = 0.05  # of the residual's variance that a curve explains, from which it is real
 
 
 class OrderFit(NamedTuple):
@@ -238,7 +238,7 @@ def score_held_out(
         test: the held-out readings (N).
         one_step: one-step residuals, and where they are known (N, N).
     """
-    rms = float(np.sqrt(np.mean(error[test] ** 2)))
+    rms = root_mean_square(error[test])
     return HeldOutScore(rms, 1 - rms / max(float(data.y[test].std()), 1e-12), is_white(*one_step))
 
 
@@ -363,9 +363,6 @@ def known_autocorrelation(value: Floats, use: Flags, lags: int) -> Floats:
     own, *others = lag_products(value, use, lags + 1)
     both = [max(int((use[lag:] & use[:-lag]).sum()), 1) for lag in range(1, lags + 1)]
     return np.array(others) / both / max(own / int(use.sum()), 1e-300)
-
-
-# --- What the zone leaves
 
 
 # --- A zone against none

@@ -22,6 +22,7 @@ from undeadzone_identify.logs.log import Options
 from undeadzone_identify.models import plant
 from undeadzone_identify.models.estimates import Interval, student_quantile
 from undeadzone_identify.models.least_squares import Density, regress_residual
+from undeadzone_identify.models.likelihood import root_mean_square
 from undeadzone_identify.selection.adequacy import AT_SENSOR, Remainder, hat_columns
 from undeadzone_identify.selection.alternatives import (
     EVEN,
@@ -44,6 +45,7 @@ from undeadzone_identify.selection.decision import (
 from undeadzone_identify.selection.odds import Family, model_probabilities
 from undeadzone_identify.servo.gap import (
     ServoGap,
+    degrees_of_reversals,
     gap_offset_interval,
     identify_servo_gap,
     servo_slopes,
@@ -79,7 +81,6 @@ FEW_RETURNS = 3  # passages of 0: so few or fewer do not show a zone of the sens
 # random servos without a zone 5 exceed it.
 LONGER_AT_ZERO = 1.6
 SETTLES = 40.0  # time constants a record, below which a plant may be an integrator in disguise
-FREEDOM = 60  # of a friction's interval, as of a gap's
 LEVEL = 0.02  # of a friction, by which it is uncertain at least: how a motor sticks is assumed
 MOVED = 1e-4  # of a number, for derivatives of the sampled plant
 
@@ -258,7 +259,7 @@ def friction_of(servo: ServoGap) -> Interval | None:
     places = [free.index(place) for place in rubs]
     value = float(servo.servo.theta[rubs].sum())
     error = math.sqrt(max(float(servo.covariance[np.ix_(places, places)].sum()), 0.0))
-    degrees = float(np.clip(servo.reversals - 1, 2, FREEDOM))
+    degrees = degrees_of_reversals(servo.reversals)
     half = math.hypot(WIDER * student_quantile(degrees) * error, LEVEL * value)
     friction = Interval.from_half_width(value, half)
     return friction.scale_by(servo.log.u_scale) if friction.low > 0 else None
@@ -338,7 +339,7 @@ def _servo_family(case: Case, servo: ServoGap) -> Family:
     log, none = servo.log, case.rivals["none"]
     own = np.full(case.record_data.y.size, np.nan)
     errors = servo_slopes(log, servo.servo)
-    each = student.logpdf(errors.e * np.exp(-errors.log_s), DEGREES) - errors.log_s
+    each = student.logpdf(errors.normalised, DEGREES) - errors.log_s
     own[log.error_samples(False)] = each + math.log(case.record_data.y_scale / log.y_scale)
     compared = plant.busiest_stretches(
         case.record_data._replace(y=np.arange(own.size, dtype=float))
@@ -449,7 +450,7 @@ def build_servo_element(case: Case, servo: ServoGap) -> Element:
         if servo.log.ticks
         else reading_noise_rms(servo.log) * servo.log.y_scale / data.y_scale,
         degrees=max(servo.reversals - 1, 2),
-        rms=math.sqrt(float(np.mean(left**2))),
+        rms=root_mean_square(left),
         remarks=[f"z of an integrating plant has no zero of its own: {EVEN}"] if free else [],
     )
 

@@ -21,6 +21,7 @@ from undeadzone_identify.models.least_squares import (
     LeastSquares,
     describe_p_value,
 )
+from undeadzone_identify.models.likelihood import root_mean_square
 from undeadzone_identify.models.plant import PlantSimulator, RecordData
 from undeadzone_identify.models.valve import LoopFits, LoopLog, ValveFit, fit_loop
 from undeadzone_identify.models.zone_fit import fit_linear
@@ -302,16 +303,10 @@ def _score(case: Case, fits: LoopFits, v: Floats, part: slice) -> tuple[HeldOutS
     train = training_samples(case.recorded, case.options.held_out)[part][rows]
     scale, errors = fits.log.deviation, []
     for position in (v, fits.log.u):
-        columns = np.hstack(
-            [
-                regression.past,
-                regression.lagged(position[:, None], lags)[:, 0],
-                np.ones((rows.size, 1)),
-            ]
-        )
+        columns = regression.regressors(position, lags)
         told = np.linalg.lstsq(columns[train], regression.y[train], rcond=1e-9)[0]
         errors.append((regression.y - columns @ told) * scale)
-    rms, without = (math.sqrt(float(np.mean(e[~train] ** 2))) for e in errors)
+    rms, without = (root_mean_square(e[~train]) for e in errors)
     share = 1 - rms / max(float(regression.y[~train].std()) * scale, 1e-12)
     return HeldOutScore(rms, share, is_white(errors[0], ~train)), without
 

@@ -13,13 +13,19 @@ from undeadzone.nonlinearities.sensor import DIRECTIONS, heaviest
 from undeadzone.util.arrays import Floats, bounds_of_runs
 from undeadzone_identify.models.estimates import Interval, maximise_likelihood
 from undeadzone_identify.models.kalman_fit import KalmanFit
-from undeadzone_identify.models.likelihood import Readings, ZoneNoise, single_densities
+from undeadzone_identify.models.likelihood import (
+    Readings,
+    ZoneNoise,
+    root_mean_square,
+    single_densities,
+)
 from undeadzone_identify.models.zone import WidthLimits, ZoneObjective
 from undeadzone_identify.models.zone_fit import ZoneFit
 from undeadzone_identify.selection.orders import OrderFit
 
 FEW_VISITS = 3  # below these an edge is hardly reached
 POINTS = 8  # of a profile, on each side of the edge
+STEPS = 10  # of each climb of a profile
 REACH = 4.0  # usual half intervals, within which its ends are sought
 
 
@@ -157,7 +163,7 @@ def _to_stage(fit: ZoneFit | KalmanFit) -> _Stage:
 def _spread_over_orders(name: str, others: list[OrderFit], chosen: OrderFit) -> float:
     """Return the spread of a width over credible orders, which no score can show, scaled."""
     gaps = [_width_difference(DIRECTIONS[name], other, chosen) for other in others]
-    return float(np.sqrt(np.mean(np.square(gaps)))) if gaps else 0.0
+    return root_mean_square(np.array(gaps)) if gaps else 0.0
 
 
 def _width_difference(row: tuple[float, float], other: OrderFit, chosen: OrderFit) -> float:
@@ -200,14 +206,13 @@ def lower_width_bound(fit: ZoneFit, side: str) -> float:
     return high
 
 
-def profile_likelihood(fit: ZoneFit, side: str, values: Floats, steps: int = 10) -> Floats:
+def profile_likelihood(fit: ZoneFit, side: str, values: Floats) -> Floats:
     """Return the log likelihood with a width fixed at several values (K), the rest refitted.
 
     Args:
         fit: the fit whose likelihood is profiled.
         side: right or left.
         values: widths, scaled, from the fitted one outward or in order (K).
-        steps: of each climb.
 
     Returns:
         Log likelihoods less that of the fit.
@@ -226,7 +231,7 @@ def profile_likelihood(fit: ZoneFit, side: str, values: Floats, steps: int = 10)
                 fixed if both or side == "left" else objective.limits.left,
             )
             held = ZoneObjective(objective.simulator, objective.kind, limits, objective.readings.ok)
-            top = maximise_likelihood(held, theta, steps)
+            top = maximise_likelihood(held, theta, STEPS)
             out[k] = top.value - fit.value
             theta = top.theta if math.isfinite(top.value) else theta
     return out

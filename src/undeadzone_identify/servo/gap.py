@@ -27,7 +27,12 @@ from scipy.stats import chi2
 
 from undeadzone.compile import lanes
 from undeadzone.util.arrays import Flags, Floats, Integers, shift_rows
-from undeadzone_identify.models.estimates import Interval, sandwich_covariance, student_quantile
+from undeadzone_identify.models.estimates import (
+    Interval,
+    sandwich_covariance,
+    student_quantile,
+    variance_along,
+)
 from undeadzone_identify.models.plant import mean_lag_products
 from undeadzone_identify.servo import predictor
 from undeadzone_identify.servo.crossings import GapCrossings, find_crossings
@@ -248,8 +253,7 @@ class ServoGap(NamedTuple):
         """Return the counted prediction errors divided by their standard deviations (n)
         [1].
         """
-        slopes = servo_slopes(self.log, one)
-        return slopes.e * np.exp(-slopes.log_s)
+        return servo_slopes(self.log, one).normalised
 
     @property
     def trend_remarks(self) -> list[str]:
@@ -287,12 +291,17 @@ def identify_servo_gap(log: Observations | None) -> ServoGap | None:
         gained=best.value - _value_without_gap(part, best),
         reasons=(),
         is_servo=False,
-        has_bursts=are_errors_in_bursts(slopes.e * np.exp(-slopes.log_s)),
+        has_bursts=are_errors_in_bursts(slopes.normalised),
     )
     moved = _collect_motion_doubts(found, spread)
     odd = collect_odd_errors(part, slopes)
     reasons = (*moved, *_collect_gap_doubts(found, gaps), *odd)
     return found._replace(reasons=reasons, is_servo=not moved and not odd)
+
+
+def degrees_of_reversals(reversals: int) -> float:
+    """Return the degrees of freedom of what each reversal shows once."""
+    return float(np.clip(reversals - 1, 2, DEGREES))
 
 
 def gap_offset_interval(found: ServoGap, level: float) -> Interval | None:
@@ -314,8 +323,8 @@ def gap_offset_interval(found: ServoGap, level: float) -> Interval | None:
         move[place] = MOVED
         more = _rest_position(one._replace(theta=one.theta + move))
         slopes[column] = (more - rest) / MOVED
-    error = math.sqrt(max(float(slopes @ found.covariance @ slopes), 0.0))
-    half = WIDER * student_quantile(float(np.clip(found.reversals - 1, 2, DEGREES))) * error
+    error = math.sqrt(variance_along(found.covariance, slopes))
+    half = WIDER * student_quantile(degrees_of_reversals(found.reversals)) * error
     return Interval.from_half_width(-rest * log.y_scale - level, half * log.y_scale)
 
 
@@ -371,9 +380,9 @@ def _correct_gap_bias(
     bias = float(np.mean(np.clip(gaps, middle - reach, middle + reach))) - gap
     loose = LOOSE * gap * ("load" in one.structure.parts)
     error = math.hypot(max(spread.error, float(np.std(gaps, ddof=1))), FLOOR * least, loose)
-    degrees = float(np.clip(spread.reversals - 1, 2, DEGREES))
+    quantile = student_quantile(degrees_of_reversals(spread.reversals))
     apart = max(abs(other - gap) for other in others)
-    half = math.hypot(WIDER * student_quantile(degrees) * error, bias, apart)
+    half = math.hypot(WIDER * quantile * error, bias, apart)
     half *= ANY_COLOUR if not log.ticks and _slow_torque_rms(one) > COLOURED else 1.0
     return Interval.from_half_width(max(gap - bias, 0.0), half)
 
@@ -465,7 +474,7 @@ def collect_odd_errors(log: Observations, slopes: ErrorSlopes) -> list[str]:
         log: as the predictor hears it.
         slopes: with the errors.
     """
-    r = slopes.e * np.exp(-slopes.log_s)
+    r = slopes.normalised
     r = r - r.mean()
     power = float(r @ r) + 1e-300
     reasons = []

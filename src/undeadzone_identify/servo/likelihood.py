@@ -214,6 +214,11 @@ class ErrorSlopes(NamedTuple):
     de: Floats
     dlog: Floats
 
+    @property
+    def normalised(self) -> Floats:
+        """Return the errors divided by their standard deviations (n) [1]."""
+        return self.e * np.exp(-self.log_s)
+
 
 class ServoLikelihood:
     """Log likelihood of a servo's log.

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import f as fisher
 
+from undeadzone.nonlinearities.play import levels
 from undeadzone.util.arrays import Flags, Floats, Integers, shift_rows
 from undeadzone_identify.logs.grid import common_spacing
 from undeadzone_identify.models.least_squares import regression_residual
@@ -250,11 +251,8 @@ def reading_noise_rms(log: Observations) -> float:
 def to_schmitt_ticks(log: Observations) -> Observations:
     """Convert noisy readings to ticks of a Schmitt trigger; the gap grows by 2 REACH of noise."""
     reach = REACH * reading_noise_rms(log)
-    level = float(log.y[0])
-    held = np.empty(log.y.size)
-    for k, reading in enumerate(log.y.tolist()):
-        level = min(max(level, reading - reach), reading + reach)
-        held[k] = level
+    half = np.array([reach])
+    held = levels(log.y[:, None], half, half, log.y[:1])[:, 0]
     spacing = 2 / REACH * reach
     steps = np.round(held / spacing) * spacing
     side = change_sides(steps, log.ok, log.start)

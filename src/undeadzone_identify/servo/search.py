@@ -114,11 +114,10 @@ def initial_servos(log: Observations) -> list[Servo]:
     rates = np.geomspace(max(0.5, 4 / span), min(0.5 / log.step, 150.0), POLES)
     found = []
     motor = ServoStructure(frozenset({"friction"}))
-    sprung = ServoStructure(frozenset({"friction", "spring"}))
     for rate, late in itertools.product(rates, DELAYS):
         for friction, share in zip(FRICTIONS, SPRINGS, strict=True):
             found.append(_initial_servo(log, motor, rate, 0.0, friction, late))
-            found.append(_initial_servo(log, sprung, rate, share * rate**2, FRICTIONS[0], late))
+            found.append(_initial_servo(log, RUBBING, rate, share * rate**2, FRICTIONS[0], late))
     lagging = ServoStructure(frozenset(), lag=True)
     return found + [_initial_servo(log, lagging, rate, 0.0, 0.0, DELAYS[0]) for rate in rates]
 

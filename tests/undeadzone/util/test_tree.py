@@ -78,7 +78,6 @@ def test_names_address_each_number_in_packing_order() -> None:
         "pair.1[1]",
     ]
     assert tree.number_addresses(like) == expected
-    assert tree.number_addresses(like, "p")[1] == "p.inner.A[0,0]"
     assert tree.pack_tree(like).tolist() == [1, 1, 3, 2, 4, 5, 6, 7, 8]
 
 

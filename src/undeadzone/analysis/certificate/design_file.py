@@ -22,7 +22,7 @@ from undeadzone.linalg.matrices import Matrices
 from undeadzone.util import shown, toml
 from undeadzone.util.arrays import Floats, require_matrix, require_vector
 from undeadzone.util.earlier import SCHEMA, translate_stds
-from undeadzone.util.files import failure_reason, read_text, write_text
+from undeadzone.util.files import read_text, unreadable_file, write_text
 from undeadzone.util.own_files import mark_toml
 from undeadzone.util.toml import require_short_keys
 
@@ -201,7 +201,7 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         try:
             design = msgspec.convert(tomllib.loads(require_short_keys(read_text(path))), cls)
         except OSError as error:
-            raise FileError(f"{path}: cannot read: {failure_reason(error)}") from None
+            raise unreadable_file(path, error) from None
         except (ValueError, RecursionError, msgspec.ValidationError):
             # Nothing of it is quoted: a scenario may name a file that is not its author's.
             raise FileError(

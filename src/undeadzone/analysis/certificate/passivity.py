@@ -29,7 +29,7 @@ from undeadzone.analysis.error_dynamics import (
     largest_growth_rate,
 )
 from undeadzone.errors import StructureError
-from undeadzone.linalg.matrices import Matrices, change_state_units, delta_form
+from undeadzone.linalg.matrices import Matrices, change_state_units, delta_form, symmetric_part
 from undeadzone.linalg.riccati import storage_of
 from undeadzone.plants.system import state_units
 from undeadzone.util.arrays import Floats
@@ -169,7 +169,7 @@ def passive_gain(linear: Matrices, Ts: float | None) -> Floats:
     L = np.linalg.solve(Ts * P, C.T)
     # The rest of the LMI after PL = C' and a Schur complement must stay below 1. Half is taken.
     rest = Ts * C @ L + Ts**2 * C @ A @ A.T @ C.T / q
-    return np.asarray(L / max(1.0, 2 * float(np.linalg.eigvalsh((rest + rest.T) / 2)[-1])))
+    return np.asarray(L / max(1.0, 2 * float(np.linalg.eigvalsh(symmetric_part(rest))[-1])))
 
 
 def _reason_without_proof(errors: Dynamics, least: float, w: float | None) -> str:

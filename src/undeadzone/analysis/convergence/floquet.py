@@ -8,7 +8,7 @@ gains at once, along the first axes of F (..., K, N, N).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -199,14 +199,19 @@ def matrix_exponentials(X: Floats) -> Floats:
     """Return e^X of many small matrices (..., K, N, N), by scaling, Taylor's series and
     squaring.
     """
-    norm = np.abs(X).sum(axis=-1).max(axis=-1).reshape(-1, X.shape[-3]).max(axis=0)
-    halvings = np.ceil(np.log2(np.maximum(8 * norm, 1.0))).astype(int)
+    halvings = _count_halvings(X, 1.0)
     X = X / (2.0**halvings)[:, None, None]
     identity = np.eye(X.shape[-1])
     E = identity + X / EXPONENTIAL_TERMS
     for k in range(EXPONENTIAL_TERMS - 1, 0, -1):
         E = identity + X @ E / k
     return matrix_powers(E, 2**halvings)
+
+
+def _count_halvings(X: Floats, spans: Floats | float) -> Any:
+    """Return how often each span is halved so that a series of X (..., K, N, N) is short (K)."""
+    norm = np.abs(X).sum(axis=-1).max(axis=-1).reshape(-1, X.shape[-3]).max(axis=0)
+    return np.ceil(np.log2(np.maximum(8 * norm * spans, 1.0))).astype(int)
 
 
 def matrix_powers(X: Floats, times: Floats) -> Floats:
@@ -256,8 +261,7 @@ def integrate_spans(
         return _repeat_spans(
             WeightedSpans(step, H, 0 * H[:twice], length), schedule.spans.astype(int)
         )
-    norm = np.abs(F).sum(axis=-1).max(axis=-1).reshape(-1, F.shape[-3]).max(axis=0)
-    halvings = np.ceil(np.log2(np.maximum(8 * norm * schedule.spans, 1.0))).astype(int)
+    halvings = _count_halvings(F, schedule.spans)
     h = (schedule.spans / 2.0**halvings)[:, None, None]
     # Taylor series over h: of Phi with terms (F h)^k / k!, of G and GG with derivatives of G_t.
     power = Phi = np.eye(F.shape[-1]) + 0 * F

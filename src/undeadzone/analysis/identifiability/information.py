@@ -15,7 +15,7 @@ from undeadzone.analysis.error_dynamics import branch_pattern
 from undeadzone.analysis.identifiability.disturbance import InputModel
 from undeadzone.analysis.identifiability.linear import Unobservable, unobservable_changes
 from undeadzone.linalg.hold import discretise_noise
-from undeadzone.linalg.matrices import Matrices
+from undeadzone.linalg.matrices import Matrices, symmetric_part
 from undeadzone.util.arrays import Floats
 
 NO_WIDTH = 1e-8  # edge below which there is none: information of it would not be solved for
@@ -201,7 +201,7 @@ def chain_stretches(first: Stretch, second: Stretch) -> Stretch:
     Phi, Q = np.hsplit(np.linalg.solve(mixed, np.hstack([first.Phi, first.Q])), 2)
     H = first.H + first.Phi.T @ second.H @ Phi
     Q = second.Q + second.Phi @ Q @ second.Phi.T
-    return Stretch(second.Phi @ Phi, (Q + Q.T) / 2, (H + H.T) / 2)
+    return Stretch(second.Phi @ Phi, symmetric_part(Q), symmetric_part(H))
 
 
 def repeat_stretch(once: Stretch, times: int) -> Stretch:

@@ -22,7 +22,7 @@ from undeadzone.util.arrays import (
     require_array,
     require_matrix,
     require_number,
-    require_vector,
+    require_positive,
 )
 
 
@@ -51,12 +51,9 @@ def read_initial_widths(widths0: Array, width_max: Array | None, p: int) -> tupl
     Raises:
         InputError, ShapeError: unless 0 <= d^(0) <= d_M and d_M > 0.
     """
-    if width_max is None:
-        limit = np.full(p, np.inf)
-    else:
-        limit = require_vector("observer.width_max", width_max, p, "one per output")
-    if (limit <= 0).any():
-        raise InputError(f"observer.width_max: must be positive, found {limit.min():g}")
+    limit = np.full(p, np.inf)
+    if width_max is not None:
+        limit = require_positive("observer.width_max", width_max, p, "one per output")
     widths = to_width_pairs("observer.widths0", widths0, p)
     if (widths < 0).any() or (widths > limit[:, None]).any():
         raise InputError(

@@ -12,7 +12,7 @@ import numpy as np
 
 from undeadzone.analysis.certificate.passivity import certify, passive_gain
 from undeadzone.errors import ShapeError
-from undeadzone.linalg.matrices import Matrices, delta_form, state_response_sizes
+from undeadzone.linalg.matrices import Matrices, delta_form, scale_states, state_response_sizes
 from undeadzone.plants.system import System, mean_pole
 from undeadzone.util.arrays import Array, Floats, require_array, require_matrix
 
@@ -66,7 +66,7 @@ def default_gain(model: System) -> Floats:
     Ts = model.Ts
     A = delta_form(linear, Ts).A
     unit = 1 / state_response_sizes(A.T, linear.C.T)
-    balanced = Matrices(linear.A * unit / unit[:, None], linear.B / unit[:, None], linear.C * unit)
+    balanced = Matrices(scale_states(linear.A, unit), linear.B / unit[:, None], linear.C * unit)
     L = unit[:, None] * passive_gain(balanced, Ts)
     at_rest = np.diag(linear.C @ np.linalg.solve(-A, L))
     L = L * STRENGTH / np.exp(np.log(at_rest).mean())

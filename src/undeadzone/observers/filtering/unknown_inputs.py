@@ -15,7 +15,7 @@ import numpy as np
 
 from undeadzone.errors import InputError
 from undeadzone.linalg.hold import discretise_noise, zoh_slopes
-from undeadzone.linalg.matrices import Matrices, change_state_units
+from undeadzone.linalg.matrices import Matrices, change_state_units, symmetric_part
 from undeadzone.numerics.gaussian import Gaussian, Products, joseph_update
 from undeadzone.observers.filtering.constant_states import information_shares
 from undeadzone.observers.filtering.gaussian_filter import Augmentation, Params
@@ -113,7 +113,7 @@ def build_colour(correlation: float, washout: float | None, Ts: float) -> Colour
         W = np.diag([2 * (a + b), 0.0])  # which makes the rms of p_1 - p_2 one
         C = np.array([1.0, -1.0])
     Fd, Q = discretise_noise(F, W, Ts)
-    return Colour(Fd, (Q + Q.T) / 2, solve_discrete_lyapunov(Fd, Q), C)
+    return Colour(Fd, symmetric_part(Q), solve_discrete_lyapunov(Fd, Q), C)
 
 
 def read_time_span(key: str, value: Any, Ts: float) -> float:

@@ -24,6 +24,7 @@ import casadi as ca
 import msgspec
 import numpy as np
 
+from undeadzone.linalg.matrices import spectral_radius
 from undeadzone.plants.robots.arm import Arm, Chain, build_arm, change_arm_numbers, forward_dynamics
 from undeadzone.util.arrays import (
     Array,
@@ -217,7 +218,7 @@ def largest_couplings(
         shares = np.abs(inverse) / np.sqrt(np.outer(np.diag(inverse), np.diag(inverse)))
         for group in map(list, groups):
             here = np.ix_(group, group)
-            ratio = float(np.abs(np.linalg.eigvals(M[here] @ inverse[here])).max())
+            ratio = spectral_radius(M[here] @ inverse[here])
             others = [joint for joint in range(body.joint_count) if joint not in group]
             for joint in group:
                 if others and ratio > found[joint].ratio:
@@ -249,7 +250,7 @@ def fastest_contact(gears: Geared, params: Floats, postures: Floats) -> float:
         motors = np.hstack([-K, K, -D - np.diag(friction), D]) / inertia[:, None]
         moved = W @ np.hstack([K, -K, D, -D - rubbing])
         A = np.vstack([turned, motors, moved])
-        fastest = max(fastest, float(np.abs(np.linalg.eigvals(A)).max()))
+        fastest = max(fastest, spectral_radius(A))
     return fastest
 
 

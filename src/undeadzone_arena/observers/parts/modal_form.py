@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from undeadzone.linalg.matrices import scale_states
 from undeadzone.util.arrays import Floats
 
 
@@ -43,12 +44,12 @@ def build_modes(F: Floats, unit: Floats, Ts: float | None) -> Modes:
     """
     from scipy.linalg import schur
 
-    S, Q = schur(F * unit / unit[:, None], output="real")
+    S, Q = schur(scale_states(F, unit), output="real")
     pairs = [i for i in range(len(S) - 1) if S[i + 1, i] != 0]
     scale = np.ones(len(S))
     for i in pairs:
         scale[i + 1] = np.sqrt(-S[i + 1, i] / S[i, i + 1])  # the block becomes [[a, w], [-w, a]]
-    S = S * scale / scale[:, None]
+    S = scale_states(S, scale)
     T = unit[:, None] * Q * scale
     w = np.array([S[i, i + 1] for i in pairs])
     a = np.array([S[i, i] for i in pairs])
