@@ -358,7 +358,7 @@ class Traits(NamedTuple):
         rate: fastest rate of its own that a step must resolve [1/s], beside those of L and gamma.
         width_max: upper bound d_M of the widths (p), onto which they are projected.
         adapts: whether it estimates the widths.
-        told: whether it begins with the sensor's true widths.
+        knows_widths: whether it begins with the sensor's true widths.
         uncertain: names of the model's parameters that it estimates, as theta.
         start_std: standard deviation of x(0) about the assumed start (n) (None: no start is
             assumed).
@@ -379,7 +379,7 @@ class Traits(NamedTuple):
     rate: float | None = None
     width_max: Floats | None = None
     adapts: bool = True
-    told: bool = False
+    knows_widths: bool = False
     uncertain: tuple[str, ...] = ()
     start_std: Floats | None = None
     centre_std: Floats | None = None

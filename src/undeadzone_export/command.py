@@ -102,7 +102,7 @@ def export(
         folder = Path(scratch) / "firmware" if kept is None else kept
         with progress("exporting", None, of=problem.observer):
             options = (precision, part, tunable, name, check, force)
-            result = run(problem, to, folder, *options, told=partial(print_line, err=True))
+            result = run(problem, to, folder, *options, notify=partial(print_line, err=True))
     files = [] if kept is None else [str(path) for path in result.files]
     if as_json:
         print_json(result.report | {"written": files})

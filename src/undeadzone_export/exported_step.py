@@ -164,22 +164,22 @@ def name_entries(**inputs: Iterable[Any]) -> dict[str, Any]:
     return named
 
 
-def make_distinct(wanted: list[str], told_by: Callable[[str], str] = str) -> list[str]:
+def make_distinct(wanted: list[str], key: Callable[[str], str] = str) -> list[str]:
     """Return the names with a number appended to each that occurred before.
 
     Args:
         wanted: the names.
-        told_by: key of a name that must be distinct.
+        key: key of a name that must be distinct.
     """
     taken: set[str] = set()
     names = []
     for base in wanted:
         name = base
         count = 2
-        while told_by(name) in taken:
+        while key(name) in taken:
             name = f"{base}_{count}"
             count = count + 1
-        taken.add(told_by(name))
+        taken.add(key(name))
         names.append(name)
     return names
 

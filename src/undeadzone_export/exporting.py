@@ -24,6 +24,7 @@ from undeadzone.registry import OBSERVERS
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.util.arrays import Floats
+from undeadzone.util.renamed import accept_renamed_argument
 from undeadzone.util.text import count_noun
 from undeadzone_export import accuracy, compiler, exported_step, targets
 from undeadzone_export.boards import fit_boards
@@ -70,6 +71,7 @@ class Exported(NamedTuple):
         return not self.report["refusals"]
 
 
+@accept_renamed_argument("told", "notify")
 def export(
     scenario: Scenario,
     to: str = "c",
@@ -80,7 +82,7 @@ def export(
     name: str | None = None,
     check: bool = False,
     force: bool = False,
-    told: Callable[[str], object] | None = None,
+    notify: Callable[[str], object] | None = None,
 ) -> Exported:
     """Write a scenario's observer as C99 that runs without a library.
 
@@ -100,7 +102,7 @@ def export(
             and Structured Text).
         force: replace files that someone else wrote or edited, if they are in the way (other files
             stay).
-        told: called with a sentence before something that takes minutes begins.
+        notify: called with a sentence before something that takes minutes begins.
 
     Returns:
         The files, and a report. Accuracy is measured if there is a C compiler. Single precision
@@ -139,10 +141,10 @@ def export(
     problem = resolve_scenario(scenario)
     began, spent = time.monotonic(), time.process_time()
     step = exported_step.build_step(problem, part, tunable)
-    if told is not None and (instructions := count_instructions(step.function)) > MANY:
+    if notify is not None and (instructions := count_instructions(step.function)) > MANY:
         waiting = (time.monotonic() - began) / (time.process_time() - spent)  # for the processor
         seconds = EACH * instructions * max(1.0, waiting)
-        told(_slow_export_warning(instructions, seconds, scenario.observer))
+        notify(_slow_export_warning(instructions, seconds, scenario.observer))
     printed = build_code(step, single=precision == "single")
     labels = Labels(prefix, scenario.title, part)
     text = build_source(printed, labels)

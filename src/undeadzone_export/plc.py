@@ -477,7 +477,7 @@ def _selftest_unit(code: Code, labels: Labels, vectors: Vectors, block: PlcUnit)
         wrong = f"block.{each.name} <> expected_{each.name}[sample]"
         checks.append(f"IF {wrong} THEN failures := failures + 1; END_IF;")
     calls = [f"block(hold := {truth}, {', '.join(arguments)});" for truth in ("TRUE", "FALSE")]
-    told = [
+    outputs = [
         PlcVariable("done", "BOOL", f"TRUE after {samples} cycles"),
         PlcVariable("passed", "BOOL", "TRUE then: every output agrees with its reference"),
         PlcVariable("failures", "INT", "outputs that differ"),
@@ -489,7 +489,9 @@ def _selftest_unit(code: Code, labels: Labels, vectors: Vectors, block: PlcUnit)
         f"{INDENT}passed := done AND (failures = 0);",
     ]
     meaning = f"Self-test of {block.name}, one sample a cycle: done, then passed."
-    return PlcUnit("PROGRAM", f"{labels.prefix}_test", meaning, {OUTPUTS: told, LOCALS: own}, lines)
+    return PlcUnit(
+        "PROGRAM", f"{labels.prefix}_test", meaning, {OUTPUTS: outputs, LOCALS: own}, lines
+    )
 
 
 def _number_array(name: str, values: Any, kind: str) -> PlcVariable:

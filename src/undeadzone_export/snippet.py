@@ -425,8 +425,8 @@ def _single(values: list[float], path: Path) -> float:
     return values[0]
 
 
-def _with_range(value: float, told: Any) -> tuple[float, float, float]:
+def _with_range(value: float, prior: Any) -> tuple[float, float, float]:
     """Return a width with the observer's assumed range, if the range contains the width."""
-    pair = [value, value] if told is None else _numbers(told)
+    pair = [value, value] if prior is None else _numbers(prior)
     is_held = len(pair) == 2 and pair[0] <= value <= pair[1] < math.inf
     return (value, pair[0], pair[1]) if is_held else (value, value, value)

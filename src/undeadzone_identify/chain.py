@@ -166,12 +166,12 @@ def run_snippet_chain(lost: Lost, signal: Floats, folder: Path) -> FirmwareChain
         call = ctypes.CDLL(str(compile_library([main], Path(scratch) / "axis.so"))).call
         call.restype = ctypes.c_float
         call.argtypes = [ctypes.c_float]
-        told = np.array([call(float(one)) for one in signal])
+        compiled = np.array([call(float(one)) for one in signal])
     files = [Path(one) for one in report["written"]]
     words = {"firmware": f"{name}() of snippet.h compiles. No plant is needed"}
     gap = np.array([lost.width[0]])
     without, reached = (
-        levels(one[:, None], gap, 0 * gap, signal[:1])[:, 0] for one in (signal, told)
+        levels(one[:, None], gap, 0 * gap, signal[:1])[:, 0] for one in (signal, compiled)
     )
     errors = [float(np.abs(one - signal)[1:].max()) for one in (without, reached)]
     texts = [append_unit(f"{one:.3g}", lost.unit) for one in errors]

@@ -241,13 +241,13 @@ def _fit_sections(found_log: Identified, shown: dict[str, html.Html]) -> list[ht
 def _rivals_table(found_log: Identified) -> list[html.Html]:
     """Return the table of all models with their probabilities, and the residual test in words."""
     answer = found_log.answer
-    told = [
+    parts = [
         f"{DEPENDS[one.on]} {100 * one.share:.1f} % (p = {one.chance:.2g})"
         for one in answer.found.remainders
     ]
     words = f"Test of no zone at all: p = {answer.case.no_zone.chance:.2g}."
-    if told:
-        words += f" Of what the model leaves, each explains: {', '.join(told)}."
+    if parts:
+        words += f" Of what the model leaves, each explains: {', '.join(parts)}."
     rivals = describe_rivals(answer)
     return [
         html.build_table(("what may be there", "odds", "behind, nats a reading"), rivals),

@@ -73,7 +73,7 @@ def test_the_announcement_does_not_wait_for_the_code(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(exporting, "MANY", 20)
     monkeypatch.setattr(exporting, "build_code", None)
     with pytest.raises(TypeError):
-        exporting.export(read(Path("arm.toml")), "c", "firmware", told=heard.append)
+        exporting.export(read(Path("arm.toml")), "c", "firmware", notify=heard.append)
     assert len(heard) == 1
 
 

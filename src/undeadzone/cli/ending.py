@@ -69,8 +69,8 @@ def run_to_exit_code(command: Callable[[], Any]) -> int:
         with _signals_raised(), warnings.catch_warnings():
             if not os.environ.get(DEBUG):  # NumPy's remarks are not for users
                 warnings.simplefilter("ignore")
-                for told in (EarlierMeaning, DamagedPackage):
-                    warnings.simplefilter("default", told)
+                for category in (EarlierMeaning, DamagedPackage):
+                    warnings.simplefilter("default", category)
                 warnings.showwarning = _print_warning
             code = command()
         sys.stdout.flush()

@@ -83,8 +83,8 @@ def estimate(
     if folder is not None:
         written = write_estimation(result, folder, output.figures, tables, build_origin(scenario))
     files = files_line(written) | left_out if written else {}
-    told = {} if cure is None else {"would fit": cure}
-    last = told | files | ({} if cure else _advise_after_estimate(scenario, log, columns, result))
+    remedy = {} if cure is None else {"would fit": cure}
+    last = remedy | files | ({} if cure else _advise_after_estimate(scenario, log, columns, result))
     output.print_result(
         lambda: result.summary() | {"would_fit": cure}, result.blocks, written, last
     )

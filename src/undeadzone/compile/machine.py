@@ -63,8 +63,8 @@ class Form(NamedTuple):
         """Return the form as `FIXED` contains it, for example 8,2,0,20. `piece` has no
         text.
         """
-        told = self[: 5 if self.branches else 4]
-        return ",".join(str(int(number)) for number in told)
+        numbers = self[: 5 if self.branches else 4]
+        return ",".join(str(int(number)) for number in numbers)
 
     def is_cut(self, instructions: int) -> bool:
         """Return whether a step of the given number of instructions is split into

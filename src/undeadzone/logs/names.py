@@ -396,8 +396,8 @@ class _Header(NamedTuple):
 
     def drive_of_servo(self, inputs: Sequence[int], taken: Sequence[int | None]) -> list[int]:
         """Return the column of the current of a servo that follows a position; none for others."""
-        told = [_plain(self.titles[k].name) for k in inputs]
-        if len(told) != 1 or told[0] not in GOALS:
+        named = [_plain(self.titles[k].name) for k in inputs]
+        if len(named) != 1 or named[0] not in GOALS:
             return []
         plain = [_plain(title.name) for title in self.titles]
         same = [k for k, name in enumerate(plain) if name in DRIVES and k not in taken]
@@ -407,8 +407,8 @@ class _Header(NamedTuple):
         """Return the names that are missing for signals without a known column: y=NAME,u=NAME."""
         wanted = [f"{signal}={name}" for signal, name in self.chosen.items()]
         for signal, usual in (("y", READINGS), ("u", INPUTS)):
-            told = any(self.usual(name, 1) for name in usual) or self.of_the_trade(signal, 1, ())
-            if not told and not _of_signal(self.chosen, signal):
+            named = any(self.usual(name, 1) for name in usual) or self.of_the_trade(signal, 1, ())
+            if not named and not _of_signal(self.chosen, signal):
                 wanted.append(f"{signal}=NAME")
         return ",".join(wanted).replace("[0]", "")
 

@@ -208,9 +208,9 @@ class LogReader:
             if dialect.heads and len(lines) < 2 and not last:
                 self._first = numbered  # a line of units may follow
                 return self._none()
-            told = [line for _, line in numbered[dialect.heads :]]
-            dialect = self._with_mark(dialect, told)
-            dialect = self._dialect = _with_index_named(dialect, told[:FIRST])
+            lines_below = [line for _, line in numbered[dialect.heads :]]
+            dialect = self._with_mark(dialect, lines_below)
+            dialect = self._dialect = _with_index_named(dialect, lines_below[:FIRST])
             self.layout = self._layout(dialect)
             self._require_readable(dialect, self.layout, numbered[dialect.heads :])
             numbered = numbered[dialect.heads :]

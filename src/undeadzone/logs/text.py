@@ -272,7 +272,7 @@ def decimal_mark(lines: Sequence[str], separator: str, live: bool, source: str) 
     """
     if separator == ",":
         return ".", False
-    told = {",": 0, ".": 0}
+    counts = {",": 0, ".": 0}
     grouped = {",": False, ".": False}
     open_one = ""
     for line in lines[:TELLING_MARK]:
@@ -283,11 +283,11 @@ def decimal_mark(lines: Sequence[str], separator: str, live: bool, source: str) 
                 plain = shape.fullmatch(cell) and not _THOUSANDS[mark].fullmatch(cell)
                 has_groups = _GROUPED[mark].fullmatch(cell) is not None
                 grouped[mark] = grouped[mark] or has_groups
-                told[mark] += bool(plain or has_groups)
+                counts[mark] += bool(plain or has_groups)
             if not open_one and _THOUSANDS[","].fullmatch(cell):
                 open_one = cell
-    if told[","] or told["."]:
-        mark = "," if told[","] > told["."] else "."
+    if counts[","] or counts["."]:
+        mark = "," if counts[","] > counts["."] else "."
         return mark, grouped[mark]
     if open_one and not live:
         whole = open_one.replace(",", "")

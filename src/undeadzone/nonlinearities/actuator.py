@@ -241,32 +241,32 @@ def resolve_actuator(actuator: Actuator | ActuatorModel, m: int, key: str = "act
     return Drive(right, left, *slopes.T, *limits.T, *rates.T, *gaps)
 
 
-def believe_actuator(told: ActuatorModel | None, m: int) -> Belief | None:
+def believe_actuator(given: ActuatorModel | None, m: int) -> Belief | None:
     """Return the knowledge about the actuator, or None without one.
 
     Args:
-        told: as a user tells it; an absent width is 0.
+        given: as a user tells it; an absent width is 0.
         m: number of inputs.
 
     Raises:
         InputError: or a subclass, that names the key.
     """
-    if told is None:
+    if given is None:
         return None
     key = "model.actuator"
     ranges = {}
     for side in SIDES:
-        interval = _range(f"{key}.{side}", _width_or_zero(getattr(told, side)), m)
+        interval = _range(f"{key}.{side}", _width_or_zero(getattr(given, side)), m)
         if interval is not None:
             ranges[side] = interval
-    if ranges and told.kind == "play":
+    if ranges and given.kind == "play":
         side = next(iter(ranges))
         raise InputError(
             f"{key}.{side}: the gaps of a play must be known numbers, found a range "
-            f"{getattr(told, side)}. Give a number; `undeadzone identify` measures it from a log"
+            f"{getattr(given, side)}. Give a number; `undeadzone identify` measures it from a log"
         )
     if not ranges:
-        return Belief(resolve_actuator(told, m, key), None)
+        return Belief(resolve_actuator(given, m, key), None)
     for side, other in (SIDES, SIDES[::-1]):
         if side not in ranges:
             raise InputError(
@@ -274,7 +274,7 @@ def believe_actuator(told: ActuatorModel | None, m: int) -> Belief | None:
                 f"{side} = [lo, hi], narrow if it is known"
             )
     middles = {side: interval.mean(axis=1).tolist() for side, interval in ranges.items()}
-    drive = resolve_actuator(msgspec.structs.replace(told, **middles), m, key)
+    drive = resolve_actuator(msgspec.structs.replace(given, **middles), m, key)
     return Belief(drive, np.concatenate([*ranges.values()]))
 
 

@@ -49,7 +49,7 @@ def smooth_backward(
         reading.
     """
     read_push, read_known = adjoint_information(moments.before, moments.read, moments.rows)
-    edge_push, edge_known = adjoint_information(moments.read, moments.heard, moments.edges)
+    edge_push, edge_known = adjoint_information(moments.read, moments.bounded, moments.edges)
     count, size = moments.before.mean.shape
     mean = np.empty((count, size))
     cov = np.empty((count, size, size))
@@ -63,8 +63,8 @@ def smooth_backward(
         if lost[k]:
             push = np.zeros(size)
             known = np.zeros((size, size))
-        P = moments.heard.cov[k]
-        mean[k] = moments.heard.mean[k] + P @ push
+        P = moments.bounded.cov[k]
+        mean[k] = moments.bounded.mean[k] + P @ push
         cov[k] = P - P @ known @ P
         stages = ((edge_push, edge_known, moments.read), (read_push, read_known, moments.before))
         for more, gained, belief in stages:

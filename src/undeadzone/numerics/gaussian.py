@@ -462,21 +462,21 @@ def truncate_at_bounds(
     H = ca.vertcat(*(bound.h for bound in bounds))
     K = P @ H.T
     G = H @ K
-    told = (_one_bound_moments if len(bounds) == 1 else _interval_moments)(bounds, G, R, limit)
+    moments = (_one_bound_moments if len(bounds) == 1 else _interval_moments)(bounds, G, R, limit)
     trust = ca.SX(1.0)
     likely = 1.0
     between = 0.0
     if fake is not None:
         wrong = ca.exp(fake)
-        trust = told.chance / (told.chance + wrong)
-        anything = ca.mmax(ca.vertcat(*told.used))
-        likely = ca.if_else(anything, told.chance + wrong, 1.0)
-        between = trust * (1 - trust) * (told.shift @ told.shift.T)
+        trust = moments.chance / (moments.chance + wrong)
+        anything = ca.mmax(ca.vertcat(*moments.used))
+        likely = ca.if_else(anything, moments.chance + wrong, 1.0)
+        between = trust * (1 - trust) * (moments.shift @ moments.shift.T)
     moving = K if moved is None else moved * K
-    certain = trust * told.lost
+    certain = trust * moments.lost
     lost = covariance_loss(K, moving, certain, between)
-    after = Gaussian(mean + moving @ (trust * told.shift), mirror_upper(P - lost))
-    return TruncationUpdate(after, told.used, trust, likely)
+    after = Gaussian(mean + moving @ (trust * moments.shift), mirror_upper(P - lost))
+    return TruncationUpdate(after, moments.used, trust, likely)
 
 
 class _BoundMoments(NamedTuple):
@@ -519,7 +519,7 @@ def _interval_moments(bounds: Sequence[Bound], G: Any, R: Any, limit: float) -> 
     std = ca.sqrt(ca.fmax(ca.diag(G), 0.0) + R)
     alpha = ca.fmax(-ca.vertcat(*(bound.excess for bound in bounds)) / std, -CLIP)
     use = ca.vertcat(*(bound.use for bound in bounds))
-    heard = ca.logic_and(use, alpha < limit)
+    is_used = ca.logic_and(use, alpha < limit)
     lower = ca.fmin(alpha[0], alpha[1])
     inside = ca.vertcat(_normal_cdf_limited(alpha[0]), _normal_cdf_limited(alpha[1]))
     other = ca.vertcat(inside[1], inside[0])
@@ -530,11 +530,11 @@ def _interval_moments(bounds: Sequence[Bound], G: Any, R: Any, limit: float) -> 
     pair = ratio * inside / left
     unsure = (1 - math.erf(limit / math.sqrt(2))) / 2
     both = ca.logic_and(use, 1 - inside > unsure * other)
-    both = ca.logic_and(ca.mmin(both), ca.logic_and(ca.mmax(heard), lower > -DEEP))
+    both = ca.logic_and(ca.mmin(both), ca.logic_and(ca.mmax(is_used), lower > -DEEP))
     both = ca.logic_and(both, _is_valid_covariance(_shift_and_loss(pair, alpha, std)[1], G))
-    asked = ca.if_else(heard, alpha, CLIP)
+    asked = ca.if_else(is_used, alpha, CLIP)
     first = asked[0] <= asked[1]
-    alone = ca.logic_and(heard, ca.vertcat(first, ca.logic_not(first)))
+    alone = ca.logic_and(is_used, ca.vertcat(first, ca.logic_not(first)))
     slope = ca.if_else(both, pair, ca.if_else(alone, ratio, 0.0))
     used = ca.logic_or(both, alone)
     likely = ca.fmin(each[0][0], each[1][0]) * (left / nearest)

@@ -486,10 +486,11 @@ def _step_contact_filter(
     )
     if setup.ones:
         arm = mean_posture(setup.gears, q.modes.model, whole.whole.mean, u)
-        heard = [
-            apply_gear_impulses(groups, told, whole.news, arm) for told in zip(*each, strict=True)
+        updated = [
+            apply_gear_impulses(groups, filters, whole.news, arm)
+            for filters in zip(*each, strict=True)
         ]
-        each = [list(told) for told in zip(*heard, strict=True)]
+        each = [list(filters) for filters in zip(*updated, strict=True)]
         ones = list(map(mix_posteriors, each, shares))
         parts = update_group_numbers(groups, setup.ones, drives, parts, ones, arm)
         coupling = ca.fmax(coupling, group_couplings(groups, arm))
@@ -515,8 +516,8 @@ def _weigh_filters(
     """
     after = []
     shares = []
-    for before, told in zip(odds, each, strict=True):
-        logs = TRUSTED * ca.vertcat(*(one.log for one in told))
+    for before, filters in zip(odds, each, strict=True):
+        logs = TRUSTED * ca.vertcat(*(one.log for one in filters))
         now, share = update_weights(before, logs, FAINTEST)
         shares.append((update_weights(before, 0.0, FAINTEST)[1], share))
         after.append(now)
@@ -609,7 +610,7 @@ def _to_contact_estimate(
     setup: Setup,
     q: Params,
     each: Sequence[Posterior],
-    told: Posterior,
+    whole: Posterior,
     doubt: Doubt,
     reading: Reading,
 ) -> Estimate:
@@ -620,7 +621,7 @@ def _to_contact_estimate(
     to those of their ranges. Starts that found other gaps add theirs, and so do jumps of a gap.
     """
     layout = Layout(setup.gears.joint_count)
-    mean = told.whole.mean
+    mean = whole.whole.mean
     N = layout.size
     of = layout.slice_of
     both = ca.SX.zeros(setup.model.p - N)  # of encoders at the motors too, which hide nothing
@@ -635,7 +636,7 @@ def _to_contact_estimate(
         unseen = q.modes.slack
     link = mean[:N] + centre - xi
     x = ca.vertcat(mean[:N], link, mean[2 * N : 4 * N])
-    var = partial(_row_variances, told.whole)
+    var = partial(_row_variances, whole.whole)
     contact = ca.SX(N, 1)
     for group, drive, one in zip(setup.groups, setup.drives, each, strict=True):
         contact[list(group)] = contact_balance(drive, one)
@@ -643,7 +644,7 @@ def _to_contact_estimate(
     rows = ca.DM.eye(layout.entry_count)
     halves, centres = (rows[of(name), :] for name in ("half", "centre"))
     z = setup.model.output(q.modes.model, x)
-    shown = build_estimate(x, z, right, left, reading, q.slope, setup.kind, told.e)
+    shown = build_estimate(x, z, right, left, reading, q.slope, setup.kind, whole.e)
     push = mean[of("push")] / setup.gears.gear_number(q.modes.model, "inertia")
     names = ("payload", *FRICTION)
     variances = var(rows[: 4 * N, :])
@@ -657,7 +658,7 @@ def _to_contact_estimate(
         right_std=ca.sqrt(ca.vertcat(var(halves + centres) + wide - certain, both) + give),
         left_std=ca.sqrt(ca.vertcat(var(halves - centres) + wide - certain, both) + give),
         width_std=2 * ca.sqrt(ca.vertcat(wide, both) + give),
-        innovation_std=told.std,
+        innovation_std=whole.std,
         w=ca.vertcat(ca.SX.zeros(2 * N), push, ca.SX.zeros(N)),
         theta=ca.vertcat(*(mean[of(name)] for name in names)),
         theta_std=ca.sqrt(ca.vertcat(*(var(rows[of(name), :]) for name in names))),

@@ -289,8 +289,10 @@ class Run(files.SignalResult):
         info, *signals = files.read_result(path, RUN, Info)
         verdicts = info.identifiable
         stds = translate_stds([one.get("std") for one in verdicts], info.schema, path)
-        told = [one | {"std": std} for one, std in zip(verdicts, stds, strict=True)]
-        return cls(msgspec.structs.replace(info, identifiable=told, schema=SCHEMA), *signals)
+        verdicts_with_std = [one | {"std": std} for one, std in zip(verdicts, stds, strict=True)]
+        return cls(
+            msgspec.structs.replace(info, identifiable=verdicts_with_std, schema=SCHEMA), *signals
+        )
 
 
 def last_samples(t: Floats) -> slice:
@@ -478,8 +480,8 @@ def _describe_identifiable(info: Info, outputs: Sequence[str]) -> dict[str, Any]
     if len(outputs) == 1:
         verdict = info.identifiable[0]
         geared = verdict.get("crossings") is not None
-        told = _describe_verdict(verdict) if geared else format_yes_no(verdict)
-        return {"identifiable": "; ".join([told, *verdict["reasons"]])}
+        answer = _describe_verdict(verdict) if geared else format_yes_no(verdict)
+        return {"identifiable": "; ".join([answer, *verdict["reasons"]])}
     why = []
     for name, verdict in zip(outputs, info.identifiable, strict=True):
         why += [f"{name}: {reason}" for reason in verdict["reasons"]]

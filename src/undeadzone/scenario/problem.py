@@ -126,13 +126,13 @@ def resolve_scenario(scenario: Scenario) -> Problem:
     actuator, belief = _actuator(scenario, true.m)
     if scenario.model is not None and scenario.model.play is not None:
         _require_play(scenario.model.play, sensor)
-    told = resolve_sensor(sensor_of_model(scenario), flow, step, rate)
+    assumed = resolve_sensor(sensor_of_model(scenario), flow, step, rate)
     require_branch_observer(scenario.observer, sensor)
     options = scenario.observer
     if path is not None:
         along = path.output_at(np.arange(steps + 1) * step)
         options = group_coupled_joints(options, model, along)
-    observer = watching(options, model, told, belief, step)
+    observer = watching(options, model, assumed, belief, step)
     _require_room(sensor, observer)
     require_gears("controller", scenario.controller, model)
     controller = use_gear_estimates(
@@ -180,40 +180,40 @@ def _require_no_samples(plant: System, model: System, sensor: Zone) -> None:
 
 
 def watching(
-    options: ObserverOptions, model: System, told: Zone, belief: Belief | None, step: float
+    options: ObserverOptions, model: System, assumed: Zone, belief: Belief | None, step: float
 ) -> Observer:
     """Return the observer of a model behind a sensor, built and checked.
 
     Args:
         options: of the observer.
         model: the model, of one step if sampled.
-        told: the sensor as the observer knows it.
+        assumed: the sensor as the observer knows it.
         belief: state of knowledge about the actuator (None: there is none).
         step: of the simulation, or between samples [s].
 
     Raises:
         InputError: or a subclass, that names the key.
     """
-    require_branch_observer(options, told)
+    require_branch_observer(options, assumed)
     require_gears("observer", options, model)
-    observer = build_with_actuator(options, model, told, belief)
+    observer = build_with_actuator(options, model, assumed, belief)
     require_bounded_error(model, observer, step)
     return observer
 
 
 def describe_actuator(scenario: Scenario) -> ActuatorModel | None:
     """Return the model of the actuator as options, or None without an actuator."""
-    told = None if scenario.model is None else scenario.model.actuator
+    given = None if scenario.model is None else scenario.model.actuator
     if scenario.actuator is None:
-        return told
+        return given
     keys = ActuatorModel.__struct_fields__
-    return ActuatorModel(**_given_keys(scenario.actuator, keys) | _given_keys(told, keys))
+    return ActuatorModel(**_given_keys(scenario.actuator, keys) | _given_keys(given, keys))
 
 
 def sensor_of_model(scenario: Scenario) -> Sensor:
     """Return the sensor as observers know it, as options: with the values of [model]."""
-    told = _given_keys(scenario.model, ("load_friction", "play"))
-    return msgspec.structs.replace(scenario.sensor, **told)
+    given = _given_keys(scenario.model, ("load_friction", "play"))
+    return msgspec.structs.replace(scenario.sensor, **given)
 
 
 def _given_keys(table: msgspec.Struct | None, keys: Iterable[str]) -> dict[str, Any]:
@@ -235,10 +235,10 @@ def _require_numbers(sensor: Zone) -> None:
         )
 
 
-def _require_play(told: Array, sensor: Zone) -> None:
+def _require_play(given: Array, sensor: Zone) -> None:
     """Raise InputError unless [model] gives possible gaps of an existing play."""
-    gaps_of(told, sensor.right.size, "model.play")
-    if sensor.play is None and np.any(told):
+    gaps_of(given, sensor.right.size, "model.play")
+    if sensor.play is None and np.any(given):
         raise InputError(
             "model.play: the sensor has no play ahead of its dead zone. Give sensor.play, or leave "
             "it out"

@@ -112,7 +112,7 @@ def _complete_tables(data: dict[str, Any]) -> dict[str, Any]:
     method = observer.get("method") if isinstance(observer, dict) else None
     if isinstance(sensor, dict):
         for width in ("right", "left"):
-            if width not in sensor and method in _TOLD_THE_WIDTHS:
+            if width not in sensor and method in _KNOW_THE_WIDTHS:
                 raise InputError(
                     f"sensor.{width}: missing; observer.method {method!r} needs the true widths"
                 )
@@ -139,7 +139,7 @@ _OTHER_FILES: Final = {  # files given in place of a scenario, and their right c
     ".yaml": "; a scenario is a TOML file: undeadzone init mine.toml",
     ".m": "; a scenario is a TOML file: undeadzone init mine.toml",
 }
-_TOLD_THE_WIDTHS: Final = ("oracle", "full_state")  # methods that take the sensor's own widths
+_KNOW_THE_WIDTHS: Final = ("oracle", "full_state")  # methods that take the sensor's own widths
 
 
 def _text(path: Path) -> str:

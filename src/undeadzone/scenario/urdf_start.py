@@ -81,8 +81,8 @@ def _gears(found: Survey, swing: Floats, widths: Floats) -> dict[str, Any]:
     friction = np.fmin(FRICTION * found.body.chain.torque, most)
     guessed = {"half": GAP * widths, "inertia": _links(found), "friction": friction}
     written = {name: _toml_numbers(numbers) for name, numbers in guessed.items()}
-    told = {name: json.loads(numbers) for name, numbers in written.items()}
-    arm = build_geared_arm(found.body.chain, Gears(**told))
+    numbers_of_gears = {name: json.loads(numbers) for name, numbers in written.items()}
+    arm = build_geared_arm(found.body.chain, Gears(**numbers_of_gears))
     postures = found.q + np.linspace(-1, 1, PLACES)[:, None] * swing
     steps = int(np.ceil(STEP * fastest_contact(arm, arm.values, postures) / RESOLVED))
     ranges = [f"[0.0, {float(f'{WIDER * width:.3g}')}]" for width in widths]

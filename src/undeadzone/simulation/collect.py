@@ -76,7 +76,7 @@ def verdicts_of_run(problem: Problem, signal: Outputs) -> list[WidthIdentifiabil
 
 def _verdicts_on_gaps(problem: Problem, x: Floats) -> list[WidthIdentifiability]:
     """Return the identifiability of each joint's gears. Encoders at motors add nothing to it."""
-    from undeadzone.analysis.identifiability.flanks import Listener, gap_identifiability
+    from undeadzone.analysis.identifiability.flanks import StrikeDetector, gap_identifiability
 
     plant = problem.plant
     path = problem.path
@@ -93,8 +93,8 @@ def _verdicts_on_gaps(problem: Problem, x: Floats) -> list[WidthIdentifiability]
         unknown = unknown_torques(problem.model, gears, 0.0)[0]
     crossing = getattr(problem.scenario.controller, "crossing", math.inf)
     noise = problem.sensor.rms[-N:]
-    told = Listener(traits.groups or [range(N)], unknown, FADING, JERK, noise, crossing)
-    verdicts = gap_identifiability(gears, plant.params, x, along, step, told)
+    detector = StrikeDetector(traits.groups or [range(N)], unknown, FADING, JERK, noise, crossing)
+    verdicts = gap_identifiability(gears, plant.params, x, along, step, detector)
     return verdicts * (plant.p // N)
 
 

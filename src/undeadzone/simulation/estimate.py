@@ -274,7 +274,7 @@ def _graphs(model: System, observer: Observer, sensor: Zone) -> _Graphs:
     beliefs = [Gaussian(np.zeros(one.before.mean.shape), one.before.cov) for one in like]
     wide = []
     for one in like:
-        size = one.heard.mean.size if one.doubted[0].size else 0
+        size = one.bounded.mean.size if one.doubted[0].size else 0
         wide.append(np.zeros((size, size)))
     row, (seen, more, share, kept) = tree.create_symbols(
         (tuple(beliefs), tuple(wide), np.zeros(len(like)), record), "r"
@@ -347,15 +347,15 @@ def _smooth_doubts(
         one: moments of a member, with arrays of a row a sample.
         later: information of the samples after the block on each column.
     """
-    shape = (*one.heard.mean.shape, len(later))
+    shape = (*one.bounded.mean.shape, len(later))
     before, after = (part.reshape(shape) for part in one.doubted)
-    added = np.zeros(one.heard.cov.shape) if later else np.zeros((len(one.log), 0))
+    added = np.zeros(one.bounded.cov.shape) if later else np.zeros((len(one.log), 0))
     firsts = []
     for k, known in enumerate(later):
         moved = one._replace(
             before=one.before._replace(mean=before[:, :, k]),
             read=one.read._replace(mean=after[:, :, k]),
-            heard=one.heard._replace(mean=after[:, :, k]),
+            bounded=one.bounded._replace(mean=after[:, :, k]),
         )
         column, _, first = smooth_backward(moved, known)
         added += column[:, :, None] * column[:, None, :]

@@ -71,8 +71,8 @@ def feedback_shares(
         whole = LARGER / (1 + LARGER) * _rms(larger.z[half])
         share = 1 - _rms(left[half]) / whole
         moves = whole > STILL * np.abs(larger.z).max(axis=0)
-    told: list[float] = np.where(moves & np.isfinite(share), share, np.nan).tolist()
-    return told
+    shares: list[float] = np.where(moves & np.isfinite(share), share, np.nan).tolist()
+    return shares
 
 
 def _perturbed_start(start: Start | None, other: Problem) -> Start | None:

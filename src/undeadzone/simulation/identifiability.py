@@ -66,8 +66,8 @@ def linear_verdicts(
     if sensor.play is not None:
         return _of_both(problem, schedule, arrive)
     readings = readings_of(problem, schedule, arrive)
-    alone = _with_deviations(problem, schedule, readings._replace(told=None))
-    if readings.told is None:
+    alone = _with_deviations(problem, schedule, readings._replace(prior=None))
+    if readings.prior is None:
         return alone
     claimed = _with_deviations(problem, schedule, readings)
     return [by_claims(problem.observer.traits, *pair) for pair in zip(alone, claimed, strict=True)]
@@ -79,10 +79,10 @@ def _with_deviations(
     """Return verdicts with the deviations of the widths, from the readings and the prior."""
     linear = problem.model.linear
     bias = readings.bias
-    told = readings.told
+    prior = readings.prior
     expected = optimal_deviations(linear, schedule, readings)
     judged = []
-    for i, verdict in enumerate(width_identifiability(linear, schedule, bias, told=told)):
+    for i, verdict in enumerate(width_identifiability(linear, schedule, bias, prior=prior)):
         known = as_far_as_known(problem, schedule, verdict, i, expected.widths[i])
         judged.append(known._replace(second=_second(problem, expected, readings, i)))
     return judged
@@ -112,13 +112,13 @@ def _of_both(problem: Problem, schedule: Schedule, arrive: Floats) -> list[Width
     play = problem.sensor.play
     assert play is not None
     readings = readings_of(problem, schedule, arrive)
-    for i, told in enumerate(gap_and_width_information(problem.model.linear, schedule, readings)):
-        assert told.zone.std is not None
-        zone = as_far_as_known(problem, schedule, told.zone, i, told.zone.std)
+    for i, one in enumerate(gap_and_width_information(problem.model.linear, schedule, readings)):
+        assert one.zone.std is not None
+        zone = as_far_as_known(problem, schedule, one.zone, i, one.zone.std)
         gap = float(play.right[i] + play.left[i])
-        if gap < told.gap_std < np.inf:
+        if gap < one.gap_std < np.inf:
             zone = zone.add_reasons(
-                f"the gap {gap:.3g} is not known: noise leaves it a deviation of {told.gap_std:.3g}"
+                f"the gap {gap:.3g} is not known: noise leaves it a deviation of {one.gap_std:.3g}"
             )
         judged.append(zone)
     return judged
@@ -131,7 +131,7 @@ def readings_of(problem: Problem, schedule: Schedule, arrive: Floats) -> Reading
     traits = problem.observer.traits
     model = problem.model
     least = EXACT * float(schedule.levels.max(initial=0.0)) or EXACT
-    told = prior_rows(model.n, model.p, traits.start_std, traits.centre_std, least)
+    prior = prior_rows(model.n, model.p, traits.start_std, traits.centre_std, least)
     return ReadingConditions(
         noise=problem.sensor.rms,
         step=simulation.step,
@@ -139,7 +139,7 @@ def readings_of(problem: Problem, schedule: Schedule, arrive: Floats) -> Reading
         arrive=arrive,
         bias=constant_inputs(problem, model.linear.B),
         colour=unknown_inputs(disturbance, model.linear.B, simulation.duration),
-        told=told if len(told) else None,
+        prior=prior if len(prior) else None,
         gaps_known=gaps_known(problem),
     )
 
@@ -298,10 +298,10 @@ def _with_false_actuator(problem: Problem, verdict: WidthIdentifiability) -> Wid
     if actuator is None or belief is None:
         return verdict
     true = np.stack([actuator.right, actuator.left])
-    told = np.stack([belief.drive.right, belief.drive.left])
+    assumed = np.stack([belief.drive.right, belief.drive.left])
     if actuator.is_play or belief.drive.is_play:
-        true, told = (_gaps_or_widths(one) for one in (actuator, belief.drive))
-    if _meets_assumptions(true, told, belief.ranges).all():
+        true, assumed = (_gaps_or_widths(one) for one in (actuator, belief.drive))
+    if _meets_assumptions(true, assumed, belief.ranges).all():
         return verdict
     reason = f"a false claim: model.actuator excludes the actuator's widths, {true.tolist()}"
     return verdict.add_reasons(reason, **NONE)
@@ -313,9 +313,9 @@ def _gaps_or_widths(drive: Drive) -> Floats:
     return np.stack([drive.right, drive.left, *gaps])
 
 
-def _meets_assumptions(true: Floats, told: Floats, ranges: Floats | None) -> np.ndarray:
+def _meets_assumptions(true: Floats, assumed: Floats, ranges: Floats | None) -> np.ndarray:
     """Return whether true [right, left] (2 x each) equal assumed ones or lie in their ranges."""
-    low, high = (told, told) if ranges is None else ranges.T.reshape(2, *true.shape)
+    low, high = (assumed, assumed) if ranges is None else ranges.T.reshape(2, *true.shape)
     slack = ROUNDING * true
     return np.asarray((low - slack <= true) & (true <= high + slack))
 

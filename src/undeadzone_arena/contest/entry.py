@@ -92,14 +92,14 @@ def _method_model(method: Method, scenario: Scenario, prior: PriorKnowledge) -> 
     the middle of these.
     """
     model = scenario.model
-    told = describe_actuator(scenario)
+    given = describe_actuator(scenario)
     if method.reference:
         return None if model is None else msgspec.structs.replace(model, actuator=None)
     estimates = method.observer.__struct_config__.tag in ESTIMATORS
-    if model is None or told is None or prior.actuator is None or estimates:
+    if model is None or given is None or prior.actuator is None or estimates:
         return model
     middles = {side: getattr(prior.actuator.drive, side).tolist() for side in SIDES}
-    plain = msgspec.structs.replace(told, **middles)
+    plain = msgspec.structs.replace(given, **middles)
     return msgspec.structs.replace(model, actuator=plain)
 
 

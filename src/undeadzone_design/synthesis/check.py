@@ -286,8 +286,8 @@ def _prove_on_linear_model(problem: Problem, gains: Gains) -> tuple[dict[str, An
         reasons.append(f"{REFUSED}{proof.reason}")
     if speed.rate < 0:
         reasons.append("the error grows along the reference")
-    told = problem.observer.traits.told or problem.sensor.kind == "jump"
-    if not told and not gains.gamma.all():
+    knows_widths = problem.observer.traits.knows_widths or problem.sensor.kind == "jump"
+    if not knows_widths and not gains.gamma.all():
         reasons.append(
             "gamma = 0: the widths are not corrected and keep the error that they begin with; "
             "rate and bounds leave it out"
@@ -378,8 +378,8 @@ def describe_check(found: Check) -> list[Block]:
         shown |= _describe_output(scenario, found.known[0])
     if found.shape:
         shown["shape"] = _describe_shape(found)
-    if told := in_words_of_truths([one.second for one in found.known]):
-        shown["same readings"] = told
+    if alike := in_words_of_truths([one.second for one in found.known]):
+        shown["same readings"] = alike
     if reasons := [reason for reason in found.reasons if not reason.startswith(REFUSED)]:
         shown["why"] = reasons
     if found.cures:
@@ -477,10 +477,10 @@ def _describe_decay(found: Check) -> dict[str, str]:
 
 def _describe_coasting(overrun: Sequence[float | None]) -> str:
     """Return whether the load behind a backlash rests in its gap."""
-    told = ", ".join(f"{number:.3g}" for number in overrun if to_json_value(number) is not None)
-    if not told:
+    numbers = ", ".join(f"{number:.3g}" for number in overrun if to_json_value(number) is not None)
+    if not numbers:
         return "cannot be told: the reference has corners"
-    return f"J a / f = {told}: below 1 the load rests against its contact"
+    return f"J a / f = {numbers}: below 1 the load rests against its contact"
 
 
 def _describe_output(scenario: Scenario, one: Knowledge) -> dict[str, str]:

@@ -34,10 +34,10 @@ def compute_shape_costs(problem: Problem) -> tuple[dict[str, float], ...]:
     return tuple(costs)
 
 
-def _final_variances(problem: Problem, told: dict[str, Any]) -> Floats:
+def _final_variances(problem: Problem, changes: dict[str, Any]) -> Floats:
     """Return the variance of each width at the end of a run with another assumed sensor (p)."""
     scenario = problem.scenario
-    sensor = msgspec.structs.replace(scenario.sensor, **told)
+    sensor = msgspec.structs.replace(scenario.sensor, **changes)
     run: Run = simulate(msgspec.structs.replace(scenario, sensor=sensor), check_step=False)
     assert run.width_std is not None
     return np.asarray(run.width_std[-1] ** 2)

@@ -325,8 +325,8 @@ def _is_noise_ahead(y: Floats, silent: Flags, options: Options) -> bool:
         )
     if options.noise != "auto":
         return options.noise == "before"
-    told = options.threshold is not None
-    return bool(silent.sum() > ZEROS * silent.size and (told or _has_lasting_zeros(y)))
+    is_given = options.threshold is not None
+    return bool(silent.sum() > ZEROS * silent.size and (is_given or _has_lasting_zeros(y)))
 
 
 def _has_lasting_zeros(y: Floats) -> bool:

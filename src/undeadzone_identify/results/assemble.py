@@ -215,12 +215,14 @@ class Answer(NamedTuple):
         simulator, theta = self.plant
         layout = simulator.layout
         data = simulator.data
-        told = self.fit.objective.robust_covariance(theta) if self.element is None else self.element
+        estimate = (
+            self.fit.objective.robust_covariance(theta) if self.element is None else self.element
+        )
         count = layout.numerators.stop
         scale = np.ones(count)
         factors = np.repeat(data.y_scale / data.u_scale, layout.n)
         scale[layout.numerators] = factors
-        V = told.V[:count, :count] * np.outer(scale, scale)
+        V = estimate.V[:count, :count] * np.outer(scale, scale)
         return layout, theta[layout.denominator], theta[layout.numerators] * factors, V
 
     @property
@@ -431,9 +433,9 @@ def _validate_findings(case: Case, found: Findings) -> OrderFit:
 
 def _add_edges(answer: Answer) -> Answer:
     """Return the answer with the edges of a sensor's zone."""
-    heard = has_input_residual(answer.fit)
-    shown = _jump_widths(answer.case) or _log_unit_widths(answer, 2.0 if heard else 1.0)
-    remarks = [*_delay_remarks(answer), *_edge_remarks(answer, shown, heard)]
+    has_residual = has_input_residual(answer.fit)
+    shown = _jump_widths(answer.case) or _log_unit_widths(answer, 2.0 if has_residual else 1.0)
+    remarks = [*_delay_remarks(answer), *_edge_remarks(answer, shown, has_residual)]
     remarks += _widen_rare_edges(answer, shown)
     doubt = _doubt_of_zero(shown) or _doubt_of_unmoved(answer, shown)
     if doubt:
@@ -669,9 +671,9 @@ def prior_width_range(answer: Answer, side: str) -> tuple[float, float]:
     edge = answer.right if side == "right" else answer.left
     assert isinstance(edge, Interval)
     low, high = answer.case.options.parse_bounds(side)
-    told = _interval_of_prior(answer, side, edge)
-    low = max(told.low, low, 0.0)
-    high = min(told.high, high)
+    prior = _interval_of_prior(answer, side, edge)
+    low = max(prior.low, low, 0.0)
+    high = min(prior.high, high)
     if not math.isfinite(high):
         is_input = answer.verdict == "input_zone"
         cure = "Record an input that passes it" if is_input else f"Bound it by --{side} LOW,HIGH"
@@ -683,8 +685,8 @@ def prior_element_range(element: Element, interval: Interval) -> tuple[float, fl
     """Return the 99.9 % interval, not below 0, of a width of another element than a dead zone
     [y].
     """
-    told = interval.stretch_by(_interval_growth(element.degrees))
-    return _widen_to_rounding(max(told.low, 0.0), told.high)
+    prior = interval.stretch_by(_interval_growth(element.degrees))
+    return _widen_to_rounding(max(prior.low, 0.0), prior.high)
 
 
 def _widen_to_rounding(low: float, high: float) -> tuple[float, float]:

@@ -237,14 +237,14 @@ def _score_by_interval(answer: Answer, name: str, account: ModelAccount) -> Iter
     """Yield the candidates with the share of an interval that each leaves."""
     row = account.interval_weights(name)
     (_, rows) = account.information_rows(begins_at_rest=False)
-    told = rows.T @ rows
-    scale = 1 / np.sqrt(np.diag(told) + 1e-300)
-    told = told * np.outer(scale, scale) + 1e-12 * np.eye(scale.size)
+    information = rows.T @ rows
+    scale = 1 / np.sqrt(np.diag(information) + 1e-300)
+    information = information * np.outer(scale, scale) + 1e-12 * np.eye(scale.size)
     row = row * scale
-    before = float(row @ np.linalg.solve(told, row))
+    before = float(row @ np.linalg.solve(information, row))
     for kind, data in _candidate_records(answer, account):
         new = account.account_along(data).information_rows(begins_at_rest=True)[1] * scale
-        after = float(row @ np.linalg.solve(told + new.T @ new, row))
+        after = float(row @ np.linalg.solve(information + new.T @ new, row))
         yield _to_next_log(answer, kind, data, name, math.sqrt(after / before), None)
 
 
@@ -254,14 +254,16 @@ def _score_by_separation(answer: Answer, first: str, second: str) -> Iterator[Ne
     one = known[first]
     other = known[second]
     _, rows = other.information_rows(begins_at_rest=False)
-    told = rows.T @ rows + 1e-9 * np.eye(rows.shape[1])
+    information = rows.T @ rows + 1e-9 * np.eye(rows.shape[1])
     noise = max(answer.chosen.error, answer.case.quantum / math.sqrt(12), 1e-6)
     for kind, data in _candidate_records(answer, one):
         here, _ = one.account_along(data).information_rows(begins_at_rest=True)
         there, new = other.account_along(data).information_rows(begins_at_rest=True)
         apart = here - there
         gradient = new.T @ apart
-        left = float(apart @ apart - gradient @ np.linalg.solve(told + new.T @ new, gradient))
+        left = float(
+            apart @ apart - gradient @ np.linalg.solve(information + new.T @ new, gradient)
+        )
         nats = max(left, 0.0) / (2 * noise**2)
         yield _to_next_log(answer, kind, data, f"{first} from {second}", None, nats)
 

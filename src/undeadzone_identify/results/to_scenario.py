@@ -133,8 +133,8 @@ def _zone_fields(answers: Sequence[Answer]) -> dict[str, str]:
         actuator = f"{lines}\n# {_ends_of_input(first)}", ranges
     if first.element is not None and first.element.input:
         right, left = (first.element.input[side] for side in SIDES)
-        told = [[prior_element_range(first.element, edge)] for edge in (right, left)]
-        actuator = _width_lines([_require_nonnegative(first, right, left)]), _range_lines(told)
+        prior = [[prior_element_range(first.element, edge)] for edge in (right, left)]
+        actuator = _width_lines([_require_nonnegative(first, right, left)]), _range_lines(prior)
     names = ("sensor", "told_sensor", "actuator", "told_actuator")
     return dict(zip(names, (*sensor, *actuator), strict=True))
 
@@ -152,8 +152,10 @@ def _gap_of_actuator(answer: Answer) -> str:
     if gap is None or answer.element is None:
         raise InputError("scenario: no plant that settles fits behind the play; record longer")
     half = _toml_number(gap.value / 2)
-    told = f"right = {half}  # gap {gap.value:.6g}, 95 %: {_interval_remark([gap])}; even sides"
-    return f'kind = "play"\n{told}\nleft = {half}'
+    first_line = (
+        f"right = {half}  # gap {gap.value:.6g}, 95 %: {_interval_remark([gap])}; even sides"
+    )
+    return f'kind = "play"\n{first_line}\nleft = {half}'
 
 
 def _shape_fields(answers: Sequence[Answer]) -> dict[str, str]:

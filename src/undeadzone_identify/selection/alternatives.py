@@ -256,11 +256,11 @@ def impossible_words(case: Case) -> Collection[str]:
     """Return the classes that are impossible: by the user's options, or by exact zeros under
     noise.
     """
-    told = PLACED.get(case.options.place)
+    placed = PLACED.get(case.options.place)
     out = set(MEMORY) if case.options.kind == "deadzone" else set()
-    out |= set() if told is None else set(MODELS) - {"none", told}
+    out |= set() if placed is None else set(MODELS) - {"none", placed}
     fit = case.chosen.singles
-    if not case.record_data.silent_zeros or case.jump_edges or told is not None:
+    if not case.record_data.silent_zeros or case.jump_edges or placed is not None:
         return out
     speaks = case.record_data.ok & (case.record_data.side != 0)
     loud = white_noise_rms(
@@ -552,11 +552,11 @@ def _zones_element(zoned: InputZoneFit, case: Case) -> Element:
         measured = measure_levels(itemgetter(sensor), zoned.stages)
         widths = _intervals_with_offset(measured, whole.y_scale, case.offset_prior)
     target, last = zoned.stages[-1]
-    e, heard = (
+    e, use = (
         fit.squares.reading_residual(numbers),
         data.ok & ((data.side != 0) | (not data.silent_zeros)),
     )
-    rms = root_mean_square(e[heard])
+    rms = root_mean_square(e[use])
     return Element(
         kind=model.name,
         fit=fit,

@@ -191,8 +191,8 @@ class Feedback(NamedTuple):
         """Return whether the input depends on the readings."""
         if self.answered is None:
             return self.chance <= least_squares.CHANCE
-        heard = self.answered > 0 and self.chance <= least_squares.CHANCE
-        return heard or self.answered > MOSTLY
+        is_significant = self.answered > 0 and self.chance <= least_squares.CHANCE
+        return is_significant or self.answered > MOSTLY
 
 
 def detect_feedback(case: Case) -> Feedback:

@@ -113,7 +113,7 @@ def needs_motion_test(log: Log) -> bool:
     Args:
         log: with one output.
     """
-    return _is_alike(log) or _is_told(log) or _is_summed(log) or not _has_grid(log)
+    return _is_alike(log) or _has_goal(log) or _is_summed(log) or not _has_grid(log)
 
 
 def _has_grid(log: Log) -> bool:
@@ -148,7 +148,7 @@ def find_lost_motion(log: Log, options: Options) -> tuple[LostMotionAnswer | Non
         bent_fit, bent_found = best_structure(data, bent)
         if bent_found.bic() < curved.bic():
             fit, found = bent_fit, bent_found
-    is_goal, alike = _is_told(log), _is_alike(log)
+    is_goal, alike = _has_goal(log), _is_alike(log)
     white = is_white(found, quantum)
     others = [found]
     if not white and late and (alike or is_goal):
@@ -229,7 +229,7 @@ def positions_of(log: Log, options: Options) -> tuple[Positions | None, bool]:
     if not np.finfo(float).tiny < min(squares) <= max(squares) < np.inf:
         return None, False
     steps = printed_step(u[there]), printed_step(y[there])
-    return Positions(t[there], u[there], y[there], *steps, _is_told(log)), is_summed
+    return Positions(t[there], u[there], y[there], *steps, _has_goal(log)), is_summed
 
 
 def _is_summed(log: Log) -> bool:
@@ -248,7 +248,7 @@ def drive_of(log: Log) -> Floats | None:
 
 def without_drive(log: Log) -> Log:
     """Return a log without the current of a servo, which drives nothing that its goal does not."""
-    if drive_of(log) is None or not _is_told(log):
+    if drive_of(log) is None or not _has_goal(log):
         return log
     return log._replace(u=log.u[:, :1], inputs=log.inputs[:1])
 
@@ -259,7 +259,7 @@ def _is_named(name: str, words: tuple[str, ...]) -> bool:
     return any(word in plain for word in words)
 
 
-def _is_told(log: Log) -> bool:
+def _has_goal(log: Log) -> bool:
     """Return whether the input is the goal of a servo."""
     return _is_named(log.inputs[0], GOALS)
 
@@ -306,9 +306,9 @@ def _widest(fit: MotionFit, found: LostMotion, others: list[LostMotion]) -> Inte
     return Interval(gap.value, max(low, 0.0), max(gap.high, max(gaps)) + more)
 
 
-def _may_float(log: Log, is_told: bool, white: bool) -> bool:
+def _may_float(log: Log, has_goal: bool, white: bool) -> bool:
     """Return whether a load may float in the gap between two positions that are read."""
-    alike = _is_alike(log) and not is_told and not white
+    alike = _is_alike(log) and not has_goal and not white
     return alike and log.t.size >= FEWEST_LATE and _has_grid(log)
 
 

@@ -308,12 +308,12 @@ def loop_p_value(fit: zone_fit.ZoneFit, u: Floats) -> float:
         u: the inputs as they were recorded, or what else may answer (N x m).
     """
     value, use = one_step_residuals(fit, fit.objective.data.ok)
-    heard = _lag_columns(np.where(use, value, 0.0)[:, None], range(FEEDBACK_LAGS))
+    lagged = _lag_columns(np.where(use, value, 0.0)[:, None], range(FEEDBACK_LAGS))
     inside = rows_since_start(fit.objective.data.start, value.size) >= PAST_INPUTS
     left = [
         regression_residual(_lag_columns(column[:, None])[inside], column[inside]) for column in u.T
     ]
-    chances = [regress_residual(heard[inside], one)[-1] for one in left]
+    chances = [regress_residual(lagged[inside], one)[-1] for one in left]
     return min(1.0, len(chances) * min(chances))
 
 
@@ -332,7 +332,7 @@ def feedback_share(
         r: what else makes it, now and before (N x k), NaN if it is missing.
         start: first sample of each record (R).
     """
-    wanted, heard = (
+    wanted, lagged = (
         _lag_columns(r, range(PAST_INPUTS + 1)),
         _lag_columns(y[:, None], range(FEEDBACK_LAGS)),
     )
@@ -344,7 +344,7 @@ def feedback_share(
     for column in moved[known].T:
         left, said = (
             regression_residual(own[known], column),
-            regression_residual(own[known], heard[known]),
+            regression_residual(own[known], lagged[known]),
         )
         if np.std(left) > ALONE * np.std(column):
             found.append(regress_residual(said, left)[2:])

@@ -304,8 +304,8 @@ def _score(case: Case, fits: LoopFits, v: Floats, part: slice) -> tuple[HeldOutS
     scale, errors = fits.log.deviation, []
     for position in (v, fits.log.u):
         columns = regression.regressors(position, lags)
-        told = np.linalg.lstsq(columns[train], regression.y[train], rcond=1e-9)[0]
-        errors.append((regression.y - columns @ told) * scale)
+        coefficients = np.linalg.lstsq(columns[train], regression.y[train], rcond=1e-9)[0]
+        errors.append((regression.y - columns @ coefficients) * scale)
     rms, without = (root_mean_square(e[~train]) for e in errors)
     share = 1 - rms / max(float(regression.y[~train].std()) * scale, 1e-12)
     return HeldOutScore(rms, share, is_white(errors[0], ~train)), without

@@ -71,11 +71,13 @@ def find_widths(
     Returns:
         Values of the last stage, with the widest of the stages' intervals.
     """
-    told = _collect_stages(chosen, kalman)
-    stages = {name: one.edges for name, one in told.items()}
+    collected = _collect_stages(chosen, kalman)
+    stages = {name: one.edges for name, one in collected.items()}
     last = list(stages)[-1]
     remarks: list[str] = []
-    by_half = {name: max(told.values(), key=lambda one: one.halves[name]) for name in DIRECTIONS}
+    by_half = {
+        name: max(collected.values(), key=lambda one: one.halves[name]) for name in DIRECTIONS
+    }
     widest = {name: one.halves[name] for name, one in by_half.items()}
     degrees = {name: one.degrees[name] for name, one in by_half.items()}
     if any(_stage_gap(stages, DIRECTIONS[name], "L3") > widest[name] for name in ("right", "left")):
@@ -102,7 +104,7 @@ def find_widths(
             "fits of single samples and of pairs disagree: the plant model does not fit; the"
             " intervals are widened by the difference"
         )
-    halves = {name: one.halves for name, one in told.items()}
+    halves = {name: one.halves for name, one in collected.items()}
     return WidthEstimates(
         **intervals, stages=stages, halves=halves, degrees=degrees, remarks=remarks
     )

@@ -138,7 +138,7 @@ DEGREES = 60  # of freedom at most
 DISAGREES = 4.0  # standard errors by which crossings may say another gap
 TICKS = 0.5  # quanta by which they may besides
 NOISES = 2.0  # rms of the noise by which they may besides
-HEARD = 3.0  # rms of the noise, below which friction that gives way is no other than a gap
+LEAST_GAP = 3.0  # rms of the noise, below which friction that gives way is no other than a gap
 CLOSE = 0.02  # of the gap, by which they may in any case
 WIDEST = 0.5  # of the gap: half of an interval that is an answer
 SETTLES = 3.0  # time constants of a log, below which a lag is an integrator
@@ -188,7 +188,7 @@ class ServoGap(NamedTuple):
     def least_gap(self) -> float:
         """Return the gap below which none matters: an encoder's step, or the noise of readings."""
         log = self.log
-        return (log.quantum if log.ticks else HEARD * reading_noise_rms(log)) * log.y_scale
+        return (log.quantum if log.ticks else LEAST_GAP * reading_noise_rms(log)) * log.y_scale
 
     @property
     def is_gap_reported(self) -> bool:
@@ -360,12 +360,12 @@ class _GapUncertainty:
         turned = np.cumsum((log if log.ticks else to_schmitt_ticks(log)).reversal_ticks)
         self.reversals = int(turned[-1])
         used = ServoLikelihood(log).used
-        told = spread.scores @ spread.naive[:, place]  # of the gap, by each error
-        runs = np.bincount(turned[used], told)
+        shares = spread.scores @ spread.naive[:, place]  # of the gap, by each error
+        runs = np.bincount(turned[used], shares)
         whole = float(runs @ runs)
         of_runs = max(whole + float(runs[1:] @ runs[:-1]), 0.5 * whole)
         few = runs.size / max(runs.size - 1, 1)
-        variances = spread.V[place, place], float(told @ told), of_runs * few
+        variances = spread.V[place, place], float(shares @ shares), of_runs * few
         self.error = math.sqrt(max(*variances, 0.0))
 
 

@@ -255,18 +255,20 @@ def tick_predictor(what: str = "all") -> lanes.Kernel:
     error = at - x[0]
     gain = [ca.if_else(side != 0, P[k, 0] / S, 0.0) for k in range(3)]
     seen = ca.vertcat(error, 0.5 * ca.log(S), x[0], x[1])
-    heard = [x[k] + gain[k] * error for k in range(3)]
+    updated = [x[k] + gain[k] * error for k in range(3)]
     left = ca.if_else(side != 0, R / S, 1.0)
     after = P - ca.vertcat(*gain) @ P[0, :]
     for k in range(3):
         after[0, k] = left * P[0, k]
         after[k, 0] = left * P[0, k]
     P = after
-    against = ca.logic_and(side != 0, heard[1] * side <= 0)
+    against = ca.logic_and(side != 0, updated[1] * side <= 0)
     against = ca.logic_and(against, ca.logic_not(turned))
-    heard[1] = ca.if_else(against, side * SLOWEST, heard[1])
-    level = ca.if_else(side != 0, heard[0] - side * lane.gap / 2, drag_load(lane, level, heard[0]))
-    following = ca.vertcat(*heard, x[3], *_upper_part(P), ca.if_else(starts, 0.0, level))
+    updated[1] = ca.if_else(against, side * SLOWEST, updated[1])
+    level = ca.if_else(
+        side != 0, updated[0] - side * lane.gap / 2, drag_load(lane, level, updated[0])
+    )
+    following = ca.vertcat(*updated, x[3], *_upper_part(P), ca.if_else(starts, 0.0, level))
     return _build_predictor(
         "ticks", state, signals, numbers, _PredictorOutput(following, seen, counts), what
     )
@@ -316,10 +318,10 @@ def noise_predictor(what: str = "all") -> lanes.Kernel:
     with_level = (1 - slope) * with_level + slope * P[:, 0]
     S = own + R
     error = reading - level
-    heard = ca.logic_and(there, ca.logic_not(starts))
+    is_read = ca.logic_and(there, ca.logic_not(starts))
     seen = ca.vertcat(error, 0.5 * ca.log(S), x[0], x[1])
-    gain = ca.if_else(heard, with_level / S, ca.SX.zeros(3))
-    gain_own = ca.if_else(heard, own / S, 0.0)
+    gain = ca.if_else(is_read, with_level / S, ca.SX.zeros(3))
+    gain_own = ca.if_else(is_read, own / S, 0.0)
     after = [x[k] + gain[k] * error for k in range(3)]
     P = P - gain @ with_level.T
     following = ca.vertcat(

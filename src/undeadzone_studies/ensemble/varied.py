@@ -128,10 +128,10 @@ def _find_sensor_slots(problem: Problem, loop: Loop) -> dict[str, tuple[int, ...
     scenario = problem.scenario
     model = problem.model
     sensor = msgspec.structs.replace(scenario.sensor, **others)
-    told = sensor_of_model(msgspec.structs.replace(scenario, sensor=sensor))
+    assumed = sensor_of_model(msgspec.structs.replace(scenario, sensor=sensor))
     read = problem.flow, scenario.simulation.step, plant_pace(problem.flow.linear)
     observer = build_with_actuator(
-        scenario.observer, model, resolve_sensor(told, *read), problem.belief
+        scenario.observer, model, resolve_sensor(assumed, *read), problem.belief
     )
     changed = problem._replace(sensor=resolve_sensor(sensor, *read), observer=observer)
     _, params = pack_problem(changed, loop)

@@ -113,7 +113,7 @@ def graph(noise: float, before: float, disturbance: float) -> Any:
     reading = Reading(w[0], side(w[0]))
     after, _ = observer.step(params, state, w[1], reading)
     (moments,) = observer.smoothing.moments(params, state, w[1], reading)
-    beliefs = [*moments.before, *moments.heard, moments.edges]
+    beliefs = [*moments.before, *moments.bounded, moments.edges]
     step = ca.Function("step", [s, w, p], [tree.stack_leaves(after), *beliefs], {"cse": True})
     numbers = tree.pack_tree(observer.params)
     first = tree.pack_tree(observer.init(observer.params))

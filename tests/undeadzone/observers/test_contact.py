@@ -461,7 +461,7 @@ def test_exported_C_has_every_bit_and_fits_a_microcontroller(
     monkeypatch.setattr(exporting, "STEPS", 200)  # of the comparison with double
     said: list[str] = []
     three = servo(simulation={"duration": 0.01})
-    report = exporting.export(three, out=tmp_path / "three", told=said.append).report
+    report = exporting.export(three, out=tmp_path / "three", notify=said.append).report
     assert said[0].endswith(" to write, compile and compare; observer.starts = 1 takes less")
     assert "Cortex-M4F (STM32F4)" in report["leaner"]["starts = 1"]
     one = servo(simulation={"duration": 0.2}, observer={"starts": 1})

@@ -68,7 +68,7 @@ def moments(rng: np.random.Generator, count: int, size: int) -> Any:
 
 def rauch(known: Any) -> tuple[Floats, Floats]:
     """The smoothed means and covariances by their own equations."""
-    mean, cov = known.heard.mean.copy(), known.heard.cov.copy()
+    mean, cov = known.bounded.mean.copy(), known.bounded.cov.copy()
     for k in range(len(mean) - 2, -1, -1):
         if known.restarted[k, 0]:
             continue

@@ -214,8 +214,8 @@ def _of_today(design: Design, path: str) -> Design:
     """Return the design with deviations in the meanings of today."""
     known = design.identifiable
     stds = translate_stds([one.std for one in known], design.schema, path)
-    told = [msgspec.structs.replace(one, std=std) for one, std in zip(known, stds, strict=True)]
-    return msgspec.structs.replace(design, identifiable=told, schema=SCHEMA)
+    verdicts = [msgspec.structs.replace(one, std=std) for one, std in zip(known, stds, strict=True)]
+    return msgspec.structs.replace(design, identifiable=verdicts, schema=SCHEMA)
 
 
 def _recompute_design(design: Design, path: str) -> Design:

@@ -26,7 +26,7 @@ SHARE = 0.02  # of the largest torque at a joint: a smaller one presses on no fl
 LASTING = 0.05  # [s] that a torque must last to carry its link across
 POSTURES = 721  # of a joint within a turn, among which one without torque is sought
 COUPLED = 8.0  # coupling above which joint by joint a gap cannot be known
-HEARD = 3.0  # deviations of the innovations by which a strike shows
+DETECTED = 3.0  # deviations of the innovations by which a strike shows
 FLOATING = 0.7  # share of crossings that show, below which a coupled link floats
 WINDOW = 0.15  # [s] for which a strike is looked for
 SETTLED = 1e-6  # change of a variance by a sample, relative, below which it no longer changes
@@ -53,15 +53,15 @@ def flank_visits(tau: Floats, step: float) -> list[FlankVisits]:
         step: between two rows [s].
     """
     least = SHARE * np.abs(tau).max(axis=0, initial=0.0)
-    told = []
+    visits = []
     for load, small in zip(tau.T, least, strict=True):
         pressed = 1 * _keep_lasting_runs(load > small, step) - 1 * _keep_lasting_runs(
             load < -small, step
         )
         flanks = pressed[pressed != 0]
         changes = int(np.count_nonzero(np.diff(flanks)))
-        told.append(FlankVisits(bool((flanks > 0).any()), bool((flanks < 0).any()), changes))
-    return told
+        visits.append(FlankVisits(bool((flanks > 0).any()), bool((flanks < 0).any()), changes))
+    return visits
 
 
 def _keep_lasting_runs(flags: Flags, step: float) -> Flags:
@@ -115,7 +115,7 @@ def torque_free_position(body: Arm, params: Floats, q: Floats, i: int) -> float 
     return float(zeros[np.abs(zeros - q[i]).argmin()])
 
 
-class Listener(NamedTuple):
+class StrikeDetector(NamedTuple):
     """Listener to the strikes of an arm's links.
 
     Attributes:
@@ -169,7 +169,7 @@ def list_crossings(gears: Geared, params: Floats, x: Floats) -> list[Crossings]:
 
 
 def strike_response(
-    inertia: float, torque: float, noise: float, told: Listener, Ts: float
+    inertia: float, torque: float, noise: float, detector: StrikeDetector, Ts: float
 ) -> float:
     """Return by how many deviations a unit jump of a motor's speed shows in its readings [s/rad].
 
@@ -180,13 +180,13 @@ def strike_response(
         inertia: of the motor [kg m^2].
         torque: rms of its unknown torque [N m].
         noise: rms of a reading [rad].
-        told: the listener.
+        detector: the listener.
         Ts: sample time [s].
     """
-    fade = np.exp(-Ts / told.lasting)
+    fade = np.exp(-Ts / detector.lasting)
     A = np.array([[1.0, Ts, Ts**2 / 2], [0.0, 1.0, Ts], [0.0, 0.0, fade]])
     pushed = (1 - fade**2) * (torque / inertia) ** 2
-    Q = np.diag([0.0, told.jerk * Ts, pushed])
+    Q = np.diag([0.0, detector.jerk * Ts, pushed])
     P = np.diag([noise**2, 1.0, (torque / inertia) ** 2])
     before = np.inf
     while abs(P[0, 0] - before) > SETTLED * P[0, 0]:
@@ -204,7 +204,7 @@ def strike_response(
 
 
 def gap_identifiability(
-    gears: Geared, params: Floats, x: Floats, path: Floats, step: float, told: Listener
+    gears: Geared, params: Floats, x: Floats, path: Floats, step: float, detector: StrikeDetector
 ) -> list[WidthIdentifiability]:
     """Return the identifiability of each joint's gap from the readings of a run.
 
@@ -217,31 +217,33 @@ def gap_identifiability(
         x: states along the run (N x 4 joints).
         path: positions, speeds and accelerations of its joints (N x 3 x joints).
         step: between two rows [s].
-        told: the listener.
+        detector: the listener.
     """
     body = gears.arm
     links = gears.link_params(params)
     tau = torques_along_path(body, links, path)
     inertia = np.ravel(gears.gear_number(params, "inertia"))
     half = np.ravel(gears.gear_number(params, "half"))
-    coupling = largest_couplings(body, links, path[:, 0], told.groups)
+    coupling = largest_couplings(body, links, path[:, 0], detector.groups)
     visits = flank_visits(tau, step)
     verdicts = []
     for i, found in enumerate(list_crossings(gears, params, x)):
-        planned = 2 * half[i] * told.crossing / np.e
+        planned = 2 * half[i] * detector.crossing / np.e
         strikes = _strikes(
             gears, params, x, i, found._replace(speeds=np.fmin(found.speeds, planned))
         )
         if gears.measured == "motor":
-            unit = strike_response(inertia[i], told.torque[i], told.noise[i], told, step)
+            unit = strike_response(
+                inertia[i], detector.torque[i], detector.noise[i], detector, step
+            )
         else:  # an encoder at the link tells where it is
             unit = np.inf
-        heard = int(np.count_nonzero(unit * strikes >= HEARD))
+        detected = int(np.count_nonzero(unit * strikes >= DETECTED))
         if coupling[i].ratio > COUPLED:
             why = _coupling_reason(i, coupling[i].partner, coupling[i].ratio, body.chain.joints)
-        elif heard < FLOATING * found.rows.size and heard and coupling[i].ratio > EVEN:
-            why = _floating_reason(heard, found.rows.size)
-        elif heard:
+        elif detected < FLOATING * found.rows.size and detected and coupling[i].ratio > EVEN:
+            why = _floating_reason(detected, found.rows.size)
+        elif detected:
             why = ""
         elif found.rows.size:
             why = _strike_reason(float(strikes.max()), unit, "m" if body.chain.slides else "rad")
@@ -252,7 +254,7 @@ def gap_identifiability(
             why = _gap_reasons(place, "" if body.chain.slides else " rad")
         known = not why
         whys = (why,) if why else ()
-        verdicts.append(WidthIdentifiability(known, known, known, known, whys, crossings=heard))
+        verdicts.append(WidthIdentifiability(known, known, known, known, whys, crossings=detected))
     return verdicts
 
 
@@ -281,10 +283,10 @@ def _coupling_reason(i: int, partner: int, ratio: float, joints: Sequence[str]) 
     )
 
 
-def _floating_reason(heard: int, crossed: int) -> str:
+def _floating_reason(detected: int, crossed: int) -> str:
     """Describe that a link of an arm also drifts across its gap without a strike that shows."""
     return (
-        f"{crossed - heard} of {crossed} crossings show no strike: its link floats in the gap, "
+        f"{crossed - detected} of {crossed} crossings show no strike: its link floats in the gap, "
         "where joint by joint it is lost: its gap cannot be known; turn it faster, or load it"
     )
 
@@ -293,7 +295,7 @@ def _strike_reason(jump: float, unit: float, name: str) -> str:
     """Describe that noise and unknown torque hide the strikes at a gap's ends."""
     return (
         f"a strike changes the speed of its motor by {jump:.2g} {name}/s at most, which noise and "
-        f"unknown torque hide ({unit * jump:.2g} of {HEARD:g} deviations): its gap cannot be "
+        f"unknown torque hide ({unit * jump:.2g} of {DETECTED:g} deviations): its gap cannot be "
         "known; turn it faster"
     )
 

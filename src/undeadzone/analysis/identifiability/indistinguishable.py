@@ -83,15 +83,15 @@ def indistinguishable_widths(
 
 def describe_indistinguishable(truths: Sequence[Mapping[str, Any] | None]) -> list[str]:
     """Describe the indistinguishable parameters of each output."""
-    told = []
+    lines = []
     for i, one in enumerate(truths):
         if one is None:
             continue
         moved = [f"a constant {_format_values(one['input'])} more at the input"] * any(one["input"])
         moved += [f"x(0) larger by {_format_values(one['start'])}"] * any(one["start"])
         where = f"output {i}: " if len(truths) > 1 else ""
-        told.append(f"{where}d_r {one['right']:.4g}, d_l {one['left']:.4g}, {' and '.join(moved)}")
-    return told
+        lines.append(f"{where}d_r {one['right']:.4g}, d_l {one['left']:.4g}, {' and '.join(moved)}")
+    return lines
 
 
 def _format_values(values: Sequence[float]) -> str:

@@ -64,7 +64,7 @@ class ReadingConditions(NamedTuple):
         bias: directions (n x b) of unknown constant inputs (None: there is none).
         colour: a random input with its own states, which come after x and start at its own rms
             (None: there is none).
-        told: prior information on `[x(0); d]` (k x n + 2p, `prior_rows`) (None: nothing).
+        prior: prior information on `[x(0); d]` (k x n + 2p, `prior_rows`) (None: nothing).
         gaps_known: whether the gaps of a play ahead of the zone are.
         process: covariance (n x n) of white process noise, per second, or per step if the schedule
             is sampled (None: there is none).
@@ -76,7 +76,7 @@ class ReadingConditions(NamedTuple):
     arrive: Floats | None = None
     bias: Floats | None = None
     colour: InputModel | None = None
-    told: Floats | None = None
+    prior: Floats | None = None
     gaps_known: bool = False
     process: Floats | None = None
 
@@ -86,7 +86,7 @@ def optimal_deviations(
 ) -> Deviations:
     """Return the standard deviations from noisy readings along whole passes of the schedule.
 
-    The only further prior is `told`.
+    The only further prior is `prior`.
 
     Args:
         linear: A, B, C of the plant, of one step if sampled.
@@ -94,7 +94,7 @@ def optimal_deviations(
         readings: the readings.
     """
     states_of_plant = linear.A.shape[0]
-    told = readings.told
+    known = readings.prior
     colour = readings.colour
     visited = schedule.branch_visits(states_of_plant)
     prior: Floats = np.zeros(states_of_plant)
@@ -106,10 +106,10 @@ def optimal_deviations(
     fisher = information_matrix(linear, schedule, readings)
     fisher[np.arange(n), np.arange(n)] += prior
     hidden = unobservable_changes(linear, visited, schedule.Ts, readings.bias)
-    if told is not None:
-        rows = np.zeros((len(told), n + 2 * p))
-        rows[:, :states_of_plant] = told[:, :states_of_plant]
-        rows[:, n:] = told[:, states_of_plant:]
+    if known is not None:
+        rows = np.zeros((len(known), n + 2 * p))
+        rows[:, :states_of_plant] = known[:, :states_of_plant]
+        rows[:, n:] = known[:, states_of_plant:]
         fisher[: n + 2 * p, : n + 2 * p] += rows.T @ rows
         hidden = hidden.exclude_known(rows)
     units = np.outer(hidden.scale, hidden.scale)
@@ -233,8 +233,8 @@ def _continuous_stretch(F: Floats, Q: Floats, H: Floats, span: float, step: floa
     halvings = int(np.ceil(np.log2(parts)))
     part = span / 2**halvings
     Phi, gained = discretise_noise(F, Q, part)
-    _, told = discretise_noise(F.T, H, part)
-    return repeat_stretch(Stretch(Phi, gained, told), 2**halvings)
+    _, information = discretise_noise(F.T, H, part)
+    return repeat_stretch(Stretch(Phi, gained, information), 2**halvings)
 
 
 def _invert_semidefinite(information: Floats) -> Floats:

@@ -333,7 +333,7 @@ def width_identifiability(
     schedule: Schedule,
     bias: Floats | None = None,
     jump: bool = False,
-    told: Floats | None = None,
+    prior: Floats | None = None,
 ) -> list[WidthIdentifiability]:
     """Return the identifiability of each output's widths from readings along a schedule.
 
@@ -342,17 +342,17 @@ def width_identifiability(
         schedule: of the sides.
         bias: directions (n x b) of unknown constant inputs.
         jump: whether the sensor jumps.
-        told: prior information (`prior_rows`).
+        prior: prior information (`prior_rows`).
     """
     visited = schedule.branch_visits(linear.A.shape[0])
     if jump:
         return [_jump_identifiability(schedule, visited, i) for i in range(visited.shape[0])]
     hidden = unobservable_changes(linear, visited, schedule.Ts, bias)
-    if told is not None:
-        hidden = hidden.exclude_known(told)
+    if prior is not None:
+        hidden = hidden.exclude_known(prior)
     judged = []
     for i in range(visited.shape[0]):
-        confounded = {} if told is not None else _confounding_reasons(linear, schedule, bias, i)
+        confounded = {} if prior is not None else _confounding_reasons(linear, schedule, bias, i)
         reasons = (
             *describe_unreached_edges(schedule, visited, i),
             *confounded,

@@ -102,10 +102,10 @@ def gap_prior_rows(linear: Matrices, readings: ReadingConditions, least: float) 
     places = [*range(n)]
     for i in range(p):
         places += [first + 4 * i, first + 4 * i + 1]
-    told = np.zeros((0, n + 2 * p)) if readings.told is None else readings.told
-    claimed = np.zeros((len(told), n + 6 * p))
-    claimed[:, places] = told
-    return np.vstack([np.array(rows) / least, claimed])
+    prior = np.zeros((0, n + 2 * p)) if readings.prior is None else readings.prior
+    widened = np.zeros((len(prior), n + 6 * p))
+    widened[:, places] = prior
+    return np.vstack([np.array(rows) / least, widened])
 
 
 def _double_outputs(linear: Matrices, readings: ReadingConditions) -> ReadingConditions:
@@ -140,10 +140,10 @@ def gap_and_width_information(
     swing = float((schedule.high - schedule.low).max())
     least = EXACT * max(float(schedule.levels.max()), EXACT * swing) or EXACT
     twofold = _double_outputs(linear, readings)
-    told = gap_prior_rows(linear, readings, least)
+    prior = gap_prior_rows(linear, readings, least)
     visited = twice.branch_visits(n + 2 * p)
-    hidden = unobservable_changes(whole, visited, schedule.Ts, twofold.bias).exclude_known(told)
-    expected = optimal_deviations(whole, twice, twofold._replace(told=told))
+    hidden = unobservable_changes(whole, visited, schedule.Ts, twofold.bias).exclude_known(prior)
+    expected = optimal_deviations(whole, twice, twofold._replace(prior=prior))
     each = []
     for i in range(p):
         gap: dict[str, Any] = {
@@ -161,9 +161,9 @@ def gap_and_width_information(
             *_single_contact_reason(schedule, visited, i),
             *_describe_asymmetries(zone, gap, both, readings.gaps_known),
         )
-        told_of_zone = WidthIdentifiability(**zone, reasons=reasons, std=expected.widths[2 * i])
+        of_zone = WidthIdentifiability(**zone, reasons=reasons, std=expected.widths[2 * i])
         each.append(
-            WidthInformation(told_of_zone, WidthIdentifiability(**gap, reasons=()), both, gap_std)
+            WidthInformation(of_zone, WidthIdentifiability(**gap, reasons=()), both, gap_std)
         )
     return each
 

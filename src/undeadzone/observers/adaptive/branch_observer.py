@@ -147,7 +147,7 @@ def build_branch_observer(
         constant=law.numbers is None,
         width_max=limit,
         adapts=bool(gamma.any()),
-        told=np.array_equal(widths, np.stack([sensor.right, sensor.left], axis=1)),
+        knows_widths=np.array_equal(widths, np.stack([sensor.right, sensor.left], axis=1)),
     )
     step = partial(step_branch_observer, setup)
     project = partial(project_branch_state, law)

@@ -179,8 +179,8 @@ def add_consistency_tests(
         none = np.zeros(p)
         once = np.zeros(1)
         kept = (np.zeros(0), np.zeros(0)) if recovers else (none, once)
-        told = innovation_tests.start_scores(p) if recovers else ()
-        record = Record(none, none, np.ones(p), none, none, none, once, *kept, told)
+        scores = innovation_tests.start_scores(p) if recovers else ()
+        record = Record(none, none, np.ones(p), none, none, none, once, *kept, scores)
         return State(member.init(q), record)
 
     smoothing = None
@@ -254,9 +254,9 @@ def update_record(q: Params, record: Record, step: Step, u: Any, reading: Readin
     offset = ca.if_else(used, fade * record.offset + (1 - fade) * e, record.offset)
     constant = record.constant
     opened = record.opened
-    told = record.scores
-    if told:
-        told = innovation_tests.update_scores(q, told, e, nu, counted, refused, reading, u)
+    scores = record.scores
+    if scores:
+        scores = innovation_tests.update_scores(q, scores, e, nu, counted, refused, reading, u)
     else:
         opened = ca.fmax(opened, step.opened)
         refuted = sums.ratio > ca.if_else(opened, 1.0, REFUTED) * q.doubt.most
@@ -271,7 +271,7 @@ def update_record(q: Params, record: Record, step: Step, u: Any, reading: Readin
         restarts=record.restarts,
         constant=constant,
         opened=opened,
-        scores=told,
+        scores=scores,
     )
 
 

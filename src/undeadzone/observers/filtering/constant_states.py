@@ -149,8 +149,8 @@ def information_shares(q: Any, model: System, cov: Any) -> Any:
     n = model.n
     known = model.n + 2 * model.p
     first = q.doubt.std[n:known] ** 2
-    told = ca.sqrt(ca.fmax(1 - ca.diag(cov)[n:known] / first, 0.0))
-    shares = ca.vertcat(ca.SX.ones(n), told, ca.SX.ones(cov.shape[0] - known))
+    learnt = ca.sqrt(ca.fmax(1 - ca.diag(cov)[n:known] / first, 0.0))
+    shares = ca.vertcat(ca.SX.ones(n), learnt, ca.SX.ones(cov.shape[0] - known))
     if q.gaps is not None and q.gaps.std.shape[0]:
         gaps = gap_slice(q, cov.shape[0])
         shares[gaps] = ca.sqrt(ca.fmax(1 - ca.diag(cov)[gaps] / q.gaps.std**2, 0.0))

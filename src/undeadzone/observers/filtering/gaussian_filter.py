@@ -406,8 +406,8 @@ def width_excess_square(n: int, q: Params, belief: Gaussian) -> Any:
     high = q.ranges[:, 1]
     mean = belief.mean[n : n + count]
     variance = ca.diag(belief.cov)[n : n + count]
-    told = (high - low) ** 2 / 12 - variance
-    more = 1 + variance / ca.fmax(told, variance)
+    learnt = (high - low) ** 2 / 12 - variance
+    more = 1 + variance / ca.fmax(learnt, variance)
     excess = ca.fmax(more * ca.fabs(mean - (low + high) / 2) - (high - low) / 2, 0.0)
     return ca.mmax(ca.if_else(excess**2 > BEYOND**2 * more * variance, excess**2, 0.0))
 

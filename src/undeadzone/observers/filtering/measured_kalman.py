@@ -235,7 +235,7 @@ class Update(NamedTuple):
     side: Any
     before: Gaussian
     corrected: RobustUpdate
-    heard: Corrected
+    bounded: Corrected
     columns: Any
 
 
@@ -259,11 +259,11 @@ def update_measurement(setup: Setup, q: Params, s: State, reading: Reading) -> U
         s.pace.ahead,
         arrange_columns(setup, s.columns),
     )
-    heard = Corrected(corrected.belief, s.wait, corrected.trust, corrected.likely)
-    heard = apply_bounds(setup, q, s, heard, reading, y, side)
+    bounded = Corrected(corrected.belief, s.wait, corrected.trust, corrected.likely)
+    bounded = apply_bounds(setup, q, s, bounded, reading, y, side)
     if setup.has_limits:
-        heard = heard._replace(trust=reject_impossible(heard.trust, reading))
-    return Update(y, side, before, corrected, heard, columns)
+        bounded = bounded._replace(trust=reject_impossible(bounded.trust, reading))
+    return Update(y, side, before, corrected, bounded, columns)
 
 
 def filter_moments(
@@ -273,20 +273,20 @@ def filter_moments(
     q = widen_gate(setup, q)
     taken = update_measurement(setup, q, s, reading)
     corrected = taken.corrected
-    heard = taken.heard
+    bounded = taken.bounded
     rows, edges = measurement_rows(setup, q, taken.before.mean, taken.side)
     restarted = reset_if_invalid(
-        q, setup.entries, predict_belief(setup, q, heard.belief, u, reading.side)
+        q, setup.entries, predict_belief(setup, q, bounded.belief, u, reading.side)
     )[2]
-    slope = motion_slope(setup, q, heard.belief, u)
-    log = log_likelihood(setup, corrected, heard)
+    slope = motion_slope(setup, q, bounded.belief, u)
+    log = log_likelihood(setup, corrected, bounded)
     none = ca.SX(setup.model.n + 2 * setup.model.p + len(setup.augmentation.cov), 0)
     doubted = (none, none)
     if setup.shape.fixed:
         scale = ca.diag(q.shape.doubt)
         doubted = (arrange_columns(setup, s.columns) @ scale, taken.columns @ scale)
     known = Moments(
-        taken.before, corrected.belief, heard.belief, rows, edges, slope, log, restarted, doubted
+        taken.before, corrected.belief, bounded.belief, rows, edges, slope, log, restarted, doubted
     )
     return (known,)
 
@@ -328,18 +328,18 @@ def estimate_of_belief(setup: Setup, q: Params, belief: Gaussian, wide: Any) -> 
     return to_estimate(setup.model, setup.sensor, q, shown, Reading(none, none), none, none)
 
 
-def log_likelihood(setup: Setup, corrected: RobustUpdate, heard: Corrected) -> Any:
+def log_likelihood(setup: Setup, corrected: RobustUpdate, bounded: Corrected) -> Any:
     """Return the log predictive density of a sample, up to a constant (1)."""
     if setup.doubts:
-        return ca.sum1(ca.log(heard.likely))
+        return ca.sum1(ca.log(bounded.likely))
     return innovation_log_density(corrected.e, corrected.std)
 
 
 def step_filter(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> Step:
     """Return the result for a sample: correct by the reading, apply bounds, estimate, predict."""
     q = widen_gate(setup, q)
-    y, side, _, corrected, heard, columns = update_measurement(setup, q, s, reading)
-    shown, fits = clip_belief(setup, q, heard.belief)
+    y, side, _, corrected, bounded, columns = update_measurement(setup, q, s, reading)
+    shown, fits = clip_belief(setup, q, bounded.belief)
     if setup.shape.fixed:
         shown = Gaussian(shown.mean, shown.cov + column_variance(q, columns))
     e = corrected.e
@@ -349,22 +349,22 @@ def step_filter(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> 
     estimated = add_actuator_estimates(q.zones, estimated, shown)
     estimated = add_gap_estimates(q, estimated, shown, reading)
     mean, cov, restarted = reset_if_invalid(
-        q, setup.entries, predict_belief(setup, q, heard.belief, u, reading.side)
+        q, setup.entries, predict_belief(setup, q, bounded.belief, u, reading.side)
     )
-    pace = predict_pace(setup, q, s.pace, heard, u, side, reading)
+    pace = predict_pace(setup, q, s.pace, bounded, u, side, reading)
     if setup.shape.fixed:
-        moved = columns + motion_slope(setup, q, heard.belief, u) @ columns
+        moved = columns + motion_slope(setup, q, bounded.belief, u) @ columns
         sound = ca.logic_and(ca.logic_not(restarted), ca.fabs(moved) < LIMIT)
         columns = ca.vec(ca.if_else(sound, moved, 0.0))
         pace = pace._replace(ahead=ca.if_else(restarted, 0.0, pace.ahead))
-    after = State(mean, cov, y, s.last, heard.wait, u, s.patience, pace, columns)
+    after = State(mean, cov, y, s.last, bounded.wait, u, s.patience, pace, columns)
     if setup.doubts:
-        after = apply_rejections(setup, q, after, side, heard.trust)
+        after = apply_rejections(setup, q, after, side, bounded.trust)
     return Step(
         state=after,
         estimate=estimated,
-        log=log_likelihood(setup, corrected, heard),
-        trust=heard.trust,
+        log=log_likelihood(setup, corrected, bounded),
+        trust=bounded.trust,
         fits=fits,
         restarted=restarted,
         opened=after.patience.opened == 1,
@@ -382,7 +382,7 @@ def measurement_variances(q: Params, reading: Reading) -> Any:
 
 
 def apply_bounds(
-    setup: Setup, q: Params, s: State, heard: Corrected, reading: Reading, y: Any, side: Any
+    setup: Setup, q: Params, s: State, read: Corrected, reading: Reading, y: Any, side: Any
 ) -> Corrected:
     """Return the correction by silent samples and limits, if the filter uses bounds.
 
@@ -390,24 +390,24 @@ def apply_bounds(
         setup: the filter.
         q: its numbers.
         s: its state.
-        heard: result after the readings on certain sides.
+        read: result after the readings on certain sides.
         reading: the reading.
         y: reading, 0 if it is missing (p) [y].
         side: the sides that are sure (p).
     """
     silent = find_censored(setup, q, reading, y)
     if not setup.bounds:
-        return heard._replace(silence=confirm_silences(setup, q, heard.belief, silent))
+        return read._replace(silence=confirm_silences(setup, q, read.belief, silent))
     if setup.has_backlash_ahead:
-        return apply_backlash_bounds(setup, q, s, heard, y, present(reading.y))
+        return apply_backlash_bounds(setup, q, s, read, y, present(reading.y))
     if not setup.has_limits:
-        return use_bounds(setup, q, heard, silent, side, y if setup.is_backlash_sensor else None)
-    edges = use_bounds(setup, q, heard, silent, side)
+        return use_bounds(setup, q, read, silent, side, y if setup.is_backlash_sensor else None)
+    edges = use_bounds(setup, q, read, silent, side)
     return use_limits(setup, q, edges, s.wait[2 * setup.model.p :], y, reading.side)
 
 
 def apply_backlash_bounds(
-    setup: Setup, q: Params, s: State, heard: Corrected, y: Any, seen: Any
+    setup: Setup, q: Params, s: State, read: Corrected, y: Any, seen: Any
 ) -> Corrected:
     """Return the result of `apply_bounds` for a backlash ahead of a dead zone.
 
@@ -418,10 +418,10 @@ def apply_backlash_bounds(
     """
     held = certain_branch(y, s.last, s.previous, q.gate)
     silent = ca.logic_and(seen, ca.fabs(y) <= q.gate)
-    heard_at_all = ca.logic_or(silent, held != 0)
+    is_bounded = ca.logic_or(silent, held != 0)
     held = ca.if_else(silent, 0.0, held)
     level = ca.if_else(held != 0, y, 0.0)
-    return use_bounds(setup, q, heard, heard_at_all, held, level, held)
+    return use_bounds(setup, q, read, is_bounded, held, level, held)
 
 
 def choose_branch(setup: Setup, q: Params, s: State, reading: Reading, y: Any, seen: Any) -> Any:
@@ -544,7 +544,7 @@ def silence_log_ratios(setup: Setup, q: Params, pace: Pace, y: Any, side: Any, R
 
 
 def predict_pace(
-    setup: Setup, q: Params, pace: Pace, heard: Corrected, u: Any, side: Any, reading: Reading
+    setup: Setup, q: Params, pace: Pace, bounded: Corrected, u: Any, side: Any, reading: Reading
 ) -> Pace:
     """Return the pace at the next reading.
 
@@ -552,24 +552,24 @@ def predict_pace(
         setup: the filter.
         q: its numbers.
         pace: at this one.
-        heard: result after this reading.
+        bounded: result after this reading.
         u: the input from now on (m).
         side: the sides on which readings were used (p).
         reading: the reading.
     """
     if not setup.has_pace:
         return pace
-    belief = heard.belief
+    belief = bounded.belief
     n = setup.model.n
     drive, doubt = predict_plant_input(q.zones, belief, u)
     change, Q = build_transition(setup.model, q, setup.augmentation, belief, drive, doubt)
     E = motion_slope(setup, q, belief, u)
     _, h = linearise(lambda X: setup.model.output(q.model, X[:n]), belief.mean)
-    believed = heard.trust > 0.5
+    believed = bounded.trust > 0.5
     since = []
     for k, edge in enumerate((RIGHT, LEFT) if setup.has_pace_test else ()):
         before = ca.vertsplit(pace.since, setup.model.p)[k]
-        silence = heard.silence[k]
+        silence = bounded.silence[k]
         across = ca.logic_and(side == -edge, believed)
         beyond = ca.logic_or(ca.logic_and(side == edge, believed), reading.side == 2 * edge)
         later = ca.if_else(ca.logic_or(before == 0, beyond), 0.0, before + 1)

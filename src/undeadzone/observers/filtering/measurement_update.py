@@ -215,7 +215,7 @@ def use_bounds(
         bounds = []
         for k, edge in edges.items():
             outside = (side[i] == edge) if setup.is_jump_sensor else 0.0
-            heard = ca.logic_and(ca.logic_or(silent[i], outside), known.wait[k] <= 0)
+            is_used = ca.logic_and(ca.logic_or(silent[i], outside), known.wait[k] <= 0)
             above = 0.0 if level is None else edge * level[i]
             slack = q.gate[i] + above
             branch = edge
@@ -224,7 +224,7 @@ def use_bounds(
                 slack += ca.if_else(held[i] != 0, HELD / SILENT - 1, 0.0) * q.gate[i]
             slack = ca.if_else(silent[i], slack / q.slope[i], 0.0)
             bounds.append(
-                breakpoint_bound(setup, q, belief, i, edge, branch, outside, slack, heard)
+                breakpoint_bound(setup, q, belief, i, edge, branch, outside, slack, is_used)
             )
         one = edge_constraint(setup, q, belief, i, bounds)
         belief = one.belief
@@ -305,7 +305,7 @@ def breakpoint_bound(
     branch: Any,
     outside: Any,
     slack: Any,
-    heard: Any,
+    is_used: Any,
 ) -> Bound:
     """Return the bound that a breakpoint sets.
 
@@ -318,12 +318,12 @@ def breakpoint_bound(
         branch: side of the zone whose edge it is, that of a play ahead of it aside.
         outside: whether z is beyond the edge instead, by a jump sensor's reading.
         slack: how far z may be beyond the edge [z].
-        heard: whether the edge is used.
+        is_used: whether the edge is used.
     """
     sight = partial(branch_output, setup, q, i, branch, contact=edge)
     excess, h = linearise(sight, belief.mean)
     sign = edge * (1 - 2 * outside)
-    return Bound(sign * h, sign * excess - slack, heard)
+    return Bound(sign * h, sign * excess - slack, is_used)
 
 
 def edge_constraint(
@@ -440,8 +440,8 @@ def use_limits(
     for i in range(p):
         end = ca.sign(side[i])
         waiting = ca.if_else(end == RIGHT, wait[i], wait[p + i])
-        heard = ca.logic_and(ca.fabs(side[i]) == 2, waiting < 0)
-        one = limit_update(setup, q, belief, i, end, y[i], heard)
+        is_used = ca.logic_and(ca.fabs(side[i]) == 2, waiting < 0)
+        one = limit_update(setup, q, belief, i, end, y[i], is_used)
         (used,) = one.used
         belief = one.belief
         likely[i] *= one.likely
@@ -454,7 +454,7 @@ def use_limits(
 
 
 def limit_update(
-    setup: Setup, q: Params, belief: Gaussian, i: int, end: Any, y: Any, heard: Any
+    setup: Setup, q: Params, belief: Gaussian, i: int, end: Any, y: Any, is_used: Any
 ) -> TruncationUpdate:
     """Return the Gaussian truncated at a limit of the range.
 
@@ -465,11 +465,11 @@ def limit_update(
         i: number of the output.
         end: the upper limit (right) or the lower one (left).
         y: reading [y].
-        heard: whether the limit is used.
+        is_used: whether the limit is used.
     """
     branch = 0.0 if setup.is_jump_sensor else end
     expected, h = linearise(partial(branch_output, setup, q, i, branch), belief.mean)
-    bound = Bound(-end * h, end * (y / q.slope[i] - expected), heard)
+    bound = Bound(-end * h, end * (y / q.slope[i] - expected), is_used)
     fake = q.doubt.glitch + math.log(BEYOND) if setup.doubts else None
     return truncate_at_bounds(belief, [bound], q.R[i], DOUBT, fake)
 

@@ -146,12 +146,12 @@ def step_with_motion(
     reading = drop_limit_readings(reading, sensor.limits)
     y = reading.y
     seen = present(y)
-    moving, heard, rms = detect_branches(sensor, motion, s, y)
+    moving, edge, rms = detect_branches(sensor, motion, s, y)
     moving = ca.if_else(seen, moving, 0.0)
     if sensor.play is None:
-        taken = Reading(heard, moving, reading.x, heard, rms)
+        taken = Reading(edge, moving, reading.x, edge, rms)
     else:
-        taken = Reading(heard, reading.side, reading.x, rms=rms, motion=moving)
+        taken = Reading(edge, reading.side, reading.x, rms=rms, motion=moving)
     if motion.friction.numel():
         u = u - motion.friction * taken.side
     moved, estimate = observer.step(inner, s.observer, u, taken)
@@ -176,8 +176,8 @@ def detect_branches(sensor: Zone, q: Motion, s: State, y: Any) -> tuple[Any, Any
         if not sensor.noise[i]:
             rule = branch_by_tick if sensor.quantum[i] else branch_by_change
         parts.append(rule(q, s, y, i))
-    moving, heard, rms = (ca.vertcat(*column) for column in zip(*parts, strict=True))
-    return ca.if_else(s.known, moving, 0.0), heard, rms
+    moving, edge, rms = (ca.vertcat(*column) for column in zip(*parts, strict=True))
+    return ca.if_else(s.known, moving, 0.0), edge, rms
 
 
 def branch_by_change(q: Motion, s: State, y: Any, i: int) -> tuple[Any, Any, Any]:

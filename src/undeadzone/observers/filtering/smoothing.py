@@ -19,7 +19,7 @@ class Moments(NamedTuple):
     Attributes:
         before: mean and covariance before the reading.
         read: after the readings on sure sides.
-        heard: also after the bounds of censored samples and limits.
+        bounded: also after the bounds of censored samples and limits.
         rows: rows of the readings, which have moved `before` to `read` along cov rows' (p x N).
         edges: rows of the edges, likewise (2p x N).
         slope: I + slope is the Jacobian of the motion to the next sample (N x N).
@@ -31,7 +31,7 @@ class Moments(NamedTuple):
 
     before: Gaussian
     read: Gaussian
-    heard: Gaussian
+    bounded: Gaussian
     rows: Any
     edges: Any
     slope: Any
