@@ -24,7 +24,6 @@ from undeadzone.registry import OBSERVERS
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.util.arrays import Floats
-from undeadzone.util.renamed import accept_renamed_argument
 from undeadzone.util.text import count_noun
 from undeadzone_export import accuracy, compiler, exported_step, targets
 from undeadzone_export.boards import fit_boards
@@ -71,7 +70,6 @@ class Exported(NamedTuple):
         return not self.report["refusals"]
 
 
-@accept_renamed_argument("told", "notify")
 def export(
     scenario: Scenario,
     to: str = "c",
