@@ -328,8 +328,10 @@ def describe_unknowns(options: Collection[str]) -> str:
     """
     if "disturbance" not in options:
         return ""
-    taken = {*options, *(["tolerance"] if "uncertain" in options else [])}
-    missing = [f"{words} (observer.{key})" for key, words in UNKNOWNS.items() if key not in taken]
+    accepted = {*options, *(["tolerance"] if "uncertain" in options else [])}
+    missing = [
+        f"{words} (observer.{key})" for key, words in UNKNOWNS.items() if key not in accepted
+    ]
     if not missing:
         return ""
     return (

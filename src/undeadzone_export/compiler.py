@@ -97,14 +97,14 @@ def _run_compiler(line: list[str], folder: Path) -> subprocess.CompletedProcess[
             ) from None
         with process:
             try:
-                out, said = process.communicate()
+                out, errors = process.communicate()
             except BaseException:
                 if sys.platform == "win32":
                     process.kill()
                 else:
                     os.killpg(process.pid, signal.SIGKILL)
                 raise
-    return subprocess.CompletedProcess(line, process.returncode, out, said)
+    return subprocess.CompletedProcess(line, process.returncode, out, errors)
 
 
 def stack_bytes(folder: Path, prefix: str) -> int | None:

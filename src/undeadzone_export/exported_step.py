@@ -171,15 +171,15 @@ def make_distinct(wanted: list[str], key: Callable[[str], str] = str) -> list[st
         wanted: the names.
         key: key of a name that must be distinct.
     """
-    taken: set[str] = set()
+    used: set[str] = set()
     names = []
     for base in wanted:
         name = base
         count = 2
-        while key(name) in taken:
+        while key(name) in used:
             name = f"{base}_{count}"
             count = count + 1
-        taken.add(key(name))
+        used.add(key(name))
         names.append(name)
     return names
 

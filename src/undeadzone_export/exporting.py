@@ -161,10 +161,10 @@ def export(
     files = targets.export_files(to, material)
     written = targets.write_folder(files, Path(out), force)
     if check and to not in ELSEWHERE:
-        passed, said = compiler.run_selftest(material.c_files)
-        report["self_test"] = said
+        passed, message = compiler.run_selftest(material.c_files)
+        report["self_test"] = message
         if not passed:
-            report["refusals"] = [*report["refusals"], f"the self-test fails: {said}"]
+            report["refusals"] = [*report["refusals"], f"the self-test fails: {message}"]
     return Exported(written, report, printed)
 
 
@@ -177,11 +177,11 @@ def _slow_export_warning(instructions: int, seconds: float, observer: Any) -> st
         observer: the options of the observer.
     """
     minutes = count_noun(max(1, round(seconds / 60)), "minute")
-    said = (
+    message = (
         f"{instructions:,} instructions, which take about {minutes} to write, compile and compare"
     )
     less = " or ".join(map(leaner_setting, _leaner_choices(observer)))
-    return said + f"; {less} takes less" * bool(less)
+    return message + f"; {less} takes less" * bool(less)
 
 
 def leaner_setting(name: str) -> str:

@@ -454,8 +454,8 @@ def _fit_of_raw_readings(prepared: PreparedLog, fit: ZoneFit) -> ZoneFit:
 
 def _has_unread_edges(case: Case) -> bool:
     """Return whether the edges of a jump sensor can be read off but were not."""
-    asked = case.options.kind == "auto" and case.jump_edges is None
-    return asked and case.record_data.silent_zeros and not case.options.integrators
+    is_open = case.options.kind == "auto" and case.jump_edges is None
+    return is_open and case.record_data.silent_zeros and not case.options.integrators
 
 
 # --- Hypotheses, in the order of their tests

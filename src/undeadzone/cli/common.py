@@ -106,9 +106,9 @@ class SubjectCommand(click.Command):
 ALL_OPTIONS = "undeadzone.all_options"  # key of a context in which --help-all stands
 
 
-def _print_full_help(context: click.Context, _: click.Parameter, asked: bool) -> None:
+def _print_full_help(context: click.Context, _: click.Parameter, is_requested: bool) -> None:
     """Print the help with every option, and exit."""
-    if asked:
+    if is_requested:
         context.meta[ALL_OPTIONS] = True
         click.echo(context.get_help())
         context.exit()

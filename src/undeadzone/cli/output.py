@@ -103,7 +103,7 @@ def add_output_options(command: Callable[..., int]) -> Callable[..., int]:
         """Run the command with its `Output`."""
         return command(output=Output(out, as_json, not no_figures), **options)
 
-    return reduce(lambda made, option: option(made), OUTPUTS, run_with_output)
+    return reduce(lambda decorated, option: option(decorated), OUTPUTS, run_with_output)
 
 
 def add_scenario_options(command: Callable[..., int]) -> Callable[..., int]:

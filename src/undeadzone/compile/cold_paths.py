@@ -110,8 +110,8 @@ class ColdPaths:
         for i in range(self._written):
             text.store(following[i], self._vector_address(text, f"%next{u}", i), vector=True)
         one = text.splat("1.0", "double")
-        asked = text.print_select(flag, text.type("double"), one, text.zero())
-        text.store(asked, f"%flag{u}", vector=True)
+        condition = text.print_select(flag, text.type("double"), one, text.zero())
+        text.store(condition, f"%flag{u}", vector=True)
         row = f"%row{u}_0"
         own = f"%own{u}_0" if self._shape.exogenous else "%own"
         given = (f"%before{u}", f"%next{u}", f"%flag{u}", row, own, "%w", "%rare")

@@ -160,8 +160,8 @@ class _Plan(NamedTuple):
 
         def make() -> tuple[str, str]:
             """Return the text of the kernel and its note."""
-            made = print_kernel(self.functions, self.shape, host_machine(), *of)
-            return made.text, json.dumps([made.form, made.promises])
+            printed = print_kernel(self.functions, self.shape, host_machine(), *of)
+            return printed.text, json.dumps([printed.form, printed.promises])
 
         return cache.Recipe("\n".join([*texts, repr((self.shape, *of))]), make)
 

@@ -80,19 +80,21 @@ def lower_function(
         """Return the nodes of the results of a call, if it stays one."""
         if kept is None:
             return None
-        count, made = called.nnz_out(), rules.nodes.intern
+        count, intern = called.nnz_out(), rules.nodes.intern
         name = f"called{called.__hash__()}.{count}"
         kept[name] = called
-        one = made("apply", *args, text=name, kind=rules.real, level=LANES)
-        return [made("part", one, text=str(k)) for k in range(count)]
+        one = intern("apply", *args, text=name, kind=rules.real, level=LANES)
+        return [intern("part", one, text=str(k)) for k in range(count)]
 
     results = build_nodes(function, rules, keep_call)
     counts = count_uses(results)
     order = sorted(counts, key=lambda node: node.number)
-    taken = _absorbed_nodes(order, counts) if fused else set()
-    lowering = _Lowering(nodes, levels, taken, fused, _library_replacements(nodes, arithmetic), {})
+    absorbed = _absorbed_nodes(order, counts) if fused else set()
+    lowering = _Lowering(
+        nodes, levels, absorbed, fused, _library_replacements(nodes, arithmetic), {}
+    )
     for node in order:
-        if node not in taken:
+        if node not in absorbed:
             lowering.values[node] = lowering.lower_node(node)
     return [[lowering.values[node] for node in result] for result in results]
 
@@ -144,11 +146,11 @@ class _PortableLowering:
             part = self._body_of(called)
             if part is None:
                 return None
-            made, given = rules.nodes.intern, [args[int(one.text[1:])] for one in part.inputs]
-            one = made("apply", *given, text=part.name, kind="call", level=LANES)
+            intern, given = rules.nodes.intern, [args[int(one.text[1:])] for one in part.inputs]
+            one = intern("apply", *given, text=part.name, kind="call", level=LANES)
             real = rules.real
             count = range(len(part.results))
-            return [made("part", one, text=str(k), kind=real) for k in count]
+            return [intern("part", one, text=str(k), kind=real) for k in count]
 
         results = build_nodes(function, rules, keep_call)
         are_numbers = all(map(rules.is_number, itertools.chain(*results)))
@@ -161,8 +163,8 @@ class _PortableLowering:
         key = called.__hash__()
         if key not in self._bodies:
             assert self._parts is not None
-            made, are_numbers = self.build_results(called)
-            results = list(itertools.chain(*made))
+            built, are_numbers = self.build_results(called)
+            results = list(itertools.chain(*built))
             inputs = [node for node in required_nodes(results) if node.op == "input"]
             part = Part(f"shared_{len(self._parts)}", inputs, results)
             if are_numbers:
@@ -237,34 +239,34 @@ def _is_gate(node: Node) -> bool:
 
 def _absorbed_nodes(order: list[Node], counts: Counter[Node]) -> set[Node]:
     """Return the nodes that are part of the only sum that uses them."""
-    taken: set[Node] = set()
+    absorbed: set[Node] = set()
     for node in reversed(order):
-        is_part = node in taken and node.op == "mul"
+        is_part = node in absorbed and node.op == "mul"
         if node.level < SHARED or not (node.op in SUMS or is_part):
             continue
         for part in node.args if node.op in SUMS else node.args[-1:]:
             is_term = part.op in (*SUMS, "mul") and node.op in SUMS
             if counts[part] == 1 and part.level >= SHARED and (is_term or _is_gate(part)):
-                taken.add(part)
-    return taken
+                absorbed.add(part)
+    return absorbed
 
 
-def _sum_terms(taken: set[Node], node: Node, minus: bool) -> Iterator[Term]:
+def _sum_terms(absorbed: set[Node], node: Node, minus: bool) -> Iterator[Term]:
     """Yield the terms of a sum."""
     for place, part in enumerate(node.args):
         turned = minus != (node.op == "neg" or (node.op == "sub" and place == 1))
-        if part not in taken:
+        if part not in absorbed:
             yield Term(part.number, turned, None, part, None)
         elif part.op in SUMS:
-            yield from _sum_terms(taken, part, turned)
+            yield from _sum_terms(absorbed, part, turned)
         else:
-            yield _to_term(taken, part, turned)
+            yield _to_term(absorbed, part, turned)
 
 
-def _to_term(taken: set[Node], part: Node, minus: bool) -> Term:
+def _to_term(absorbed: set[Node], part: Node, minus: bool) -> Term:
     """Return a product, or a value selected by a truth, as a term."""
     factor, gate = (part.args[0], part.args[1]) if part.op == "mul" else (None, part)
-    if gate in taken and gate.op == "select":
+    if gate in absorbed and gate.op == "select":
         truth, value, _ = gate.args
         needed = [truth, value, *([factor, gate] if factor is not None else [])]
         return Term(max(node.number for node in needed), minus, factor, value, truth)
@@ -277,7 +279,7 @@ class _Lowering(NamedTuple):
     Attributes:
         nodes: where instructions are made.
         levels: of inputs.
-        taken: nodes that are a part of the one sum that uses them.
+        absorbed: nodes that are a part of the one sum that uses them.
         fused: whether sums of products round once per product.
         ours: functions that take the C library's place, by name.
         values: what each node is.
@@ -285,7 +287,7 @@ class _Lowering(NamedTuple):
 
     nodes: Nodes
     levels: Levels
-    taken: set[Node]
+    absorbed: set[Node]
     fused: bool
     ours: dict[str, Callable[..., Node]]
     values: dict[Node, Node]
@@ -308,15 +310,15 @@ class _Lowering(NamedTuple):
         """Return the minimum or maximum of two numbers, the first of equals, the number if
         the operand beside it is NaN.
         """
-        made, op = self.nodes.intern, "least" if word == "fmin" else "most"
+        intern, op = self.nodes.intern, "least" if word == "fmin" else "most"
         if _is_never_nan(a):
-            return made(op, b, a)
+            return intern(op, b, a)
         if _is_never_nan(b) and (self.fused or b.constant_value):
-            return made(op, a, b)  # the sign of zero apart
-        better = made("le", *((a, b) if word == "fmin" else (b, a)), kind="bool")
+            return intern(op, a, b)  # the sign of zero apart
+        better = intern("le", *((a, b) if word == "fmin" else (b, a)), kind="bool")
         if not _is_never_nan(b):
-            better = made("or", better, made("ne", b, b, kind="bool"))
-        return made("select", better, a, b)
+            better = intern("or", better, intern("ne", b, b, kind="bool"))
+        return intern("select", better, a, b)
 
     def _lower_sum(self, node: Node) -> Node:
         """Return a sum, built term by term.
@@ -326,20 +328,20 @@ class _Lowering(NamedTuple):
         term under a truth is added if the truth holds, by a single masked instruction if the
         processor has them.
         """
-        made = self.nodes.intern
-        waiting = sorted(_sum_terms(self.taken, node, False), key=Term.sort_key)
+        intern = self.nodes.intern
+        waiting = sorted(_sum_terms(self.absorbed, node, False), key=Term.sort_key)
         first = min(waiting[:2], key=Term.start_effort)
         waiting.remove(first)
         total = self._signed_value(first)
         if first.factor is not None:
-            total = made("mul", self.values[first.factor], total)
+            total = intern("mul", self.values[first.factor], total)
         if first.truth is not None:
             zero = self.nodes.intern_constant(0.0)
-            total = made("select", self.values[first.truth], total, zero)
+            total = intern("select", self.values[first.truth], total, zero)
         for term in waiting:
             more = self._add_term(total, term)
             if term.truth is not None:
-                more = made("select", self.values[term.truth], more, total)
+                more = intern("select", self.values[term.truth], more, total)
             total = more
         return total
 

@@ -152,8 +152,8 @@ def fill_text(group: int) -> str:
             for count in _print_run_loops(text, group):
                 (names,) = print_lanes(text, order, [_run_source(text, have, count)], False)
                 at = text.add(f"add i64 {start}, {count}")
-                for node, (asked, first) in zip(results, rows, strict=True):
-                    with text.print_if(asked, f"of{text.lanes}.{node.number}"):
+                for node, (is_due, first) in zip(results, rows, strict=True):
+                    with text.print_if(is_due, f"of{text.lanes}.{node.number}"):
                         place = text.add(f"add i64 {first}, {at}")
                         text.store(names(node), text.address_of("%numbers", place), vector=True)
     return _module_text(text)
@@ -184,8 +184,8 @@ def _print_row_start(text: Text, counter: str, i: int, last: str, row: str) -> t
     k = text.add(f"add i64 {text.add(f'mul i64 {counter}, 4')}, {i}")
     late = text.add(f"icmp ule i64 %first, {k}")
     early = text.add(f"icmp ult i64 {k}, {last}")
-    asked = text.add(f"and i1 {late}, {early}")
-    return asked, text.add(f"mul i64 {text.add(f'sub i64 {k}, %first')}, {row}")
+    is_due = text.add(f"and i1 {late}, {early}")
+    return is_due, text.add(f"mul i64 {text.add(f'sub i64 {k}, %first')}, {row}")
 
 
 def _run_source(text: Text, have: dict[Node, str], count: str) -> Names:

@@ -76,10 +76,10 @@ def _build_evaluator(results: Results, functions: dict[str, Callable[..., Any]])
             else:
                 is_call = node.op in ("call", "apply")
                 operation = functions[node.text] if is_call else own[node.op]
-            taken: list[Any] = [places[one] for one in node.args]
-            if len(taken) == 1:  # of it a slice, so that there is a sequence
-                taken = [slice(taken[0], taken[0] + 1)]
-            steps.append((place, operation, operator.itemgetter(*taken)))
+            indices: list[Any] = [places[one] for one in node.args]
+            if len(indices) == 1:  # of it a slice, so that there is a sequence
+                indices = [slice(indices[0], indices[0] + 1)]
+            steps.append((place, operation, operator.itemgetter(*indices)))
 
     def evaluate(entries: dict[str, Any]) -> list[list[Any]]:
         """Evaluate the results, given the inputs by name."""

@@ -222,8 +222,8 @@ class _Writer:
         if truth is not None:
             return self.encode_node(truth) + _AS_NUMBER
         if node.op == "select":
-            asked, yes, no = map(self.encode_node, node.args)
-            return yes + no + asked + _SELECTED
+            condition, yes, no = map(self.encode_node, node.args)
+            return yes + no + condition + _SELECTED
         values = b"".join(map(self.encode_node, node.args))
         if node.op != "call":
             return values + _CODES[node.args[0].kind][node.op]

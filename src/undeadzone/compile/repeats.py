@@ -41,13 +41,13 @@ class Part(NamedTuple):
 
 def find_calls(results: Results) -> dict[Node, dict[int, Node]]:
     """Return the calls that results need: of each, the nodes of its results by their numbers."""
-    taken: dict[Node, dict[int, Node]] = {}
+    parts: dict[Node, dict[int, Node]] = {}
     for node in required_nodes(itertools.chain(*results)):
         if node.op == "apply":
-            taken[node] = {}
+            parts[node] = {}
         elif node.op == "part":
-            taken[node.args[0]][int(node.text)] = node
-    return taken
+            parts[node.args[0]][int(node.text)] = node
+    return parts
 
 
 class _Graph:

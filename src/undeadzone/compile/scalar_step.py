@@ -176,8 +176,8 @@ def _stepper_recipe(step: ca.Function, starts: list[int]) -> cache.Recipe:
 
     def make() -> tuple[str, str]:
         """Return the text of the kernel and an empty note."""
-        made = print_kernel(functions, shape, host_machine(), Arithmetic(), 1, ONE, "steps")
+        kernel = print_kernel(functions, shape, host_machine(), Arithmetic(), 1, ONE, "steps")
         _, p, s, w, out, _ = starts
-        return made.text + _BLOCK.format(p=p, s=s, w=w, out=out), ""
+        return kernel.text + _BLOCK.format(p=p, s=s, w=w, out=out), ""
 
     return cache.Recipe(f"{functions.usual.serialize()}\n{shape} {starts}", make)

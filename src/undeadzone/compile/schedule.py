@@ -44,10 +44,10 @@ def order_instructions(results: list[Node], registers: int) -> list[Node]:
     The instruction farthest from the end comes first, until that many numbers wait for their use.
     Then the one that frees a register.
     """
-    made = lane_instructions(results)
+    instructions = lane_instructions(results)
     if not registers:
-        return order_depth_first(made, results)
-    state = _start_schedule(made, results)
+        return order_depth_first(instructions, results)
+    state = _start_schedule(instructions, results)
     order: list[Node] = []
     while state.ready:
         best = state.choose_next(len(order), registers)
@@ -56,15 +56,15 @@ def order_instructions(results: list[Node], registers: int) -> list[Node]:
     return order
 
 
-def order_depth_first(made: list[Node], results: list[Node]) -> list[Node]:
+def order_depth_first(instructions: list[Node], results: list[Node]) -> list[Node]:
     """Return the instructions, each directly after its operands, the longest chain first.
 
     Args:
-        made: the instructions, each behind those that it needs.
+        instructions: the instructions, each behind those that it needs.
         results: the last ones.
     """
     length: dict[Node, int] = {}
-    for node in made:
+    for node in instructions:
         longest = 0
         for arg in node.args:
             longest = max(longest, length.get(arg, 0))
@@ -85,8 +85,8 @@ def order_depth_first(made: list[Node], results: list[Node]) -> list[Node]:
 
 def _longest_first(node: Node, length: dict[Node, int]) -> Iterator[Node]:
     """Return the operands of a node that are instructions, those of the longest chain first."""
-    made = [arg for arg in node.args if arg in length]
-    return iter(sorted(made, key=length.__getitem__, reverse=True))
+    arguments = [arg for arg in node.args if arg in length]
+    return iter(sorted(arguments, key=length.__getitem__, reverse=True))
 
 
 class _ListSchedule(NamedTuple):

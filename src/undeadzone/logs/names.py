@@ -140,7 +140,7 @@ class Layout(NamedTuple):
         inputs: numbers of the columns of the inputs (m).
         seconds: length of a unit of time [s]; None if times count samples.
         reading_titles, input_titles: titles of these columns.
-        said: in words, the column of each signal.
+        columns_text: in words, the column of each signal.
         reference: number of the column of the reference; None: there is none, or it is not needed.
         of_the_trade: whether a name of a trade decided on a column, which the user should know.
     """
@@ -152,7 +152,7 @@ class Layout(NamedTuple):
     seconds: float | None
     reading_titles: list[Title]
     input_titles: list[Title]
-    said: str
+    columns_text: str
     reference: int | None = None
     of_the_trade: bool = False
 
@@ -288,14 +288,14 @@ class _Header(NamedTuple):
         y, u = ([_add_unit(self.titles[k]) for k in columns] for columns in (readings, inputs))
         for signal, titles in (("y", y), ("u", u)):
             roles.append(f"{signal} from {', '.join(repr(title.name) for title in titles)}")
-        said = ", ".join(roles)
+        columns_text = ", ".join(roles)
         named = bool(_of_signal(self.chosen, "y"))
         known = {*READINGS, *INPUTS}
         is_trade = not named and any(
             (INDEXED.match(title.name) or [title.name] * 2)[1].lower() not in known
             for title in (*y, *u)
         )
-        return Layout(time, date, readings, inputs, seconds, y, u, said, None, is_trade)
+        return Layout(time, date, readings, inputs, seconds, y, u, columns_text, None, is_trade)
 
     def with_reference(self, layout: Layout) -> Layout:
         """Return the layout with the reference: a column that is nothing else. Raises FileError."""
@@ -308,8 +308,8 @@ class _Header(NamedTuple):
                 raise self.require_distinct(same[0][0])
         for one in same:
             if len(one) == 1 and one[0] not in layout.columns:
-                said = f"{layout.said}, r from {self.titles[one[0]].name!r}"
-                return layout._replace(reference=one[0], said=said)
+                columns_text = f"{layout.columns_text}, r from {self.titles[one[0]].name!r}"
+                return layout._replace(reference=one[0], columns_text=columns_text)
         return layout
 
     def require_distinct(self, column: int) -> FileError:
@@ -331,7 +331,7 @@ class _Header(NamedTuple):
         return next((k for k, title in enumerate(self.titles) if _is_time_with_unit(title)), None)
 
     def signals(
-        self, signal: str, count: int | None, usual: Sequence[str], taken: Sequence[int] = ()
+        self, signal: str, count: int | None, usual: Sequence[str], others: Sequence[int] = ()
     ) -> list[int]:
         """Return the numbers of the columns of a signal. Raises FileError.
 
@@ -339,7 +339,7 @@ class _Header(NamedTuple):
             signal: y or u.
             count: how many there are; None: as many as are named.
             usual: names without doubt.
-            taken: columns that are something else.
+            others: columns that are something else.
         """
         if signal == "y" and self.is_driven_by_output():
             usual = [name for name in usual if name not in OF_INPUTS[0]]
@@ -362,7 +362,7 @@ class _Header(NamedTuple):
                     f"{_list_columns([self.titles[k] for k in columns])}. Name it by "
                     f'columns="{wanted[0]}=NAME"'
                 )
-        if columns := self.of_the_trade(signal, count, taken):
+        if columns := self.of_the_trade(signal, count, others):
             return columns
         require_table(self.source)
         hint = self.hint_near_names(usual) or "."
@@ -377,11 +377,11 @@ class _Header(NamedTuple):
         drives = any(self.usual(name, 1) for name in INPUTS) or _of_signal(self.chosen, "u")
         return not drives and bool(self.of_the_trade("y", 1, ()))
 
-    def of_the_trade(self, signal: str, count: int, taken: Sequence[int]) -> list[int]:
+    def of_the_trade(self, signal: str, count: int, others: Sequence[int]) -> list[int]:
         """Return the columns that bear a name of a trade; none if they are too many or few."""
         plain = [_plain(title.name) for title in self.titles]
         for names in OF_READINGS if signal == "y" else OF_INPUTS:
-            same = [k for k, name in enumerate(plain) if name in names and k not in taken]
+            same = [k for k, name in enumerate(plain) if name in names and k not in others]
             if not same and len(names[0]) == 2:  # a tag of the plant: FIC101.PV
                 same = [k for k, name in enumerate(plain) if name.split(" ")[-1] == names[0]]
             if same:
@@ -391,16 +391,16 @@ class _Header(NamedTuple):
             return pair[-1:] if signal == "y" else pair[:1]
         words = MEASURED if signal == "y" else COMMANDED
         ends = [{name.split(" ")[0], name.split(" ")[-1]} for name in plain]
-        same = [k for k, end in enumerate(ends) if end & words and k not in taken]
+        same = [k for k, end in enumerate(ends) if end & words and k not in others]
         return same if len(same) == count else []
 
-    def drive_of_servo(self, inputs: Sequence[int], taken: Sequence[int | None]) -> list[int]:
+    def drive_of_servo(self, inputs: Sequence[int], others: Sequence[int | None]) -> list[int]:
         """Return the column of the current of a servo that follows a position; none for others."""
         named = [_plain(self.titles[k].name) for k in inputs]
         if len(named) != 1 or named[0] not in GOALS:
             return []
         plain = [_plain(title.name) for title in self.titles]
-        same = [k for k, name in enumerate(plain) if name in DRIVES and k not in taken]
+        same = [k for k, name in enumerate(plain) if name in DRIVES and k not in others]
         return same if len(same) == 1 else []
 
     def to_be_named(self) -> str:

@@ -139,8 +139,8 @@ def branch(z: Any, zone: Any, right: Any, left: Any, slope: Any, kind: str) -> A
         slope: m [y/z].
         kind: "deadzone" or "jump".
     """
-    taken = 0.0 if kind == "jump" else offset(zone, right, left)
-    return slope * (z - taken) * (zone != 0)
+    shift = 0.0 if kind == "jump" else offset(zone, right, left)
+    return slope * (z - shift) * (zone != 0)
 
 
 def inverse(
@@ -157,8 +157,8 @@ def inverse(
         slope: m [y/z].
         kind: as of a `Zone`.
     """
-    taken = 0.0 if kind in ("jump", "gears") else offset(side, right, left)
-    return y / slope + taken
+    shift = 0.0 if kind in ("jump", "gears") else offset(side, right, left)
+    return y / slope + shift
 
 
 def edges(

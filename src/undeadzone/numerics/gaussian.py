@@ -532,8 +532,8 @@ def _interval_moments(bounds: Sequence[Bound], G: Any, R: Any, limit: float) -> 
     both = ca.logic_and(use, 1 - inside > unsure * other)
     both = ca.logic_and(ca.mmin(both), ca.logic_and(ca.mmax(is_used), lower > -DEEP))
     both = ca.logic_and(both, _is_valid_covariance(_shift_and_loss(pair, alpha, std)[1], G))
-    asked = ca.if_else(is_used, alpha, CLIP)
-    first = asked[0] <= asked[1]
+    used_limits = ca.if_else(is_used, alpha, CLIP)
+    first = used_limits[0] <= used_limits[1]
     alone = ca.logic_and(is_used, ca.vertcat(first, ca.logic_not(first)))
     slope = ca.if_else(both, pair, ca.if_else(alone, ratio, 0.0))
     used = ca.logic_or(both, alone)

@@ -99,7 +99,7 @@ class Censored(Assumptions, frozen=True, kw_only=True, tag_field="method", tag="
             prior_traits(prior, self.x_std),
             lasting=max(1.0, correlation / Ts),
             bounds=self.silence,
-            claimed=self.disturbance is not None,
+            is_assumed=self.disturbance is not None,
             careful=careful,
             levels=self.levels,
         )

@@ -209,10 +209,10 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
                     f"{', '.join(names)}, found {list(group)!r:.80}"
                 )
             found.append(tuple(sorted(names.index(name) for name in group)))
-        taken = [*chain.from_iterable(found)]
-        if len({*taken}) != len(taken):
+        joints_of_groups = [*chain.from_iterable(found)]
+        if len({*joints_of_groups}) != len(joints_of_groups):
             raise InputError("observer.groups: a joint belongs to one group alone")
-        found += [(joint,) for joint in range(gears.joint_count) if joint not in taken]
+        found += [(joint,) for joint in range(gears.joint_count) if joint not in joints_of_groups]
         return tuple(sorted(found))
 
     def _ranges_of_gaps(self, model: System, gears: Geared) -> Floats:
@@ -262,10 +262,10 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         mass = float(values[model.names.index("payload")])
         weight = [mass, mass] if self.payload is None else self.payload
         claims = {"half": ranges, "payload": _read_joint_ranges("observer.payload", weight, 1)}
-        for name, claimed in claims.items():
-            low[of(name)], high[of(name)] = claimed.T
-            mean[of(name)] = claimed.mean(axis=1)
-            std[of(name)] = (claimed[:, 1] - claimed[:, 0]) / np.sqrt(12)
+        for name, limits in claims.items():
+            low[of(name)], high[of(name)] = limits.T
+            mean[of(name)] = limits.mean(axis=1)
+            std[of(name)] = (limits[:, 1] - limits[:, 0]) / np.sqrt(12)
         unknown, loads, inertia = unknown_torques(model, gears, float(mean[of("payload")][0]))
         apart = drives[0].apart
         if apart:
@@ -403,9 +403,9 @@ def decay_factor(Ts: float, time: float) -> Floats:
     return np.asarray(np.exp(-Ts / time))
 
 
-def _read_joint_ranges(key: str, claimed: Array, N: int) -> Floats:
+def _read_joint_ranges(key: str, ranges: Array, N: int) -> Floats:
     """Return the assumed ranges [lo, hi] (N x 2). Raises InputError."""
-    value = require_pairs(key, require_array(key, claimed), N, "a range [lo, hi]", "per joint")
+    value = require_pairs(key, require_array(key, ranges), N, "a range [lo, hi]", "per joint")
     if (value[..., 0] > value[..., 1]).any() or (value < 0).any():
         raise InputError(f"{key}: a range needs 0 <= lo <= hi, found {value.tolist()}")
     return np.broadcast_to(value, (N, 2))

@@ -138,7 +138,7 @@ class Extended(Options, frozen=True, kw_only=True, tag="extended"):
             bounds=self.silence and not self.blind,
             order=1,
             blind=self.blind,
-            claimed=self.disturbance is not None,
+            is_assumed=self.disturbance is not None,
             careful=self.x_std is None or self.disturbance is None,
             levels=default if self.levels is None else self.levels,
             learns_shape=self.joints == "coupled",

@@ -98,8 +98,8 @@ def estimation_page(
     info = result.info
     words, style = VERDICTS[info.consistent]
     shown = html.encode_pictures(images, {"figure": _OVERVIEW}).values()
-    asked = f"Is the record what the observer claims? {words}"
-    head = html.build_paragraph(html.build_tag("span", asked, style))
+    question = f"Is the record what the observer claims? {words}"
+    head = html.build_paragraph(html.build_tag("span", question, style))
     found = [
         _log_width_table(result),
         *further_tables(result.outputs, log_actuator_rows(info), log_gap_rows(info)),

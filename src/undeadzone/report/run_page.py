@@ -143,9 +143,10 @@ def _order_of_magnitude(error: float | None) -> str | None:
 
 def _widths_table(run: Run) -> html.Html:
     """Return the estimated and the true widths of each output, and their identifiability."""
-    said = ([verdict[each] for each in DIRECTIONS] for verdict in run.info.identifiable)
+    verdicts = ([verdict[each] for each in DIRECTIONS] for verdict in run.info.identifiable)
     known = [
-        [html.build_tag("span", *html.choose_verdict(each)) for each in verdict] for verdict in said
+        [html.build_tag("span", *html.choose_verdict(each)) for each in verdict]
+        for verdict in verdicts
     ]
     heads = ("d_r can be known", "d_l", "width d_r + d_l", "centre (d_r − d_l)/2")
     return html.estimates_table("output", run.outputs, final_width_rows(run), heads, known)
@@ -156,8 +157,8 @@ def further_tables(
 ) -> list[html.Html]:
     """Return the estimated widths of actuators and gaps ahead of dead zones as tables."""
     inputs = [f"u[{j}]" for j in range(len(driven))]
-    said = ("actuator", inputs, driven), ("play ahead of the zone", outputs, ahead)
-    return [html.estimates_table(*each) for each in said if each[2]]
+    estimated = ("actuator", inputs, driven), ("play ahead of the zone", outputs, ahead)
+    return [html.estimates_table(*each) for each in estimated if each[2]]
 
 
 def _gain_tables(run: Run) -> list[html.Html]:

@@ -300,14 +300,14 @@ def invalid_toml(text: str, message: str) -> str:
         text: that was read.
         message: of tomllib.
     """
-    said, _, where = message.partition(" (at ")
+    problem, _, where = message.partition(" (at ")
     place = re.match(r"line (\d+), column (\d+)", where)
     if place is None:
         return f"not valid TOML: {message}"
     number = int(place[1])
     lines = text.splitlines()
     line = lines[number - 1].strip() if number <= len(lines) else ""
-    full = f"line {number}, column {place[2]}: not valid TOML: {said[:1].lower()}{said[1:]}"
+    full = f"line {number}, column {place[2]}: not valid TOML: {problem[:1].lower()}{problem[1:]}"
     if line:
         full += f" in {line!r:.80}"
     return full + (_as_lists(line) or _habit(line))

@@ -181,8 +181,8 @@ def _verdicts_along(problem: Problem, signal: Outputs) -> list[WidthIdentifiabil
 
     found = width_verdicts(None, None)
     if traits.start_std is not None or traits.centre_std is not None:
-        claimed = width_verdicts(traits.start_std, traits.centre_std)
-        found = [by_claims(traits, *pair) for pair in zip(found, claimed, strict=True)]
+        with_prior = width_verdicts(traits.start_std, traits.centre_std)
+        found = [by_claims(traits, *pair) for pair in zip(found, with_prior, strict=True)]
     return with_cures(problem, found, signal.z)
 
 

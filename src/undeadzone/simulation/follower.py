@@ -244,7 +244,7 @@ class Follower:
             title=scenario.title,
             method=str(type(scenario.observer).__struct_config__.tag),
             source=source,
-            columns="" if layout is None else layout.said,
+            columns="" if layout is None else layout.columns_text,
             step=scenario.simulation.step,
             measured_step=grid.measured,
             samples=self.samples,

@@ -69,8 +69,10 @@ def linear_verdicts(
     alone = _with_deviations(problem, schedule, readings._replace(prior=None))
     if readings.prior is None:
         return alone
-    claimed = _with_deviations(problem, schedule, readings)
-    return [by_claims(problem.observer.traits, *pair) for pair in zip(alone, claimed, strict=True)]
+    with_prior = _with_deviations(problem, schedule, readings)
+    return [
+        by_claims(problem.observer.traits, *pair) for pair in zip(alone, with_prior, strict=True)
+    ]
 
 
 def _with_deviations(
@@ -217,21 +219,23 @@ def late_inputs(problem: Problem, signal: Outputs) -> Floats:
 
 
 def by_claims(
-    traits: Traits, alone: WidthIdentifiability, claimed: WidthIdentifiability
+    traits: Traits, alone: WidthIdentifiability, with_prior: WidthIdentifiability
 ) -> WidthIdentifiability:
     """Return the verdict with an observer's prior, with a note on widths known by the prior alone.
 
     Args:
         traits: of the observer.
         alone: the verdict by readings alone.
-        claimed: the verdict with the prior.
+        with_prior: the verdict with the prior.
     """
-    gained = [name for name in DIRECTIONS if getattr(claimed, name) and not getattr(alone, name)]
+    gained = [name for name in DIRECTIONS if getattr(with_prior, name) and not getattr(alone, name)]
     if not gained:
         return alone
     sources = {"start": traits.start_std, "centre": traits.centre_std}
     names = [name for name, std in sources.items() if std is not None]
-    return claimed.add_reasons(f"{', '.join(gained)} from the declared {' and '.join(names)} alone")
+    return with_prior.add_reasons(
+        f"{', '.join(gained)} from the declared {' and '.join(names)} alone"
+    )
 
 
 def constant_inputs(problem: Problem, B: Floats) -> Floats | None:

@@ -89,12 +89,12 @@ def correct_measured(
     i = sample.i
     X = belief.mean
     estimated = zone(model.output(q.model, X[:n])[i], X[n + i], X[n + p + i])
-    taken = ca.if_else(sample.side != 0, sample.side, estimated if pseudo else 0.0)
+    used_side = ca.if_else(sample.side != 0, sample.side, estimated if pseudo else 0.0)
 
     def reading_on_branch(X: Any) -> Any:
         """Return the noise-free reading on the branch in use."""
         z = model.output(q.model, X[:n])[i]
-        on_branch = branch(z, taken, X[n + i], X[n + p + i], 1.0, sensor.kind)
+        on_branch = branch(z, used_side, X[n + i], X[n + p + i], 1.0, sensor.kind)
         return (
             on_branch
             if sensor.limits is None
@@ -102,7 +102,7 @@ def correct_measured(
         )
 
     return correct_linearised(
-        q, belief, sample, reading_on_branch, ca.logic_and(sample.seen, taken != 0)
+        q, belief, sample, reading_on_branch, ca.logic_and(sample.seen, used_side != 0)
     )
 
 

@@ -203,7 +203,7 @@ def build_moving_horizon(
     solve = horizon.build_qp_solver(plugin, *horizon.programme_size(start.window))
     doubt = None
     if glitches > 0:
-        doubt = doubt_numbers(model, sensor, prior.prior, glitches, claimed=False)
+        doubt = doubt_numbers(model, sensor, prior.prior, glitches, is_assumed=False)
     setup = HorizonSetup(model, sensor, prior, weights, stride, rms, doubt, tangents, solve)
     how = PythonObserver(
         lambda seed: start, partial(correct_horizon, setup), partial(predict_horizon, setup)

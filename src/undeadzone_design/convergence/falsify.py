@@ -124,13 +124,13 @@ def falsify(
     mode = modes[0]
     log = np.zeros((GROUPS, size))  # of V along each trajectory
     for _ in range(switches):
-        taken, following = _switch_modes(rng, maps, states)
+        modes_of_paths, following = _switch_modes(rng, maps, states)
         lengths = np.einsum("gij,gij->gi", following, following)
         at = np.unravel_index(np.argmax(lengths), lengths.shape)
         if lengths[at] - 1 > rise:
             rise = float(lengths[at] - 1)
             start = states[at]
-            mode = modes[taken[at]]
+            mode = modes[modes_of_paths[at]]
         log += np.log(np.maximum(lengths, TINY))
         states = following / np.sqrt(np.maximum(lengths, TINY))[..., None]
     worst = np.zeros(seen.size)
@@ -156,15 +156,15 @@ def _switch_modes(
     """
     groups, size = states.shape[:2]
     drawn = np.asarray(rng.integers(len(maps), size=groups))
-    taken = np.repeat(drawn[:, None], size, axis=1)
+    modes_of_paths = np.repeat(drawn[:, None], size, axis=1)
     following = states @ maps[drawn].transpose(0, 2, 1)
     offered = rng.choice(len(maps), min(OFFERED, len(maps)), replace=False)
     for g in range(groups // 20):
         tried = states[g] @ maps[offered].transpose(0, 2, 1)
         pick = np.argmax(np.einsum("mij,mij->mi", tried, tried), axis=0)
         following[g] = tried[pick, np.arange(size)]
-        taken[g] = offered[pick]
-    return taken, following
+        modes_of_paths[g] = offered[pick]
+    return modes_of_paths, following
 
 
 def diverge(errors: Dynamics, seed: int = 0, tries: int = 2000) -> Cycle:

@@ -89,8 +89,8 @@ def simulate_trajectories(
     chosen.append(("adversary", _adversary_modes(V, start, moves, fair=False)))
     chosen.append(("fair adversary", _adversary_modes(V, start, moves, fair=True)))
     times = np.full(SWITCHES * count, step)
-    taken = [(kind, pieces[np.repeat(order, count)]) for kind, order in chosen]
-    drawn = [_trajectory_along_maps(kind, V, start, maps, times) for kind, maps in taken]
+    repeated = [(kind, pieces[np.repeat(order, count)]) for kind, order in chosen]
+    drawn = [_trajectory_along_maps(kind, V, start, maps, times) for kind, maps in repeated]
     along = _modes_of_schedule(errors, schedule, seconds)
     return [*drawn, trajectory_along_modes("reference", errors, V, start, along, step)]
 
@@ -115,10 +115,10 @@ def _adversary_modes(V: Storage, start: Floats, moves: _Moves, fair: bool) -> In
             owed = [*moves.full]
         in_debt = len(owed) == moves.window - k % moves.window
         allowed = np.array(owed) if in_debt else np.arange(len(moves.maps))
-        taken = int(allowed[np.argmax(_value(V, moves.maps[allowed] @ error))])
-        owed = [mode for mode in owed if mode != taken]
-        error = moves.maps[taken] @ error
-        chosen.append(taken)
+        worst = int(allowed[np.argmax(_value(V, moves.maps[allowed] @ error))])
+        owed = [mode for mode in owed if mode != worst]
+        error = moves.maps[worst] @ error
+        chosen.append(worst)
     return np.array(chosen)
 
 

@@ -276,11 +276,11 @@ def _drop_overlapping(made: list[Slider]) -> list[Slider]:
 
     Their effects would not add up.
     """
-    taken: set[int] = set()
+    covered: set[int] = set()
     kept = []
     for slider in made:
         places = {place for place, _, _ in slider.moves}
-        if not places & taken:
+        if not places & covered:
             kept.append(slider)
-            taken |= places
+            covered |= places
     return kept

@@ -235,7 +235,7 @@ def log_from_samples(samples: Samples, layout: Layout, source: str) -> Log:
     driving = layout.input_titles[: 1 if layout.has_current else None]
     units = {title.unit or "1" for title in driving}
     is_said = layout.reference is not None or layout.of_the_trade
-    remarks = [f"{source}: {layout.said}"] if is_said else []
+    remarks = [f"{source}: {layout.columns_text}"] if is_said else []
     if repeated:
         remarks.append(
             f"{source}: {repeated} samples have the time of the one before, and are left out"

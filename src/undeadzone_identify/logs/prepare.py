@@ -302,14 +302,14 @@ def _require_informative(grid: Grid, y: Floats, side: Integers, remarks: str) ->
 
 def _feasible_orders(count: int, options: Options, remarks: list[str]) -> list[int]:
     """Return the orders that the number of readings allows. Raise InputError."""
-    asked = options.parse_orders()
-    orders = [n for n in asked if count >= PER_NUMBER * (n + 1)]
+    requested = options.parse_orders()
+    orders = [n for n in requested if count >= PER_NUMBER * (n + 1)]
     if not orders:
         raise InputError(
-            f"log: {count} readings are too few for order {asked[0]}. It needs"
-            f" {PER_NUMBER * (asked[0] + 1)}"
+            f"log: {count} readings are too few for order {requested[0]}. It needs"
+            f" {PER_NUMBER * (requested[0] + 1)}"
         )
-    if len(orders) < len(asked):
+    if len(orders) < len(requested):
         remarks.append(
             f"the log is long enough for order {orders[-1]} at most ({PER_NUMBER} readings a pole)"
         )

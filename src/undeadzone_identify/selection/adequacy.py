@@ -115,8 +115,8 @@ class Remainder(NamedTuple):
         """
         on = f"{DEPENDS[self.on]} ({100 * self.share:.0f} % of it, {describe_p_value(self.chance)})"
         seen = f"the residual of the best one, {model}, depends on {on}"
-        said = f"none of the known models explains this log: {seen}; nothing is named"
-        return said, SEEN[self.on]
+        finding = f"none of the known models explains this log: {seen}; nothing is named"
+        return finding, SEEN[self.on]
 
 
 def largest_remainder(remainders: Sequence[Remainder], word: str) -> Remainder | None:

@@ -292,14 +292,14 @@ def add_valve(case: Case, found: Findings) -> Findings:
     word = next(iter(answer.odds))
     if not is_control_loop(case) and answer.verdict.word != "stiction":
         return found
-    asked = found._replace(models=answer.families, odds=answer.odds)
+    with_loop = found._replace(models=answer.families, odds=answer.odds)
     if word not in (*OWN, *LOOP):
-        verdict = asked.classify(case)
+        verdict = with_loop.classify(case)
         if verdict.word != "unclear":
-            return asked._replace(verdict=verdict)
+            return with_loop._replace(verdict=verdict)
         answer = answer.of_loop_alone(excluded)
-        asked = asked._replace(models=answer.families, odds=answer.odds)
-    return asked._replace(verdict=answer.verdict, valve=answer.valve)
+        with_loop = with_loop._replace(models=answer.families, odds=answer.odds)
+    return with_loop._replace(verdict=answer.verdict, valve=answer.valve)
 
 
 # --- Is it a play, or a play and a dead zone?
@@ -912,17 +912,19 @@ def _in_numbers(case: Case, found: Findings) -> Findings:
         return found._replace(verdict=verdict._replace(reasons=[*verdict.reasons, *limits]))
     if one is None or not isinstance(one.model, ChainModel):
         return found
-    said = one.model.in_words(one.theta, float(data.u_scale[0]), data.y_scale)
+    description = one.model.in_words(one.theta, float(data.u_scale[0]), data.y_scale)
     if word == "input_curve" and one.model.has_curve_at_bound(one.theta):
-        seen = f"the best model is at the limit of the known curves: {said}; nothing is named"
+        seen = (
+            f"the best model is at the limit of the known curves: {description}; nothing is named"
+        )
         return found._replace(verdict=build_verdict("unclear", seen, SEEN["input"]))
     if _may_be_neutral(one):
         reason = (
             f"{CANNOT_TELL} {MODELS[word]} from a straight line: the 95 % intervals of its numbers"
-            f" hold one ({said}); record for longer, or with a larger input"
+            f" hold one ({description}); record for longer, or with a larger input"
         )
         return found._replace(verdict=build_verdict("undecided", reason), odds={})
-    return found._replace(verdict=verdict._replace(reasons=[said]))
+    return found._replace(verdict=verdict._replace(reasons=[description]))
 
 
 def _may_be_neutral(fit: ChainFit) -> bool:

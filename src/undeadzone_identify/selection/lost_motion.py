@@ -212,9 +212,9 @@ def positions_of(log: Log, options: Options) -> tuple[Positions | None, bool]:
         options: of the user.
     """
     plain = options.kind in ("auto", "play") and options.place == "auto" and not options.integrators
-    asked = options.right or options.left or options.resample or options.delay != "auto"
+    has_options = options.right or options.left or options.resample or options.delay != "auto"
     inputs = log.u.shape[1]
-    if not plain or asked or inputs > 2 or (inputs == 2 and drive_of(log) is None):
+    if not plain or has_options or inputs > 2 or (inputs == 2 and drive_of(log) is None):
         return None, False
     t, u, y = log.t, log.u[:, 0], log.y[:, 0]
     is_summed = _is_summed(log)

@@ -342,12 +342,12 @@ def feedback_share(
     known &= rows_since_start(start, y.size) >= PAST_INPUTS
     found = [(0.0, 1.0)]
     for column in moved[known].T:
-        left, said = (
+        left, reference = (
             regression_residual(own[known], column),
             regression_residual(own[known], lagged[known]),
         )
         if np.std(left) > ALONE * np.std(column):
-            found.append(regress_residual(said, left)[2:])
+            found.append(regress_residual(reference, left)[2:])
     return min(reversed(found), key=lambda one: one[1])
 
 

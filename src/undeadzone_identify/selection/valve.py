@@ -134,8 +134,8 @@ def may_be_valve(case: Case, odds: dict[str, float]) -> bool:
         odds: so far.
     """
     data, options = case.recorded, case.options
-    asked = options.kind == "auto" and options.place == "auto" and case.jump_edges is None
-    if not asked or data.u.shape[1] > 1 or data.silent_zeros:
+    is_open = options.kind == "auto" and options.place == "auto" and case.jump_edges is None
+    if not is_open or data.u.shape[1] > 1 or data.silent_zeros:
         return False
     top = next(iter(odds), "")
     if top in SENSOR and odds[top] >= LIKELY and not is_named_loop(case.grid):

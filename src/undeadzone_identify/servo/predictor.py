@@ -106,9 +106,9 @@ def step_motor(lane: Lane, x: list[Any], u: Any, torque: Any, contact: Any) -> _
     stops = ca.logic_or(v == 0, passes)
     rests = ca.logic_and(rubs, ca.logic_and(stops, ca.fabs(push) <= brake))
     before = ca.fabs(v) / ca.fmax(ca.fabs(v) + ca.fabs(ahead), 1e-300)  # share until it stops
-    taken = sign * ca.if_else(passes, before * friction - (1 - before) * turned, friction)
-    slid_z = rolled - ca.fabs(lane.fz) * taken
-    slid_v = lane.a11 * v + push - ca.fabs(lane.fv) * taken
+    drag = sign * ca.if_else(passes, before * friction - (1 - before) * turned, friction)
+    slid_z = rolled - ca.fabs(lane.fz) * drag
+    slid_v = lane.a11 * v + push - ca.fabs(lane.fv) * drag
     stopped = z + 0.5 * before * v * lane.step * ca.if_else(v == 0, 0.0, 1.0)
     new_z = ca.if_else(rests, stopped, slid_z)
     new_v = ca.if_else(rests, 0.0, slid_v)

@@ -188,9 +188,9 @@ def _set_size(path: Path, file: io.FileIO, size: int, fresh: bool) -> None:
         file.truncate(size)
         if hasattr(os, "fstatvfs"):
             disk = os.fstatvfs(file.fileno())
-            taken = os.fstat(file.fileno()).st_blocks * SECTOR
+            allocated = os.fstat(file.fileno()).st_blocks * SECTOR
             free = disk.f_bavail * disk.f_frsize
-            if size - taken > free:
+            if size - allocated > free:
                 raise OSError(f"it needs {size / 1e6:,.0f} MB, and the disk has {free / 1e6:,.0f}")
     except BaseException:
         if fresh:

@@ -231,11 +231,11 @@ def answer_requests() -> None:
     """Answer every batch with the result of `job.compute_blocks`, or with its exception."""
     answers = _redirect_stdout()
     payload = pickle.load(sys.stdin.buffer)
-    asked: SimpleQueue[Any] = SimpleQueue()
-    threading.Thread(target=_queue_requests, args=(sys.stdin.buffer, asked), daemon=True).start()
+    queue: SimpleQueue[Any] = SimpleQueue()
+    threading.Thread(target=_queue_requests, args=(sys.stdin.buffer, queue), daemon=True).start()
     prepared = functools.cache(lambda: pickle.loads(payload)())
     while True:
-        answers.write(_pickle_answer(prepared, asked.get()))
+        answers.write(_pickle_answer(prepared, queue.get()))
         answers.flush()
 
 
@@ -248,13 +248,13 @@ def _redirect_stdout() -> BinaryIO:
     return answers
 
 
-def _queue_requests(requests: BinaryIO, asked: SimpleQueue[Any]) -> None:
+def _queue_requests(requests: BinaryIO, queue: SimpleQueue[Any]) -> None:
     """Read the batches that arrive into the queue. End the process, even at work, when the
     pipe is closed.
     """
     try:
         while True:
-            asked.put(pickle.load(requests))
+            queue.put(pickle.load(requests))
     except BaseException:  # the process at the other end has gone
         os._exit(0)
 

@@ -61,7 +61,7 @@ def tune_page(result: Tuned, images: dict[str, bytes], origin: html.Origin | Non
     """Return the page (images: SVGs by name, else see `write_tuned`)."""
     shown = html.encode_pictures(images, CAPTIONS)
     what = result.what
-    asked = (
+    paragraph = (
         f"Made small: {what.statistic} of {what.metric} over {what.runs} runs, with "
         f"{len(result.trials)} candidates of {what.budget}. Held-out runs are others than those "
         "tuned on: they tell what the numbers are worth. In parentheses: 95 % intervals."
@@ -73,7 +73,7 @@ def tune_page(result: Tuned, images: dict[str, bytes], origin: html.Origin | Non
             "Numbers", *_number_table(result), *html.pick_pictures(shown, "history")
         ),
         html.build_section(
-            "What they are worth", html.build_paragraph(asked), _held_out_table(result)
+            "What they are worth", html.build_paragraph(paragraph), _held_out_table(result)
         ),
         html.build_section("Around what was found", *html.pick_pictures(shown, "around")),
         html.build_section(

@@ -55,8 +55,8 @@ def append_gap_states(linear: Matrices, Ts: float | None) -> Matrices:
     p = linear.C.shape[0]
     still = np.zeros((2 * p, 2 * p)) if Ts is None else np.eye(2 * p)
     A = np.block([[linear.A, np.zeros((n, 2 * p))], [np.zeros((2 * p, n)), still]])
-    taken = np.diag(np.tile([-1.0, 1.0], p))
-    C = np.hstack([np.repeat(linear.C, 2, axis=0), taken])
+    signs = np.diag(np.tile([-1.0, 1.0], p))
+    C = np.hstack([np.repeat(linear.C, 2, axis=0), signs])
     return Matrices(A, pad_states(linear.B, 2 * p), C)
 
 

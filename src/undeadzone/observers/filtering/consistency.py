@@ -249,7 +249,7 @@ def update_record(q: Params, record: Record, step: Step, u: Any, reading: Readin
     before = Sums(record.total, record.count, record.ratio)
     sums = accumulate_innovations(before, ca.if_else(counted, nu, 0.0), counted, fade, q.doubt.keep)
     refused = step.trust < 0.5
-    asked = ca.logic_or(used, refused)
+    counts_reading = ca.logic_or(used, refused)
     share = fade * record.share + (1 - fade) * refused
     offset = ca.if_else(used, fade * record.offset + (1 - fade) * e, record.offset)
     constant = record.constant
@@ -266,7 +266,7 @@ def update_record(q: Params, record: Record, step: Step, u: Any, reading: Readin
         count=sums.count,
         ratio=sums.ratio,
         offset=offset,
-        share=ca.if_else(asked, share, record.share),
+        share=ca.if_else(counts_reading, share, record.share),
         refused=record.refused + refused,
         restarts=record.restarts,
         constant=constant,

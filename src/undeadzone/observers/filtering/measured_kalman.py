@@ -133,7 +133,7 @@ def build_branch_filter(
     bounds: bool = False,
     order: Literal[1, 2] = 2,
     blind: bool = False,
-    claimed: bool = True,
+    is_assumed: bool = True,
     careful: bool = False,
     levels: int = 1,
     recovers: bool = True,
@@ -157,7 +157,7 @@ def build_branch_filter(
         bounds: whether censored samples and assumed ranges bound the state estimate.
         order: order of the prediction: 1 linearises, 2 includes second derivatives.
         blind: whether every reading counts as z itself, as if there were no dead zone.
-        claimed: whether the user assumes the rms of the disturbance. False: it is a default.
+        is_assumed: whether the user assumes the rms of the disturbance. False: it is a default.
         careful: whether censored samples move widths only as far as readings contained information
             on them.
         levels: number of disturbance rms in the multiple-model filter (`add_disturbance_levels`).
@@ -200,7 +200,7 @@ def build_branch_filter(
         )
 
     params = build_filter_params(model, sensor, prior, augmentation)
-    doubt = doubt_numbers(model, sensor, prior, glitches, claimed)
+    doubt = doubt_numbers(model, sensor, prior, glitches, is_assumed)
     params = params._replace(
         lasting=np.asarray(lasting),
         doubt=doubt,
@@ -219,7 +219,7 @@ def build_branch_filter(
         ),
     )
     member = Member(params, init, partial(step_filter, setup), smoothing)
-    member = add_disturbance_levels(member, levels, claimed)
+    member = add_disturbance_levels(member, levels, is_assumed)
     observer = rescale_states(add_consistency_tests(member, model, doubts, traits, recovers), units)
     return add_motion_detection(observer, plant, sensor)
 
@@ -271,10 +271,10 @@ def filter_moments(
 ) -> tuple[Moments, ...]:
     """Return the filter's moments at a sample for a smoother, a tuple of length 1."""
     q = widen_gate(setup, q)
-    taken = update_measurement(setup, q, s, reading)
-    corrected = taken.corrected
-    bounded = taken.bounded
-    rows, edges = measurement_rows(setup, q, taken.before.mean, taken.side)
+    updated = update_measurement(setup, q, s, reading)
+    corrected = updated.corrected
+    bounded = updated.bounded
+    rows, edges = measurement_rows(setup, q, updated.before.mean, updated.side)
     restarted = reset_if_invalid(
         q, setup.entries, predict_belief(setup, q, bounded.belief, u, reading.side)
     )[2]
@@ -284,9 +284,17 @@ def filter_moments(
     doubted = (none, none)
     if setup.shape.fixed:
         scale = ca.diag(q.shape.doubt)
-        doubted = (arrange_columns(setup, s.columns) @ scale, taken.columns @ scale)
+        doubted = (arrange_columns(setup, s.columns) @ scale, updated.columns @ scale)
     known = Moments(
-        taken.before, corrected.belief, bounded.belief, rows, edges, slope, log, restarted, doubted
+        updated.before,
+        corrected.belief,
+        bounded.belief,
+        rows,
+        edges,
+        slope,
+        log,
+        restarted,
+        doubted,
     )
     return (known,)
 

@@ -149,12 +149,12 @@ def step_with_motion(
     moving, edge, rms = detect_branches(sensor, motion, s, y)
     moving = ca.if_else(seen, moving, 0.0)
     if sensor.play is None:
-        taken = Reading(edge, moving, reading.x, edge, rms)
+        motion_reading = Reading(edge, moving, reading.x, edge, rms)
     else:
-        taken = Reading(edge, reading.side, reading.x, rms=rms, motion=moving)
+        motion_reading = Reading(edge, reading.side, reading.x, rms=rms, motion=moving)
     if motion.friction.numel():
-        u = u - motion.friction * taken.side
-    moved, estimate = observer.step(inner, s.observer, u, taken)
+        u = u - motion.friction * motion_reading.side
+    moved, estimate = observer.step(inner, s.observer, u, motion_reading)
     ahead = model.output(inner.model, model.move(inner.model, estimate.x, u)) - estimate.z
     refused = s.refused
     regular = seen
@@ -165,7 +165,7 @@ def step_with_motion(
     after = State(moved, *line, ahead, refused)
     if sensor.play is not None:
         return after, estimate
-    return after, estimate._replace(contact=taken.side)
+    return after, estimate._replace(contact=motion_reading.side)
 
 
 def detect_branches(sensor: Zone, q: Motion, s: State, y: Any) -> tuple[Any, Any, Any]:

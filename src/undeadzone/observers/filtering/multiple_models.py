@@ -47,7 +47,7 @@ class State(NamedTuple):
     odds: Any
 
 
-def add_disturbance_levels(member: Member, levels: int, claimed: bool) -> Member:
+def add_disturbance_levels(member: Member, levels: int, is_assumed: bool) -> Member:
     """Return the multiple-model filter over several rms of the disturbance.
 
     A filter without disturbance is returned unchanged.
@@ -55,8 +55,7 @@ def add_disturbance_levels(member: Member, levels: int, claimed: bool) -> Member
     Args:
         member: the filter.
         levels: how many are weighed (1 to 10).
-        claimed: whether the rms is assumed by the user: then one level lies above it and one equals
-            it.
+        is_assumed: whether the user assumes the rms: then one level is above it and one equals it.
 
     Raises:
         InputError: for another number of levels.
@@ -66,7 +65,7 @@ def add_disturbance_levels(member: Member, levels: int, claimed: bool) -> Member
     if levels == 1 or not member.params.augmentation.variance.any():
         return member
     factors: Floats = np.geomspace(LOUDEST, FAINTEST, levels)
-    if claimed:
+    if is_assumed:
         factors = FALL ** (1.0 * (levels >= DOUBTED) - np.arange(levels))
     return build_multiple_models(
         member, [partial(_scale_disturbance, factor) for factor in factors]

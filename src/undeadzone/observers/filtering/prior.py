@@ -66,10 +66,10 @@ class Prior(NamedTuple):
         if self.asymmetry is None:
             return mean, cov
         p = len(self.asymmetry)
-        for i, (claimed, std) in enumerate(self.asymmetry):
+        for i, (assumed, std) in enumerate(self.asymmetry):
             h = np.eye(2 * p)[i] - np.eye(2 * p)[p + i]
             gain = cov @ h / (h @ cov @ h + std**2)
-            mean = mean + gain * (claimed - h @ mean)
+            mean = mean + gain * (assumed - h @ mean)
             cov = cov - np.outer(gain, h @ cov)
         return mean, (cov + cov.T) / 2
 
@@ -173,13 +173,13 @@ def prior_traits(prior: Prior, x_std: Array | None) -> Traits:
     )
 
 
-def _asymmetries(claimed: Array, ranges: Floats, p: int) -> Floats:
+def _asymmetries(assumed: Array, ranges: Floats, p: int) -> Floats:
     """Return mean and standard deviation of each d_r - d_l (p x 2).
 
     That is twice the centre, which is assumed. A range stands for the uniform distribution over it.
     Raises InputError, ShapeError.
     """
-    value = require_array("observer.centre", claimed)
+    value = require_array("observer.centre", assumed)
     if value.ndim == 0:
         value = np.full(2, float(value))
     if value.shape not in ((2,), (p, 2)):
@@ -311,7 +311,7 @@ class Doubt(NamedTuple):
 
 
 def doubt_numbers(
-    model: System, sensor: Zone, prior: Prior, glitches: float, claimed: bool
+    model: System, sensor: Zone, prior: Prior, glitches: float, is_assumed: bool
 ) -> Doubt:
     """Return the parameters of outlier rejection and of the consistency tests.
 
@@ -323,8 +323,8 @@ def doubt_numbers(
         sensor: the dead zone.
         prior: prior of the filter before the first reading.
         glitches: probability that a reading is an outlier (0: none is).
-        claimed: whether the user assumes the rms of the disturbance. False: it is a default, whose
-            wider limits allow for a wrong correlation time.
+        is_assumed: whether the user assumes the rms of the disturbance. False: it is a default,
+            whose wider limits allow for a wrong correlation time.
     """
     assert model.Ts is not None
     quarter_period = time_scale(model.continuous, model.Ts)
@@ -339,8 +339,8 @@ def doubt_numbers(
         keep=np.exp(-model.Ts / (HISTORY * quarter_period)),
         std=prior.std,
         forget=np.exp(-1 / max(PATIENCE * quarter_period / model.Ts, FEWEST)),
-        most=np.asarray(CHANCE if claimed else CHANCE_OF_DEFAULTS),
-        limit=np.asarray(SCORE if claimed else SCORE_OF_DEFAULTS),
+        most=np.asarray(CHANCE if is_assumed else CHANCE_OF_DEFAULTS),
+        limit=np.asarray(SCORE if is_assumed else SCORE_OF_DEFAULTS),
         stays=STAYS * np.sqrt(prior.R) * sensor.slope * (noisy & (not sensor.moves)),
         push=model.continuous.C @ zoh(model.continuous, quarter_period).B,
         means=np.exp(-model.Ts / (np.array(MEANS) * quarter_period)),
@@ -353,9 +353,9 @@ def outlier_reach(prior: Prior) -> Floats:
     return np.asarray(GLITCH_REACH * prior.ranges[:, 1].reshape(2, -1).max(axis=0))
 
 
-def outlier_probability(claimed: float) -> float:
+def outlier_probability(assumed: float) -> float:
     """Return the assumed probability of an outlier [1]. Raises InputError."""
-    share = require_number("observer.glitches", claimed, least=0.0)
+    share = require_number("observer.glitches", assumed, least=0.0)
     if share > 0.5:
         raise InputError(f"observer.glitches: must be at most 0.5, found {share:g}")
     return share

@@ -127,19 +127,19 @@ def read_time_span(key: str, value: Any, Ts: float) -> float:
     return time
 
 
-def resolve_input_rms(key: str, claimed: Array | None, default: Floats) -> Floats:
+def resolve_input_rms(key: str, rms: Array | None, default: Floats) -> Floats:
     """Return an rms as given, or its default (m) [u]. Raises InputError, ShapeError."""
-    if claimed is None:
+    if rms is None:
         return default
-    return require_nonnegative(f"observer.{key}", claimed, np.size(default), "one per input")
+    return require_nonnegative(f"observer.{key}", rms, np.size(default), "one per input")
 
 
-def resolve_correlation_time(claimed: float | None, flow: Matrices, Ts: float) -> float:
+def resolve_correlation_time(assumed: float | None, flow: Matrices, Ts: float) -> float:
     """Return the correlation time of a disturbance [s].
 
     The default is a 16th of the plant's period. Raises InputError.
     """
-    time = BRIEF * time_scale(flow, Ts) if claimed is None else claimed
+    time = BRIEF * time_scale(flow, Ts) if assumed is None else assumed
     return read_time_span("correlation_time", time, Ts)
 
 
@@ -335,13 +335,13 @@ def read_named_parameters(model: System, stds: dict[str, float]) -> Tolerance:
 
 
 def read_tolerance(
-    model: System, claimed: float | dict[str, float], units: Floats | None = None
+    model: System, tolerance: float | dict[str, float], units: Floats | None = None
 ) -> Tolerance:
     """Return the tolerance of A and B, or of the parameters of a nonlinear plant.
 
     Args:
         model: the sampled model.
-        claimed: relative standard deviation of every entry, but of rows that only contain x_i' =
+        tolerance: relative standard deviation of every entry, but of rows that only contain x_i' =
             x_j, or of some, as {"A[1,0]": 0.1} (or of every parameter).
         units: in which the filter counts states (n) (None: those of the model).
 
@@ -349,15 +349,15 @@ def read_tolerance(
         InputError: for an entry that does not exist or is 0.
     """
     if model.nonlinear:
-        return _read_parameter_tolerance(model, claimed)
+        return _read_parameter_tolerance(model, tolerance)
     assert model.Ts is not None
     AB = np.hstack(model.continuous[:2])
     places = _entry_names(model.n, model.m)
-    if not isinstance(claimed, dict):
-        claimed = _dynamic_entries(AB, places, claimed)
+    if not isinstance(tolerance, dict):
+        tolerance = _dynamic_entries(AB, places, tolerance)
     std = []
     entries = []
-    for name, value in claimed.items():
+    for name, value in tolerance.items():
         relative = require_number(f"observer.tolerance.{name}", value, least=0.0)
         if name not in places or AB[places[name]] == 0.0:
             uncertain = ", ".join(name for name, at in places.items() if AB[at] != 0.0)
@@ -378,13 +378,13 @@ def read_tolerance(
     )
 
 
-def _read_parameter_tolerance(model: System, claimed: float | dict[str, float]) -> Tolerance:
+def _read_parameter_tolerance(model: System, tolerance: float | dict[str, float]) -> Tolerance:
     """Return the tolerance with equal relative deviations of a nonlinear plant's parameters."""
-    if isinstance(claimed, dict):
+    if isinstance(tolerance, dict):
         raise InputError(
             "observer.tolerance: a nonlinear plant takes one number, for all of its parameters"
         )
-    std = require_number("observer.tolerance", claimed, least=0.0)
+    std = require_number("observer.tolerance", tolerance, least=0.0)
     count = np.size(model.params) if std else 0
     return Tolerance(np.full(count, std), np.zeros((0, model.n + model.m)))
 

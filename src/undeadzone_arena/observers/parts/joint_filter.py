@@ -107,7 +107,7 @@ def build_joint_filter(
     model = scale_states(model, units)
     prior = prior._replace(prior=scale_prior(prior.prior, units))
     augmentation = white_disturbance(model, prior.variance)
-    doubt = doubt_numbers(model, sensor, prior.prior, share, claimed=False)
+    doubt = doubt_numbers(model, sensor, prior.prior, share, is_assumed=False)
     params = build_filter_params(model, sensor, prior.prior, augmentation)._replace(doubt=doubt)
     entries = covariance_entries(model, augmentation)
 
