@@ -33,6 +33,7 @@ from undeadzone.simulation.simulate import prepare as prepare_loop
 from undeadzone.util import toml
 from undeadzone.util.arrays import Floats
 from undeadzone_arena import ParticleFilter, TaylorResidual
+from undeadzone_studies.commands.tune import tune as command
 from undeadzone_studies.ensemble import metrics
 from undeadzone_studies.ensemble.batch import prepare_batch
 from undeadzone_studies.statistics.intervals import Interval
@@ -467,7 +468,7 @@ def test_a_tuned_scenario_finds_its_files(tmp_path: Path) -> None:
 
 def example_of_the_help() -> str:
     """The table [tune] that `undeadzone tune --help` shows."""
-    text = group.commands["tune"].help or ""
+    text = command.help or ""
     return textwrap.dedent(text.split("\b")[1].split("\n\n")[0].strip("\n"))
 
 
