@@ -59,6 +59,7 @@ COMMANDS: dict[str, list[list[str]]] = {
         ["estimate", "examples/asymmetric_noise.toml", LOG, *COMMON],
         ["estimate", "examples/load_cell_limited.toml", LOG, "--columns", "t=t,y=y,u=u", *COMMON],
         ["estimate", "valve.toml", LOG, *COMMON],
+        ["estimate", "point.toml", LOG, *COMMON],
         ["estimate", "gears.toml", LOG, *COMMON],
         ["estimate", "arm.toml", "arm/run.csv", *COMMON],
     ],
@@ -71,6 +72,10 @@ COMMANDS: dict[str, list[list[str]]] = {
 PREPARED = {
     "arm.toml": ("two_link.toml", {"duration = 20.0": SHORT}),
     "valve.toml": ("valve_both_ends.toml", {"step = 0.02": "step = 0.01"}),
+    "point.toml": (
+        "asymmetric_noise.toml",
+        {"[sensor]": "[operating_point]\noutput = 0.1\n[sensor]"},
+    ),
     "gears.toml": ("gears_and_zone.toml", {"step = 0.005": "step = 0.01"}),
 }
 BEFORE = {

@@ -17,7 +17,7 @@ ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[2]
 EXAMPLES = ROOT / "examples"  # stand there in a wheel, and are no room
 FILES = sorted(path for path in ROOT.rglob("*.py") if EXAMPLES not in path.parents)
-MOST_FILES = 233
+MOST_FILES = 235
 CODE = """'''A file.'''
 
 import os  # imports are free

@@ -201,7 +201,7 @@ def test_what_is_not_finite_is_refused_before_its_eigenvalues() -> None:
 def test_what_to_type_next_is_taken_as_it_is_printed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Names with blanks are quoted, a log has its columns again, and no --zero."""
+    """Names with blanks are quoted, a log has its columns again."""
     monkeypatch.chdir(tmp_path)
     made = undeadzone("init", "my plant.toml")
     assert shlex.split(made.stdout.split("next: ")[1]) == ["undeadzone", "run", "my plant.toml"]
@@ -215,7 +215,8 @@ def test_what_to_type_next_is_taken_as_it_is_printed(
         "y=a b,u=c",
     ]
     assert (run, export_) == ("undeadzone run 'my log.toml'", "or undeadzone export 'my log.toml'")
-    assert "estimate" not in _next_commands(scenario, (log,), said | {"zero": 1.0}, True)
+    assert "estimate" in _next_commands(scenario, (log,), said | {"zero": 1.0}, True)
+    assert "estimate" not in _next_commands(scenario, (log, log), said, True)
     estimate, watch = _next_commands(scenario, (log,), said, False).split(", ")  # no reference
     assert shlex.split(watch)[:3] == ["undeadzone", "watch", "my log.toml"]
 
@@ -283,10 +284,9 @@ def test_one_command_leads_from_a_log_to_firmware_that_has_followed_it(
     refused = undeadzone("identify", "log.csv", "--chain", "log.csv", cwd=tmp_path)
     assert refused.returncode == 2
     assert "log.csv: cannot write" in refused.stderr  # before anything is computed
-    for words in (("--zero", "1"), ("log.csv",)):
-        refused = undeadzone("identify", "log.csv", *words, "--chain", "other", cwd=tmp_path)
-        assert refused.returncode == 2
-        assert "--chain follows one log" in refused.stderr
+    refused = undeadzone("identify", "log.csv", "log.csv", "--chain", "other", cwd=tmp_path)
+    assert refused.returncode == 2
+    assert "--chain follows one log" in refused.stderr
     assert not (tmp_path / "other").exists()
 
 

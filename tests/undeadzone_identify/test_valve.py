@@ -229,7 +229,7 @@ def test_a_valve_is_worth_what_it_foretells_of_held_out_readings(
     position = draw.normal(size=size)
     y = 3.0 * position + draw.normal(size=size)
     regression = SimpleNamespace(
-        rows=np.arange(size), past=np.zeros((size, 0)), y=y, lagged=lambda x, lags: x[:, None, :]
+        rows=np.arange(size), y=y, regressors=lambda x, lags: np.column_stack([x, np.ones(size)])
     )
     fits: Any = SimpleNamespace(
         regression=regression,

@@ -51,7 +51,7 @@ def stateless(inputs: list[ca.SX], outputs: list[ca.SX]) -> ExportedStep:
     )
     none = np.empty(0)
     fields = [Field("a", len(inputs), "inputs")], [Field("b", out.shape[0], "outputs")]
-    return ExportedStep(function, none, [], *fields, [], none, len(inputs), [], 1.0)
+    return ExportedStep(function, none, [], *fields, [], none, len(inputs), [], 1.0, none)
 
 
 def by_replica(step: ExportedStep, rows: Floats, single: bool) -> Floats:
@@ -287,7 +287,9 @@ def test_increments_hold_a_slow_drift_that_float_would_lose(tmp_path: Path) -> N
         "step", [x, u, ca.SX(0, 1)], [moved, x], ["s", "w", "p"], ["next", "out"]
     )
     fields = [Field("x", 1, "")], [Field("u", 1, "")], [Field("x", 1, "")]
-    step = ExportedStep(function, np.array([1.0]), *fields, [], np.empty(0), 0, [0], 1e-5)
+    step = ExportedStep(
+        function, np.array([1.0]), *fields, [], np.empty(0), 0, [0], 1e-5, np.zeros(1)
+    )
     rows = np.sin(np.arange(100_000) * 1e-3)[:, None].astype(np.float32).astype(float)
     exact = CompiledStep(build_code(step, False), tmp_path)(rows)
     rounded = CompiledStep(build_code(step, True), tmp_path)(rows)
