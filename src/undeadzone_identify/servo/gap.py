@@ -265,7 +265,7 @@ def identify_servo_gap(log: Observations | None) -> ServoGap | None:
     """Find the gap of a servo's log; None if nothing moves or no servo fits.
 
     Args:
-        log: as `build_observations` returns it; None: of too few moves.
+        log: as `build_observations` returns it; None: nothing moves.
     """
     if log is None:
         return None
