@@ -33,6 +33,7 @@ from undeadzone_identify.selection.odds import model_probabilities
 from undeadzone_identify.selection.valve import (
     _comparable_families,
     _verdict_of,
+    answer_by_odds,
     ellipse_width,
 )
 
@@ -203,6 +204,32 @@ def test_play_and_stiction_beside_each_other_are_both_named() -> None:
     assert _verdict_of({"stiction": 0.99, "input_play": 0.01}, found).word == "undecided"
 
 
+@pytest.mark.parametrize(
+    ("apparent", "beside_sines", "word"),
+    [(40.0, 8.0, "tight_tuning"), (40.0, 0.8, "external"), (1.5, 1.5, "none")],
+)
+def test_a_swing_that_sines_explain_comes_from_outside(
+    apparent: float, beside_sines: float, word: str
+) -> None:
+    valve: Any = SimpleNamespace(
+        swings=True, apparent=apparent, sensitivity=beside_sines, turns=9, hidden=0.5
+    )
+    odds = {"none": 0.6, "external": 0.35, "stiction": 0.05}
+    answer = answer_by_odds((), odds, valve)
+    first, share = next(iter(answer.odds.items()))
+    assert first == word
+    assert share == pytest.approx(0.95 if word == "external" else 0.6)
+    assert sum(answer.odds.values()) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(("seed", "word"), [(9003, "tight_tuning"), (9049, "external")])
+def test_a_loop_far_from_its_limit_beside_sines_is_swung_from_outside(
+    seed: int, word: str, tmp_path: Path
+) -> None:
+    """Without sines the regression of either has a sensitivity above 40."""
+    assert uz.identify(write(make(seed), tmp_path / "loop.csv")).verdict == word
+
+
 def test_the_sensitivity_of_a_loop_is_that_of_its_controller_and_plant() -> None:
     """A PI controller with a filter, behind which the plant is a gain of -0.4."""
     numerator, filtered, draw = np.array([0.7, -0.5, 0.1]), 0.3, np.random.default_rng(5)
@@ -210,7 +237,7 @@ def test_the_sensitivity_of_a_loop_is_that_of_its_controller_and_plant() -> None
     u = lfilter(numerator, np.convolve([1.0, -1.0], [1.0, -filtered]), e)
     loop: Any = SimpleNamespace(
         log=SimpleNamespace(period=20.0, error=e, u=u),
-        regression=SimpleNamespace(response=lambda v, lags, z: -0.4),
+        regression=SimpleNamespace(response=lambda v, lags, z, others: -0.4),
         structure=SimpleNamespace(lags=range(1)),
     )
     at = 2 * np.pi / 20.0 * np.linspace(0.85, 1.15, 13)

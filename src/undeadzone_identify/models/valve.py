@@ -244,7 +244,7 @@ class Regression:
         ones = np.ones((self.rows.size, 1))
         return np.hstack([self.past, self.lagged(v[:, None], lags)[:, 0], ones])
 
-    def response(self, v: Floats, lags: range, z: complex) -> complex:
+    def response(self, v: Floats, lags: range, z: complex, others: Floats | None = None) -> complex:
         """Return the frequency response from the position of the valve to y.
 
         The regression is y = past(q^-1) y + through(q^-1) v, so the response is
@@ -254,13 +254,17 @@ class Regression:
             v: position (N).
             lags: lags of the position [samples].
             z: exp(-i w), with w the frequency [rad/sample].
+            others: further regressors (N x M); None: none.
         """
-        coefficients = np.linalg.lstsq(self.regressors(v, lags), self.y, rcond=1e-9)[0]
+        columns = self.regressors(v, lags)
+        if others is not None:
+            columns = np.hstack([columns, others[self.rows]])
+        coefficients = np.linalg.lstsq(columns, self.y, rcond=1e-9)[0]
         decay = np.exp(-1 / np.array(MEMORY))
         averaged = (1 - decay) / (1 - decay * z)  # response of each exponential average
         past = np.append(z ** np.arange(1, self.order + 1), z * averaged)
         through = np.append(z ** np.array(lags), z ** lags[0] * averaged)
-        numerator = complex(coefficients[past.size : -1] @ through)
+        numerator = complex(coefficients[past.size : past.size + through.size] @ through)
         return numerator / complex(1 - coefficients[: past.size] @ past)
 
 
@@ -581,7 +585,7 @@ class LoopFits(NamedTuple):
         )
         return widths, jumps if fit.word == "stiction" else Interval(0.0, 0.0, 0.0)
 
-    def sensitivity(self, v: Floats) -> float:
+    def sensitivity(self, v: Floats, oscillation: Floats | None = None) -> float:
         """Return the peak of the sensitivity |1 / (1 + C G)| near the oscillation's frequency [1].
 
         The controller C is fitted to the log as a difference equation of u and the error. G is the
@@ -589,6 +593,8 @@ class LoopFits(NamedTuple):
 
         Args:
             v: position of the valve (N) [range of u].
+            oscillation: from outside, as further regressors (N x M); None: the plant and the
+                controller make it.
         """
         if not math.isfinite(self.log.period):
             return 0.0
@@ -601,7 +607,7 @@ class LoopFits(NamedTuple):
         for w in 2 * np.pi / self.log.period * np.linspace(0.85, 1.15, 13):
             z = complex(np.exp(-1j * w))
             controller = (c[0] + c[1] * z + c[2] * z**2) / ((1 - z) * (1 - c[3] * z))
-            plant = self.regression.response(v, self.structure.lags, z)
+            plant = self.regression.response(v, self.structure.lags, z, oscillation)
             peak = max(peak, 1 / max(abs(1 - controller * plant), 1e-9))
         return peak
 

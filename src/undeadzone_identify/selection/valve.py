@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -55,7 +56,6 @@ REGULAR = 1.0  # Thornhill's r, above which an oscillation is regular
 SHAPE, USUAL = 3.0, 0.3  # logarithm of odds by the ellipse's width, and where it tells nothing
 TIGHT = 2.0  # |sensitivity| at the period, above which a loop is tuned too tightly
 LEAST_POLE = 1e-6  # of a sampled plant: a pole below it is 0
-TIGHTENED = {"none": "tight_tuning"}  # the word of a loop that swings by its own tuning
 
 
 class ValveFindings(NamedTuple):
@@ -72,7 +72,8 @@ class ValveFindings(NamedTuple):
         without: the same rms without the valve, scaled as the readings.
         regularity: of the oscillation; above 1 it is regular.
         period: of the oscillation [samples]; inf without.
-        sensitivity: |1 / (1 + C G)| about this period.
+        sensitivity: |1 / (1 + C G)| about this period, beside an oscillation from outside.
+        apparent: the same if there is no such oscillation.
         shape: width of the ellipse of PV over OP, in the range of OP.
         turns: how often u turned by more than a quarter of its range.
         hidden: p of what a play explains beside u itself.
@@ -90,6 +91,7 @@ class ValveFindings(NamedTuple):
     regularity: float
     period: float
     sensitivity: float
+    apparent: float
     shape: float
     turns: int
     hidden: float
@@ -195,13 +197,19 @@ def answer_by_odds(
 ) -> LoopAnswer:
     """Return the answer on a loop by the odds of its models.
 
+    A regression takes any lasting oscillation for a pole near the stability limit. If the loop is
+    far from that limit as soon as sines stand beside it, they come from outside.
+
     Args:
         families: the models, those of the same readings together.
         odds: of these, by word.
         valve: findings on the valve.
     """
-    if "none" in odds and valve.swings and valve.sensitivity > TIGHT:
-        odds = {TIGHTENED.get(word, word): p for word, p in odds.items()}
+    if "none" in odds and valve.swings and valve.apparent > TIGHT:
+        word = "tight_tuning" if valve.sensitivity > TIGHT else "external"
+        shares = {**odds, word: odds.get(word, 0.0) + odds["none"]}
+        del shares["none"]
+        odds = dict(sorted(shares.items(), key=itemgetter(1), reverse=True))
     return LoopAnswer(_verdict_of(odds, valve), odds, families, valve)
 
 
@@ -289,7 +297,8 @@ def _measure(
         without=without,
         regularity=log.regularity,
         period=log.period,
-        sensitivity=fits.sensitivity(acting),
+        sensitivity=fits.sensitivity(acting, fits.structure.oscillation),
+        apparent=fits.sensitivity(acting),
         shape=shape,
         turns=log.turns,
         hidden=fits.chance_of_play(),
