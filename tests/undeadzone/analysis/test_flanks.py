@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from undeadzone.analysis.identifiability.flanks import (
-    Listener,
+    StrikeDetector,
     flank_visits,
     gap_identifiability,
     torque_free_position,
@@ -42,8 +42,8 @@ def test_joint_by_joint_most_crossings_have_to_show(
     x[:, 0] = 0.06 * np.repeat([1, -1, 1, -1, 1, -1], 10)
     for crossing in range(5):
         x[10 * crossing + 9, 4] = 1.0 if crossing < shown else 1e-6
-    told = Listener(groups, np.full(2, 0.01), 0.2, 1e-3, np.full(2, 1e-4), 50.0)
-    verdict = gap_identifiability(gears, gears.values, x, path, 1e-3, told)[0]
+    detector = StrikeDetector(groups, np.full(2, 0.01), 0.2, 1e-3, np.full(2, 1e-4), 50.0)
+    verdict = gap_identifiability(gears, gears.values, x, path, 1e-3, detector)[0]
     assert verdict.width == known
     assert verdict.crossings == shown
     if shown and not known:

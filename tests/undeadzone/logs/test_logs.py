@@ -97,7 +97,7 @@ def test_a_reference_is_found_beside_what_is_needed_and_never_in_its_place() -> 
         names = [one.name.lower() for one in titles(header)]
         assert names[layout.reference or 0] in ("r", "setpoint", "sollwert")
         assert layout.columns == [0, *layout.readings, *layout.inputs, layout.reference]
-        assert "r from" in layout.said
+        assert "r from" in layout.columns_text
     assert layout_of_titles(titles("t,u,y,r"), 1, 1, {"r": "r"}, "log").columns == [0, 2, 1]
     for taken in ("y=r,u=u", "y=y,u=r"):
         chosen = parse_columns(taken)
@@ -341,7 +341,7 @@ def test_without_times_samples_are_one_step_apart() -> None:
 
 def test_a_layout_says_what_it_took() -> None:
     layout: Layout = layout_of_titles(titles("t [ms],y [N],u [V]"), 1, 1, {}, "log")
-    assert layout.said == "t from 't', y from 'y', u from 'u'"
+    assert layout.columns_text == "t from 't', y from 'y', u from 'u'"
     units = [title.unit for title in (*layout.reading_titles, *layout.input_titles)]
     assert (layout.seconds, units) == (1e-3, ["N", "V"])
 

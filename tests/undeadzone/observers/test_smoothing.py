@@ -44,11 +44,11 @@ def moments(rng: np.random.Generator, count: int, size: int) -> Any:
     """Moments of a filter whose beliefs are moved along rows, and at times in any way."""
     slope = 0.3 * rng.normal(size=(count, size, size))
     rows, edges = rng.normal(size=(count, 1, size)), rng.normal(size=(count, 2, size))
-    parts: dict[str, list[Any]] = {name: [] for name in ("before", "read", "heard")}
+    parts: dict[str, list[Any]] = {name: [] for name in ("before", "read", "bounded")}
     mean, P = rng.normal(size=size), gaussian(rng, 1, size)[0]
     for k in range(count):
         parts["before"].append((mean, P))
-        for name, along in (("read", rows[k]), ("heard", edges[k])):
+        for name, along in (("read", rows[k]), ("bounded", edges[k])):
             K = P @ along.T
             weight = 0.5 * np.linalg.inv(along @ K + np.eye(len(along)))
             share = np.ones(size) if k % 3 else rng.uniform(size=size)
