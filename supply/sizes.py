@@ -25,7 +25,7 @@ PURPOSE: Final = {
     "numpy": "arrays",
     "rich": "bars of progress",
     "scipy": "Riccati equations, optimisers, distributions, `.mat` files",
-    "threadpoolctl": "`identify` uses one BLAS thread",
+    "threadpoolctl": "one BLAS thread for `identify` and new observers",
     "tomli-w": "TOML written",
 }
 

@@ -14,10 +14,10 @@ from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from undeadzone.errors import InputError
 from undeadzone.util.answers import Answers
+from undeadzone.util.installed import use_one_blas_thread
 from undeadzone.util.progress import notebook_progress
 from undeadzone_identify.logs.grid import Grid, shorten_log, to_grid
 from undeadzone_identify.logs.log import Log, Options, log_from_arrays, read_log
@@ -193,10 +193,7 @@ def identify(
         one._replace(y=one.y - options.zero)
         for one in _collect_logs(log, (t, u, y, r), columns, strict)
     ]
-    # The matrices are small: a second BLAS thread gains nothing, and takes twice the CPU time where
-    # other programs run.
-    one_thread = threadpool_limits(1, user_api="blas")
-    with one_thread, notebook_progress(progress, "identifying", None) as advance:
+    with use_one_blas_thread(), notebook_progress(progress, "identifying", None) as advance:
         if keep is None:
             return _identify_logs(logs, options, advance)
         return _identify_with_cache(logs, options, advance, keep, resume)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import functools
 import os
 import sys
@@ -17,8 +16,6 @@ from undeadzone.errors import DamagedPackage, InputError
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
-
-_BLAS = threading.RLock()  # its number of threads is the process's
 
 
 def list_registered_places(group: str) -> dict[str, str]:
@@ -110,28 +107,38 @@ def import_scipy() -> None:
         space |= {"__all__": public, "__dir__": listed}
 
 
+class _OneThread:
+    """Present uses of one BLAS thread, of which the first sets and the last restores the number."""
+
+    lock = threading.Lock()  # the number of threads is the process's
+    uses = 0
+    limit: Any = None
+
+
 @contextmanager
 def use_one_blas_thread() -> Iterator[None]:
-    """Let SciPy's OpenBLAS work in one thread: threads take longer than a few states' matrices.
+    """Let the BLAS of NumPy and SciPy work in one thread: two wait for each other at each small
+    matrix.
 
-    Another library of linear algebra stays as it is.
+    Threads of Python may use it at the same time. Another library of linear algebra stays as it is.
     """
-    library = _load_openblas()
-    if library is None:
+    with _OneThread.lock:
+        if not _OneThread.uses:
+            _OneThread.limit = _find_blas().limit(limits=1, user_api="blas")
+        _OneThread.uses += 1
+    try:
         yield
-        return
-    with _BLAS:
-        before = library.scipy_openblas_get_num_threads()
-        library.scipy_openblas_set_num_threads(1)
-        try:
-            yield
-        finally:
-            library.scipy_openblas_set_num_threads(before)
+    finally:
+        with _OneThread.lock:
+            _OneThread.uses -= 1
+            if not _OneThread.uses:
+                _OneThread.limit.restore_original_limits()
 
 
 @functools.cache
-def _load_openblas() -> ctypes.CDLL | None:
-    """Return the OpenBLAS that comes with SciPy, or None of a SciPy that uses another library."""
+def _find_blas() -> Any:
+    """Return the controller of the libraries of linear algebra."""
     import_scipy()
-    library = ctypes.CDLL(import_module("scipy.linalg._flapack").__file__)
-    return library if hasattr(library, "scipy_openblas_set_num_threads") else None
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()

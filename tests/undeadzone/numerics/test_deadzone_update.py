@@ -327,7 +327,7 @@ class Case(NamedTuple):
 
 
 def in_header(cases: list[Case], folder: Path) -> Floats:
-    """What the header makes of cases: (side, memory, x, P) a row."""
+    """Results of the header for cases: (side, memory, x, P) a row."""
     (folder / "deadzone_update.h").write_text(
         (files("undeadzone.numerics") / "deadzone_update.h").read_text()
     )

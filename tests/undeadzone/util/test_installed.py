@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Iterator
 from typing import Any
 
 import pytest
+import scipy.linalg
+from threadpoolctl import ThreadpoolController
 
 import undeadzone as uz
 from undeadzone.simulation import online
@@ -15,8 +18,8 @@ from undeadzone.util import installed
 @pytest.fixture
 def openblas() -> Iterator[Any]:
     """The library of SciPy, set to two threads."""
-    library = installed._load_openblas()
-    if library is None:
+    library = ctypes.CDLL(scipy.linalg._flapack.__file__)
+    if not hasattr(library, "scipy_openblas_set_num_threads"):
         pytest.skip("this SciPy has another library of linear algebra")
     before = library.scipy_openblas_get_num_threads()
     library.scipy_openblas_set_num_threads(2)
@@ -56,6 +59,18 @@ def test_an_observer_is_built_in_one_thread(openblas: Any, monkeypatch: pytest.M
 
 
 def test_another_library_stays_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(installed, "_load_openblas", lambda: None)
+    none = ThreadpoolController().select(internal_api="none")
+    monkeypatch.setattr(installed, "_find_blas", lambda: none)
     with installed.use_one_blas_thread():
         pass
+
+
+def test_threads_of_python_use_it_at_the_same_time(openblas: Any) -> None:
+    """The first to come is the first to go: the other still has one thread, and none is lost."""
+    first, second = installed.use_one_blas_thread(), installed.use_one_blas_thread()
+    first.__enter__()
+    second.__enter__()
+    first.__exit__(None, None, None)
+    assert openblas.scipy_openblas_get_num_threads() == 1
+    second.__exit__(None, None, None)
+    assert openblas.scipy_openblas_get_num_threads() == 2
