@@ -12,7 +12,7 @@ import lazy_loader
 
 __version__ = "0.1.0"
 _own, _, __all__ = lazy_loader.attach_stub(__name__, __file__)
-_SHOWN = """
+_PUBLIC_NAMES = """
 Plant Model Sensor Actuator Scenario Simulation Units Sine Step Trapezoid Random
 Auto Censored Certified Extended Kalman Luenberger
 StateFeedback LinearController LQG LQR PID ComputedTorque
@@ -26,7 +26,7 @@ _RENAMED = {"Ear": "DeadzoneMemory", "Heard": "DeadzoneUpdate", "hear": "deadzon
 
 def __dir__() -> list[str]:
     """Return the names for a first hour, and the packages of the remaining names."""
-    return [*_SHOWN.split(), "__version__", "__doc__"]
+    return [*_PUBLIC_NAMES.split(), "__version__", "__doc__"]
 
 
 def __getattr__(name: str) -> Any:

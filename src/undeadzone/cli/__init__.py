@@ -41,7 +41,7 @@ OF_MOST = ("out", "as_json", "no_figures", "untrusted")  # options
 M_TRIM_THRESHOLD = -1
 M_MMAP_THRESHOLD = -3
 # bytes that stay with a process; from which an array has its own pages
-KEPT = 2**29
+RETAINED = 2**29
 MAPPED = 2**25
 OTHER_NAMES = {"simulate": "run", "sim": "run", "plot": "run", "compare": "arena", "new": "init"}
 
@@ -192,7 +192,7 @@ def _retain_freed_memory() -> None:
     """
     with suppress(OSError, AttributeError, TypeError):
         mallopt = ctypes.CDLL(None).mallopt
-        mallopt(M_TRIM_THRESHOLD, KEPT)
+        mallopt(M_TRIM_THRESHOLD, RETAINED)
         mallopt(M_MMAP_THRESHOLD, MAPPED)
 
 

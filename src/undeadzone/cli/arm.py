@@ -104,7 +104,7 @@ def _survey_to_text(found: Survey, robot: Path) -> dict[str, Any]:
     reach = "no limit: a sliding joint has none"
     if found.reach is not None:
         reach = f"{found.reach:.4g} m from {found.joints[0].name} to the tip at most"
-    shown: dict[str, Any] = {
+    summary: dict[str, Any] = {
         "file": f"{robot}: {len(tree.links)} links, {len(tree.joints)} joints",
         "arm": f"{len(found.joints)} joints move, from {found.base} to {found.tip}",
         "posture": f"q = ({list_numbers(found.q)}) [rad or m]",
@@ -112,8 +112,8 @@ def _survey_to_text(found: Survey, robot: Path) -> dict[str, Any]:
         "reach": reach,
     }
     if found.fixed:
-        shown["fixed at 0"] = ", ".join(found.fixed)
-    return shown
+        summary["fixed at 0"] = ", ".join(found.fixed)
+    return summary
 
 
 def _joint_rows(found: Survey) -> list[list[str]]:

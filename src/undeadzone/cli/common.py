@@ -97,8 +97,10 @@ class SubjectCommand(click.Command):
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the options of the first subject, or of all subjects."""
         records = {each.opts[-1]: each.get_help_record(ctx) for each in self.get_params(ctx)}
-        shown = self.subjects if ctx.meta.get(ALL_OPTIONS) else dict([*self.subjects.items()][:1])
-        for title, names in shown.items():
+        displayed = (
+            self.subjects if ctx.meta.get(ALL_OPTIONS) else dict([*self.subjects.items()][:1])
+        )
+        for title, names in displayed.items():
             with formatter.section(title):
                 formatter.write_dl([record for name in names if (record := records[name])])
 

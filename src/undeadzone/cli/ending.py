@@ -243,9 +243,9 @@ def name_options(message: str) -> str:
     return ARGUMENT.sub(lambda found: f"--{found[1]} {found[2] or ''}".rstrip(), message)
 
 
-def _report_interruption(how: str, kept: str, code: int) -> int:
+def _report_interruption(how: str, saved: str, code: int) -> int:
     """Print that a command was stopped, with the saved results, and return the exit code."""
-    print_line(": ".join(filter(None, (f"undeadzone: {how}", name_options(kept)))), err=True)
+    print_line(": ".join(filter(None, (f"undeadzone: {how}", name_options(saved)))), err=True)
     return code
 
 

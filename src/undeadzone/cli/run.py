@@ -33,7 +33,8 @@ from undeadzone.util.progress import terminal_progress as progress
 from undeadzone.util.text import HALF_95, append_unit
 
 WIDE: Final = 0.2  # half of an interval, in widths: above it the remedy is printed
-CLAIMS: Final = ("disturbance", "bias", "centre")  # that narrow most, the usual first
+# The assumptions that narrow intervals most, the usual one first.
+NARROWING: Final = ("disturbance", "bias", "centre")
 ENSEMBLES = "undeadzone.ensembles"  # entry points of the package that runs ensembles
 OF_ENSEMBLE = (".npz", ".parquet")  # files that hold runs, no scenario
 
@@ -88,9 +89,9 @@ def run(
     folder = output.choose_folder(f"{name}-results", as_csv)
     require_own_table(folder, "run.csv", force)
     if replay is None:
-        wanted = _read_scenario(scenario, animation is not None, confine)
-        result, rival = _simulate_and_compare(wanted)
-        follow = _advise_after_run(scenario, wanted, result)
+        loaded_scenario = _read_scenario(scenario, animation is not None, confine)
+        result, rival = _simulate_and_compare(loaded_scenario)
+        follow = _advise_after_run(scenario, loaded_scenario, result)
     else:
         with progress("replaying", None):
             result, deviation = load_registered(ENSEMBLES, "replay_saved")(
@@ -135,10 +136,12 @@ def _advise_after_run(path: Path, scenario: uz.Scenario, run: uz.Run) -> dict[st
         return next_line(check)
     if run.d_std is None or (HALF_95 * run.d_std[-1] <= WIDE * np.abs(run.d_hat[-1])).all():
         return next_line(check, *export_command(path, scenario))
-    claims = scenario.observer
-    open_claims = [name for name in CLAIMS if getattr(claims, name, "no such claim") is None]
-    narrower = f"narrower intervals: claim observer.{', '.join(open_claims)} if known"
-    return next_line(*[narrower] * bool(open_claims), check)
+    observer = scenario.observer
+    open_assumptions = [
+        name for name in NARROWING if getattr(observer, name, "no such claim") is None
+    ]
+    narrower = f"narrower intervals: claim observer.{', '.join(open_assumptions)} if known"
+    return next_line(*[narrower] * bool(open_assumptions), check)
 
 
 def _read_scenario(path: Path, animated: bool, confine: Path | None) -> uz.Scenario:
@@ -146,7 +149,7 @@ def _read_scenario(path: Path, animated: bool, confine: Path | None) -> uz.Scena
 
     Args:
         path: of the scenario.
-        animated: whether a film is wanted, which only an arm's run gives.
+        animated: whether a film is requested, which only an arm's run gives.
         confine: a folder outside of which the scenario may name no file (None: any).
     """
     if path.suffix in OF_ENSEMBLE:

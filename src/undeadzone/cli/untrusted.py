@@ -160,8 +160,9 @@ def _restrict_files(read: Iterable[Path], written: Iterable[Path]) -> bool:
     if version < 1:
         return False
     every = EVERY[min(version, max(EVERY))]
-    wanted = struct.pack("=Q", every)  # the rights that are taken away unless a rule grants them
-    rules = kernel.syscall(CREATE, wanted, ctypes.c_size_t(len(wanted)), 0)
+    # The rights that are removed unless a rule grants them.
+    ruleset_attr = struct.pack("=Q", every)
+    rules = kernel.syscall(CREATE, ruleset_attr, ctypes.c_size_t(len(ruleset_attr)), 0)
     if rules < 0:
         return False
     try:

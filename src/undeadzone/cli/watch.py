@@ -119,10 +119,10 @@ def watch(
     log = LiveLog("stdin", watched, follower, parse_columns(columns), strict)
     if sys.stdin is None:
         raise FileError("stdin: it is closed. Give lines of readings and inputs")
-    kept = SavedWatch(state, every, follower, log)
+    store = SavedWatch(state, every, follower, log)
     try:
         with _print_heartbeat(heartbeat, follower, log):
-            _estimate_stream(log, follower, kept, as_json)
+            _estimate_stream(log, follower, store, as_json)
     except (KeyboardInterrupt, Terminated):  # a live log ends this way
         if follower.samples:
             _print_log_summary(log.info(follower), as_json)
@@ -136,7 +136,7 @@ class SavedWatch:
     """State of the watch, saved in a file. Read at the start if the file exists.
 
     Args:
-        path: of the file (None: nothing is kept).
+        path: of the file (None: nothing is saved).
         every: time between two savings [s].
         follower, log: objects whose state is saved.
     """
@@ -209,7 +209,7 @@ def _print_heartbeat(seconds: float | None, follower: Follower, log: LiveLog) ->
             beats.join()
 
 
-def _estimate_stream(log: LiveLog, follower: Follower, kept: SavedWatch, as_json: bool) -> None:
+def _estimate_stream(log: LiveLog, follower: Follower, store: SavedWatch, as_json: bool) -> None:
     """Print an estimate for every sample on stdin until it ends."""
     stdin: Any = sys.stdin.buffer
     text = _to_json_lines if as_json else _to_csv_lines
@@ -218,7 +218,7 @@ def _estimate_stream(log: LiveLog, follower: Follower, kept: SavedWatch, as_json
     lines: list[bytes] = []
     try:
         while not last:
-            kept.save_state(when_due=True)
+            store.save_state(when_due=True)
             _wait_for_input(stdin)
             try:
                 with defer_signals():  # what came in is followed before one ends the watch
@@ -235,9 +235,9 @@ def _estimate_stream(log: LiveLog, follower: Follower, kept: SavedWatch, as_json
             finally:
                 while lines:
                     _write_stdout(lines.pop(0))
-        kept.save_state()
+        store.save_state()
     except (KeyboardInterrupt, Terminated):
-        kept.save_state()
+        store.save_state()
         raise
 
 

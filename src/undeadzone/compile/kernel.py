@@ -182,14 +182,14 @@ class KernelPrinter:
 
     def _print_steady(self, text: Text) -> None:
         """Print the steady values, once a call."""
-        wanted = [
+        required = [
             *operands_at_level([*self.still, *self.order], self.results, STEADY),
             *self.rare.steady,
         ]
         for node in required_nodes(operands_at_level(self.order, self.results, SHARED)):
             if node.level == SHARED:
-                wanted += [arg for arg in node.args if arg.level == STEADY]
-        print_once(text, wanted, self.have, entry_source(text, "params"))
+                required += [arg for arg in node.args if arg.level == STEADY]
+        print_once(text, required, self.have, entry_source(text, "params"))
 
     def _print_tables(self, text: Text, steps: int) -> int:
         """Print the addresses of the tables and fill the steady tables. Return the total
@@ -507,18 +507,18 @@ def print_kernel(
         return LANES if one or name[0] == "s" or place in shape.exogenous else SHARED
 
     promises: dict[KernelAssumption, None] = {}
-    kept: dict[str, ca.Function] | None = {} if one else None
-    usual = lower_function(functions.usual, nodes, level, arithmetic, promises, kept)
+    callees: dict[str, ca.Function] | None = {} if one else None
+    usual = lower_function(functions.usual, nodes, level, arithmetic, promises, callees)
     parts = [lower_function(part, nodes, level, arithmetic, promises) for part in functions.rare]
     if form is None:
         results = [*itertools.chain(*usual)]
         form = machine.choose_form(len(lane_instructions(results)), width)
     block = KernelPrinter(shape, form, usual, parts, name)
     called: list[KernelPrinter] = []
-    while kept and len(called) < len(kept):
-        title, function = [*kept.items()][len(called)]
-        made = lower_function(function, Nodes(), level, arithmetic, promises, kept)
-        flat = [*itertools.chain(*made)]
+    while callees and len(called) < len(callees):
+        title, function = [*callees.items()][len(called)]
+        callee_results = lower_function(function, Nodes(), level, arithmetic, promises, callees)
+        flat = [*itertools.chain(*callee_results)]
         of = Shape((0, function.nnz_in(), 0), (), (), tuple(range(len(flat))))
         called.append(KernelPrinter(of, form, [[], flat], [], title))
     return KernelText(block.print_module(called), form, tuple(promises))

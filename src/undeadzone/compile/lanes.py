@@ -60,7 +60,7 @@ class _Schedule(NamedTuple):
     """Schedule by which a run stores outputs and reports progress.
 
     Attributes:
-        every: the outputs of each so many-th step are kept.
+        every: the outputs of each so many-th step are stored.
         chunk: steps of one call of the kernel, a multiple of `every`.
         progress: called with the number of lanes x steps done.
     """
@@ -246,7 +246,7 @@ def run_lanes(
         progress: called with the number of lanes x steps done, from any thread.
 
     Returns:
-        The outputs (lanes x kept steps x recorded) and the final states (lanes x states).
+        The outputs (lanes x stored steps x recorded) and the final states (lanes x states).
 
     Raises:
         ShapeError: an array of another shape.
@@ -365,9 +365,9 @@ def _run_block(
             np.ascontiguousarray(own(first, count)),
             arrays.buffer,
         )
-        kept = arrays.buffer[:count:every, :, : end - start].transpose(2, 0, 1)
+        block_outputs = arrays.buffer[:count:every, :, : end - start].transpose(2, 0, 1)
         at = first // every
-        outputs[start:end, at : at + kept.shape[1]] = kept
+        outputs[start:end, at : at + block_outputs.shape[1]] = block_outputs
         if schedule.progress is not None:
             schedule.progress(count * (end - start))
     finals[start:end] = arrays.work[:states_each, : end - start].T

@@ -57,7 +57,7 @@ def lower_function(
     levels: Levels,
     arithmetic: Arithmetic,
     granted: dict[KernelAssumption, None],
-    kept: dict[str, ca.Function] | None = None,
+    callees: dict[str, ca.Function] | None = None,
 ) -> Results:
     """Return the results of a function as instructions.
 
@@ -67,7 +67,7 @@ def lower_function(
         levels: of its inputs.
         arithmetic: how it rounds.
         granted: promises that are taken for granted, which fused lanes do (grows).
-        kept: functions of which calls stay calls, by names that end with the number of results
+        callees: functions of which calls stay calls, by names that end with the number of results
             (grows; None: none does).
 
     Raises:
@@ -78,11 +78,11 @@ def lower_function(
 
     def keep_call(called: ca.Function, args: list[Node]) -> list[Node] | None:
         """Return the nodes of the results of a call, if it stays one."""
-        if kept is None:
+        if callees is None:
             return None
         count, intern = called.nnz_out(), rules.nodes.intern
         name = f"called{called.__hash__()}.{count}"
-        kept[name] = called
+        callees[name] = called
         one = intern("apply", *args, text=name, kind=rules.real, level=LANES)
         return [intern("part", one, text=str(k)) for k in range(count)]
 

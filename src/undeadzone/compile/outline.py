@@ -36,13 +36,13 @@ class OutlinedStep:
         self._name = name
         self._orders = list(_cut_order(order, form.piece))
         self._lanes = form.lanes
-        self._made: dict[Node, int] = {}
+        self._piece_of_node: dict[Node, int] = {}
         for at, piece in enumerate(self._orders):
-            self._made.update(dict.fromkeys(_flat_instructions(piece), at))
+            self._piece_of_node.update(dict.fromkeys(_flat_instructions(piece), at))
         self._last = self._last_uses(results)
         self._places: dict[Node, int] = {}
         self._given = self._assign_places() * form.lanes  # numbers of the frame
-        calls = [node for node in self._made if node.op == "apply"]
+        calls = [node for node in self._piece_of_node if node.op == "apply"]
         self.numbers = self._given + max([len(call.args) for call in calls], default=0)
         self._calls: dict[Node, int] = {}
         for call in calls:
@@ -57,16 +57,16 @@ class OutlinedStep:
         last: dict[Node, int] = {}
         for at, piece in enumerate(self._orders):
             for node in _all_operands(piece):
-                if node.level >= STILL and self._made.get(node) != at:
+                if node.level >= STILL and self._piece_of_node.get(node) != at:
                     last[node] = at
-        return last | {node: len(self._orders) for node in results if node in self._made}
+        return last | {node: len(self._orders) for node in results if node in self._piece_of_node}
 
     def _assign_places(self) -> int:
         """Assign a place in the frame to each value that needs it. Return the number of places."""
         begin: dict[int, list[Node]] = defaultdict(list)
         end: dict[int, list[Node]] = defaultdict(list)
         for node, last in self._last.items():
-            begin[self._made.get(node, -1)].append(node)
+            begin[self._piece_of_node.get(node, -1)].append(node)
             end[last].append(node)
         free: list[int] = []
         fresh = itertools.count()
@@ -85,11 +85,11 @@ class OutlinedStep:
             source: names what functions are given.
         """
         for node in self._last:
-            if node not in self._made:
+            if node not in self._piece_of_node:
                 self._print_frame_store(text, node, source(node))
         for at in range(len(self._orders)):
             text.append_line(f"call void @{self._name}.piece{at}({_pointer_arguments('ptr')})")
-        return self._frame_source(text, self._made, source)
+        return self._frame_source(text, self._piece_of_node, source)
 
     def outlined_texts(
         self, declared: dict[str, str], tables: Callable[[Text], Names]
@@ -189,10 +189,10 @@ def _split_branch(item: Node | Branch, piece: int) -> Iterator[Node | Branch]:
     if not isinstance(item, Branch) or len(item.nodes) <= piece:
         yield item
         return
-    wanted = set(item.leaving)
+    required = set(item.leaving)
     parts = []
     for end in range(len(item.nodes), 0, -piece):
         nodes = item.nodes[max(0, end - piece) : end]
-        parts.append(item._replace(nodes=nodes, leaving=[n for n in nodes if n in wanted]))
-        wanted.update(*(node.args for node in nodes))
+        parts.append(item._replace(nodes=nodes, leaving=[n for n in nodes if n in required]))
+        required.update(*(node.args for node in nodes))
     yield from reversed(parts)

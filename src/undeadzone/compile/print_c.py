@@ -209,8 +209,8 @@ class Names(NamedTuple):
         results: for each result, where each of its entries goes (an lvalue).
         locals: for each result, the local that holds each of its entries.
         meanings: further names of locals.
-        kept: the input that is stored in the place of a result, by that lvalue. Its expression is a
-            local.
+        in_place: the input that is stored in the place of a result, by that lvalue. Its expression
+            is a local.
         calls: writer of the calls of repeated parts (None: there are none).
     """
 
@@ -218,7 +218,7 @@ class Names(NamedTuple):
     results: list[list[str]]
     locals: list[list[str]]
     meanings: dict[Node, str]
-    kept: dict[str, str]
+    in_place: dict[str, str]
     calls: Callable[[str, Node, Expressions], list[str]] | None = None
 
 
@@ -241,8 +241,8 @@ def build_body(results: Results, style: Style, names: Names) -> Body:
     the value that it overwrites is used no more. So fewer values are alive at a time.
     """
     labels: dict[Node, str] = {}  # the first result of a node names it
-    for nodes, wanted in zip(results, names.locals, strict=True):
-        for node, name in zip(nodes, wanted, strict=True):
+    for nodes, local_names in zip(results, names.locals, strict=True):
+        for node, name in zip(nodes, local_names, strict=True):
             if node.args:
                 labels.setdefault(node, name)
     expressions = Expressions(style, names.inputs)
@@ -256,10 +256,10 @@ def build_body(results: Results, style: Style, names: Names) -> Body:
     for nodes, targets in zip(results, names.results, strict=True):
         for node, target in zip(nodes, targets, strict=True):
             text = expressions.write_node(node).text
-            last = max(used.get(names.kept.get(target, ""), [0]))
+            last = max(used.get(names.in_place.get(target, ""), [0]))
             at = end if short else max(number.get(node, end), last)
             behind[at] += wrap_statement(f"{target} = {text};") if text != target else []
-    for place, name in names.kept.items():
+    for place, name in names.in_place.items():
         if name in expressions.read:
             first = 0 if short else min(used[name])
             ahead[first] += wrap_statement(

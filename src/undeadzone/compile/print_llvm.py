@@ -275,12 +275,12 @@ class Text:
         return self.add(f"icmp ne i{self.lanes} {bits}, 0")
 
 
-def print_once(text: Text, wanted: Iterable[Node], have: dict[Node, str], source: Names) -> None:
+def print_once(text: Text, required: Iterable[Node], have: dict[Node, str], source: Names) -> None:
     """Print required values as plain numbers, with all further values that they need.
 
     Args:
         text: destination of the output.
-        wanted: values of levels below the lanes'.
+        required: values of levels below the lanes'.
         have: the names of values that are there, which grow.
         source: prints an input.
     """
@@ -289,7 +289,7 @@ def print_once(text: Text, wanted: Iterable[Node], have: dict[Node, str], source
         """Return the name of a plain number."""
         return text.constant_text(node, False) if node.level == CONSTANT else have[node]
 
-    for node in required_nodes(wanted, have):
+    for node in required_nodes(required, have):
         if node.op == "const":
             continue
         have[node] = source(node) if node.op == "input" else text.print_node(node, operand, False)

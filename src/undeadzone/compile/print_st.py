@@ -154,18 +154,18 @@ ST: Final = Grammar(
 )
 
 
-def statement_operands(local: Local, held: dict[Node, str]) -> list[Node]:
+def statement_operands(local: Local, names: dict[Node, str]) -> list[Node]:
     """Return the inputs and the nodes of further locals that the statement of a local reads.
 
     Args:
         local: the local.
-        held: the names of all locals.
+        names: the names of all locals.
     """
     found: dict[Node, None] = {}
     waiting = list(reversed(local.node.args))
     while waiting:
         node = waiting.pop()
-        if node in held or node.op == "input":
+        if node in names or node.op == "input":
             found[node] = None
         else:
             waiting.extend(reversed(node.args))

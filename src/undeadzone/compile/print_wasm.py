@@ -157,17 +157,17 @@ class _Writer:
     ) -> None:
         self._inputs, self._callees, self._first = inputs, callees, len(arguments)
         self._locals: dict[Node, int] = {}
-        self._taken = find_calls(results)
+        self._parts_of_calls = find_calls(results)
         for node in required_nodes(itertools.chain(*results)):
             if node.op == "input" and node.text in arguments:
                 self._locals[node] = arguments[node.text]
-        self._kept = self._local_nodes(results)
+        self._nodes_by_type = self._local_nodes(results)
 
     def _local_nodes(self, results: Results) -> dict[str, list[Node]]:
         """Return the nodes that a local holds, by their types."""
         counts = count_uses(results)
         depths: dict[Node, int] = {}
-        kept: dict[str, list[Node]] = {kind: [] for kind in _TYPES}
+        by_type: dict[str, list[Node]] = {kind: [] for kind in _TYPES}
         for node in sorted(counts, key=lambda node: node.number):
             depth = 1 + max([depths[arg] for arg in node.args], default=0)
             often = counts[node] > (2 if node.op == "const" else 1) and not _is_short(node)
@@ -175,24 +175,24 @@ class _Writer:
             holds = often or depth > DEEPEST or is_state or node.op in ("part", "apply")
             depths[node] = 0 if holds else depth
             if holds and node.op != "apply" and node not in self._locals:
-                kept[node.kind].append(node)
-        return kept
+                by_type[node.kind].append(node)
+        return by_type
 
     def local_declaration(self) -> bytes:
         """Return the declaration of the locals."""
-        held = {_TYPES[kind]: len(nodes) for kind, nodes in self._kept.items() if nodes}
-        groups = [_encode_unsigned(count) + bytes([kind]) for kind, count in held.items()]
+        counts = {_TYPES[kind]: len(nodes) for kind, nodes in self._nodes_by_type.items() if nodes}
+        groups = [_encode_unsigned(count) + bytes([kind]) for kind, count in counts.items()]
         return _encode_unsigned(len(groups)) + b"".join(groups)
 
     def fill_locals(self) -> bytes:
         """Return the instructions that fill the locals, each after the locals that it
         needs.
         """
-        kept = itertools.chain(*self._kept.values())
-        numbers = {node: self._first + k for k, node in enumerate(kept)}
+        nodes = itertools.chain(*self._nodes_by_type.values())
+        numbers = {node: self._first + k for k, node in enumerate(nodes)}
         self._locals |= {node: place for node, place in numbers.items() if node.op == "part"}
         code = b""
-        for node in sorted([*numbers, *self._taken], key=lambda node: node.number):
+        for node in sorted([*numbers, *self._parts_of_calls], key=lambda node: node.number):
             if node.op == "apply":
                 code += self._encode_call(node)
             elif node.op != "part":
@@ -202,12 +202,12 @@ class _Writer:
 
     def _encode_call(self, node: Node) -> bytes:
         """Return the instructions that call a repeated part and fill the locals of its results."""
-        called, taken = self._callees[node.text], self._taken[node]
+        called, parts = self._callees[node.text], self._parts_of_calls[node]
         code = b"".join(map(self.encode_node, node.args)) + b"\x10"
         code += _encode_unsigned(called.number)
         for k in reversed(range(called.outputs)):  # the last one is on top
-            held = k in taken
-            code += b"\x21" + _encode_unsigned(self._locals[taken[k]]) if held else b"\x1a"
+            is_used = k in parts
+            code += b"\x21" + _encode_unsigned(self._locals[parts[k]]) if is_used else b"\x1a"
         return code
 
     def encode_node(self, node: Node) -> bytes:

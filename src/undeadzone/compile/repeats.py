@@ -57,7 +57,7 @@ class _Graph:
         results: nodes of the results.
 
     Attributes:
-        wanted: the results.
+        results: the results.
         order: all instructions, operands first.
         classes: number of each node's class. Nodes of a class are equal trees of instructions,
             except for inputs and constants.
@@ -66,8 +66,8 @@ class _Graph:
     """
 
     def __init__(self, results: Results) -> None:
-        self.wanted = set(itertools.chain(*results))
-        self.order = required_nodes(self.wanted)
+        self.results = set(itertools.chain(*results))
+        self.order = required_nodes(self.results)
         self.classes: dict[Node, int] = {}
         self.sizes: dict[int, int] = {}
         self.users = defaultdict[Node, list[Node]](list)
@@ -143,7 +143,7 @@ class _Region:
         elsewhere = any(
             user not in self.at or self.at[user][0] != copy for user in self.graph.users[node]
         )
-        return elsewhere or node in self.graph.wanted
+        return elsewhere or node in self.graph.results
 
     def _add_operands(self, waiting: list[Row]) -> list[Row]:
         """Add rows, and all rows of their operands, if they fit. Return the added rows."""

@@ -194,8 +194,8 @@ def gather_branches(order: list[Node], results: list[Node], least: int) -> list[
         least: instructions that are worth a branch.
     """
     users = _find_users(order)
-    kept = _assign_guards(order, set(results), users, least)
-    return _Gathering(order, set(results), users, kept).order_all() if kept else list(order)
+    guard_of = _assign_guards(order, set(results), users, least)
+    return _Gathering(order, set(results), users, guard_of).order_all() if guard_of else list(order)
 
 
 def _assign_guards(
@@ -210,12 +210,12 @@ def _assign_guards(
         guards[node] = nothing if needless else frozenset.intersection(*all_of)
     counts = Counter(itertools.chain.from_iterable(guards.values()))
     worth = {guard for guard, count in counts.items() if count >= least}
-    kept = {}
+    guard_of = {}
     for node, each in guards.items():
         possible = each & worth
         if possible:
-            kept[node] = max(possible, key=lambda guard: (counts[guard], _guard_rank(guard)))
-    return kept
+            guard_of[node] = max(possible, key=lambda guard: (counts[guard], _guard_rank(guard)))
+    return guard_of
 
 
 def _guard_rank(guard: Guard) -> tuple[int, bool]:
@@ -235,35 +235,35 @@ class _Gathering:
     """State of the ordering of instructions, those outside branches first.
 
     Args:
-        order, results, users, kept: as above.
+        order, results, users, guard_of: as above.
     """
 
     def __init__(
-        self, order: list[Node], results: set[Node], users: Users, kept: dict[Node, Guard]
+        self, order: list[Node], results: set[Node], users: Users, guard_of: dict[Node, Guard]
     ) -> None:
         self._results = results
         self._users = users
-        self._kept = kept
+        self._guard_of = guard_of
         self._place_of = {node: place for place, node in enumerate(order)}
         self._free: list[tuple[int, Node]] = []
-        self._held: dict[Guard, list[tuple[int, Node]]] = defaultdict(list)
+        self._ready: dict[Guard, list[tuple[int, Node]]] = defaultdict(list)
         inside = set(order)
         self._sorter = TopologicalSorter({node: inside.intersection(node.args) for node in order})
         for node in order:
-            if node in kept:
-                self._sorter.add(node, kept[node][0])  # the truth comes before its branch
+            if node in guard_of:
+                self._sorter.add(node, guard_of[node][0])  # the truth comes before its branch
         self._sorter.prepare()
         self._release_dependents()
 
     def order_all(self) -> list[Node | Branch]:
         """Return all instructions in order."""
         found: list[Node | Branch] = []
-        while self._free or any(self._held.values()):
+        while self._free or any(self._ready.values()):
             while self._free:
                 _, node = heapq.heappop(self._free)
                 found.append(node)
                 self._release_dependents(node)
-            if any(self._held.values()):
+            if any(self._ready.values()):
                 found.append(self._take_branch())
         return found
 
@@ -271,17 +271,17 @@ class _Gathering:
         """Mark instructions as placed and queue the instructions that become ready."""
         self._sorter.done(*nodes)
         for node in self._sorter.get_ready():
-            ready = self._held[self._kept[node]] if node in self._kept else self._free
+            ready = self._ready[self._guard_of[node]] if node in self._guard_of else self._free
             heapq.heappush(ready, (self._place_of[node], node))
 
     def _take_branch(self) -> Branch:
         """Return the branch with most ready instructions, with all that become ready on
         the way.
         """
-        guard = max(self._held, key=lambda guard: (len(self._held[guard]), _guard_rank(guard)))
+        guard = max(self._ready, key=lambda guard: (len(self._ready[guard]), _guard_rank(guard)))
         nodes = []
-        while self._held[guard]:
-            nodes.append(heapq.heappop(self._held[guard])[1])
+        while self._ready[guard]:
+            nodes.append(heapq.heappop(self._ready[guard])[1])
             self._release_dependents(nodes[-1])
         inside = set(nodes)
         leaving = [node for node in nodes if self._is_used_outside(node, inside)]

@@ -92,8 +92,8 @@ class ComputedTorque(Options, frozen=True, kw_only=True, tag="computed_torque"):
             drift, push = self._model_residual(estimate, N)
             speed_error = target.x_ref[N:] - v - drift
             error = target.x_ref[:N] - q
-            wanted = target.plan + p.k_d * speed_error + p.k_p * error
-            return s, inverse_dynamics(arm, p.model, q, v, wanted - push)
+            acceleration = target.plan + p.k_d * speed_error + p.k_p * error
+            return s, inverse_dynamics(arm, p.model, q, v, acceleration - push)
 
         plan = Plan(N, model.params, lambda params, target: path_accelerations(arm, params, target))
         return Controller(Params(model.params, k_p, k_d), lambda p: None, step, plan)
@@ -274,10 +274,10 @@ def link_accelerations(gears: Geared, params: Floats, target: Target) -> Floats:
         """Return the acceleration of links and motors that turn together (N) [rad/s^2]."""
         q = x[N : 2 * N]
         v = x[3 * N :]
-        held = inverse_dynamics(
+        bias_torque = inverse_dynamics(
             gears.arm, gears.link_params(p), q, v, ca.SX(N, 1)
         ) + gears.motor_friction_torque(p, v)
         M = gears.arm.mass(gears.link_params(p), q) + ca.diag(gears.gear_number(p, "inertia"))
-        return ca.solve(M, u - held)
+        return ca.solve(M, u - bias_torque)
 
     return along_targets(turned_together, target)

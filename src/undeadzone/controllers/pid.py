@@ -77,18 +77,18 @@ class PID(Options, frozen=True, kw_only=True, tag="pid"):
 
             With f the filtered c r - z^, I the integral term and T_t the tracking time:
 
-                wanted = k_p (b r - z^) + I + k_d f',  f' = (c r - z^ - f) / tau
-                I' = k_i (r - z^) + (u - wanted) / T_t,  u = wanted within its limits
+                unsaturated = k_p (b r - z^) + I + k_d f',  f' = (c r - z^ - f) / tau
+                I' = k_i (r - z^) + (u - unsaturated) / T_t,  u = unsaturated within its limits
             """
             z = select_tracked_output("pid", estimate, target)
             lag = p.c * target.r - z - s.filtered
-            wanted = p.k_p * (p.b * target.r - z) + s.integral + p.k_d / p.tau * lag
+            unsaturated = p.k_p * (p.b * target.r - z) + s.integral + p.k_d / p.tau * lag
             if self.feedforward:
-                wanted = wanted + target.u_ff
-            u = wanted
+                unsaturated = unsaturated + target.u_ff
+            u = unsaturated
             if limited:
-                u = ca.fmax(ca.fmin(wanted, p.high), p.low)
-            integral_change = p.k_i * (target.r - z) + p.unwind * (u - wanted)
+                u = ca.fmax(ca.fmin(unsaturated, p.high), p.low)
+            integral_change = p.k_i * (target.r - z) + p.unwind * (u - unsaturated)
             filtered = model.keep * s.filtered + p.rate * lag
             return State(filtered, model.keep * s.integral + integral_change), u
 

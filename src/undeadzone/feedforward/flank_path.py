@@ -28,7 +28,7 @@ class Crossing(NamedTuple):
     Attributes:
         A, B, C: of the sampled model (n x n, n x 1, 1 x n).
         K: gain that puts the poles at -w (1 x n).
-        gain: input per wanted place at rest (1).
+        gain: input per target of the output at rest (1).
     """
 
     A: Floats
@@ -70,7 +70,7 @@ def doubly_integrated(w: float, Ts: float, key: str) -> Crossing:
 
 
 def choose_flank(sign: Any, before: Any) -> Any:
-    """Return the wanted flank (...), the previous one if the sign is 0.
+    """Return the required flank (...), the previous one if the sign is 0.
 
     Args:
         sign: the flank that the load needs, 0 if neither.
@@ -79,13 +79,13 @@ def choose_flank(sign: Any, before: Any) -> Any:
     return ca.if_else(sign != 0, sign, before)
 
 
-def step_filters(numbers: Crossing, moved: Any, wanted: Any) -> tuple[Any, Any]:
+def step_filters(numbers: Crossing, moved: Any, targets: Any) -> tuple[Any, Any]:
     """Return (input (1 x k), the next state (n x k)) of k equal filters.
 
     Args:
         numbers: of the filter.
         moved: their states (n x k).
-        wanted: targets of the filters' outputs (1 x k).
+        targets: targets of the filters' outputs (1 x k).
     """
-    push = numbers.gain * wanted - numbers.K @ moved
+    push = numbers.gain * targets - numbers.K @ moved
     return push, numbers.A @ moved + numbers.B @ push

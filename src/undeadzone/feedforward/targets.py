@@ -74,13 +74,13 @@ def regulator(linear: Matrices, S: Floats, Q: Floats) -> tuple[Floats, Floats, f
     dynamics = [np.kron(identity, A) - np.kron(S.T, np.eye(n)), np.kron(identity, B)]
     outputs = [np.kron(identity, C), np.zeros((q * k, m * k))]
     equations = np.block([dynamics, outputs])
-    wanted = np.concatenate([np.zeros(n * k), Q.ravel(order="F")])
+    right_side = np.concatenate([np.zeros(n * k), Q.ravel(order="F")])
     state_sizes = [state_response_sizes(A, B, float(np.linalg.norm(column))) for column in S.T]
     scale = np.concatenate([*state_sizes, np.ones(m * k)])
     rows = np.abs(equations * scale).max(axis=1)
     rows[rows == 0] = 1.0
     scaled = equations * scale / rows[:, None]
-    goal = wanted / rows
+    goal = right_side / rows
     solution = np.linalg.lstsq(scaled, goal, rcond=None)[0]
     gap = np.linalg.norm(scaled @ solution - goal)
     residual = float(gap / max(float(np.linalg.norm(goal)), 1e-300))

@@ -73,9 +73,9 @@ def pole_placement_gain(A: Floats, B: Floats, poles: np.ndarray, key: str) -> Fl
         if B.shape[1] == 1
         else _multi_input_gain(A, B, poles, key)
     )
-    wanted = np.poly(poles)
+    desired = np.poly(poles)
     reached = np.poly(A - B @ K)
-    off = np.abs(reached - wanted).max() / np.abs(wanted).max()
+    off = np.abs(reached - desired).max() / np.abs(desired).max()
     if not off < ACCURATE:
         raise StructureError(
             f"{key}: the poles cannot be placed accurately (characteristic polynomial off by "
@@ -137,8 +137,8 @@ def state_gain(
         raise InputError(
             f"{key}: every pole must have a negative real part, found {list_numbers(continuous)}"
         )
-    wanted = continuous if Ts is None else np.exp(continuous * Ts)
-    return pole_placement_gain(linear.A, linear.B, wanted, key)
+    desired_poles = continuous if Ts is None else np.exp(continuous * Ts)
+    return pole_placement_gain(linear.A, linear.B, desired_poles, key)
 
 
 def observer_gain(linear: Matrices, poles: Array, Ts: float | None) -> Floats:

@@ -92,7 +92,7 @@ def output_chains(A: Floats, C: Floats) -> OutputChains:
     unit = 1 / state_response_sizes(A.T, C.T)
     scaled = scale_states(A, unit)
     rate = max(float(np.linalg.norm(scaled, 2)), 1e-300)
-    kept: list[Floats] = []
+    independent: list[Floats] = []
     basis = np.zeros((0, n))
     rows: list[list[int]] = [[] for _ in range(p)]
     # Each output's latest derivative, in the plant's units and in even ones.
@@ -101,17 +101,17 @@ def output_chains(A: Floats, C: Floats) -> OutputChains:
         for i, (plain, even) in enumerate(latest):
             fresh = even - basis.T @ (basis @ even)
             is_new = np.linalg.norm(fresh) > TOLERANCE * max(1.0, float(np.linalg.norm(even)))
-            if is_new and len(rows[i]) == k and len(kept) < n:
-                rows[i].append(len(kept))
-                kept.append(plain)
+            if is_new and len(rows[i]) == k and len(independent) < n:
+                rows[i].append(len(independent))
+                independent.append(plain)
                 basis = np.vstack([basis, fresh / np.linalg.norm(fresh)])
         latest = [(plain @ A, even @ scaled / rate) for plain, even in latest]
-    if len(kept) < n or not all(rows):
+    if len(independent) < n or not all(rows):
         raise StructureError(
-            f"plant: the outputs and their derivatives determine {len(kept)} of {n} states, "
+            f"plant: the outputs and their derivatives determine {len(independent)} of {n} states, "
             f"or one of {p} outputs is redundant"
         )
-    return OutputChains(np.array(kept), rows)
+    return OutputChains(np.array(independent), rows)
 
 
 def _unit_rows(C: Floats) -> Floats:

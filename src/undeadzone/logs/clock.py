@@ -80,7 +80,7 @@ class Clock:
         last: time of the last sample [s]; NaN before the first.
     """
 
-    KEPT: Final = ("gaps", "faults", "last", "_count")
+    SAVED: Final = ("gaps", "faults", "last", "_count")
 
     def __init__(self, step: float, source: str, strict: bool) -> None:
         self.gaps = 0

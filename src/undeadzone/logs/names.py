@@ -83,7 +83,7 @@ _ITSELF_A_TIME: Final = frozenset(
     unit for unit in SECONDS if unit not in ("", "s", "min", "h", "hr", "sec", "seconds")
 )
 INDEXED: Final = re.compile(r"^(.*?)[\[_(]?(\d+)[\])]?$")
-_SHOWN: Final = 12  # names in a message
+_PRINTED_NAMES: Final = 12  # names in a message
 
 
 class Title(NamedTuple):
@@ -345,13 +345,13 @@ class _Header(NamedTuple):
             usual = [name for name in usual if name not in OF_INPUTS[0]]
         if count is None:
             count = len(_of_signal(self.chosen, signal)) or self.count_columns(usual)
-        wanted = [f"{signal}[{i}]" for i in range(count)]
-        named = [key for key in wanted if key in self.chosen]
+        required = [f"{signal}[{i}]" for i in range(count)]
+        named = [key for key in required if key in self.chosen]
         if named and len(named) < count:
-            missing = next(key for key in wanted if key not in self.chosen)
+            missing = next(key for key in required if key not in self.chosen)
             raise InputError(f"columns: {missing} is missing. Expected {count} of {signal}")
         if named:
-            return [self.column_of_name(key) for key in wanted]
+            return [self.column_of_name(key) for key in required]
         for name in usual:
             columns = self.usual(name, count)
             if len(columns) == count:
@@ -360,7 +360,7 @@ class _Header(NamedTuple):
                 raise FileError(
                     f"{self.source}: expected {count} of {signal}, the log has {len(columns)}: "
                     f"{_list_columns([self.titles[k] for k in columns])}. Name it by "
-                    f'columns="{wanted[0]}=NAME"'
+                    f'columns="{required[0]}=NAME"'
                 )
         if columns := self.of_the_trade(signal, count, others):
             return columns
@@ -405,12 +405,12 @@ class _Header(NamedTuple):
 
     def to_be_named(self) -> str:
         """Return the names that are missing for signals without a known column: y=NAME,u=NAME."""
-        wanted = [f"{signal}={name}" for signal, name in self.chosen.items()]
+        assignments = [f"{signal}={name}" for signal, name in self.chosen.items()]
         for signal, usual in (("y", READINGS), ("u", INPUTS)):
             named = any(self.usual(name, 1) for name in usual) or self.of_the_trade(signal, 1, ())
             if not named and not _of_signal(self.chosen, signal):
-                wanted.append(f"{signal}=NAME")
-        return ",".join(wanted).replace("[0]", "")
+                assignments.append(f"{signal}=NAME")
+        return ",".join(assignments).replace("[0]", "")
 
     def example(self) -> str:
         """Return an example of columns, if names have brackets, which a shell wants quoted."""
@@ -560,5 +560,5 @@ def _of_signal(chosen: Mapping[str, str], signal: str) -> list[str]:
 
 def _list_columns(titles: Sequence[Title]) -> str:
     """Return the names of columns, for a message."""
-    shown = ", ".join(repr(title.name) for title in titles[:_SHOWN])
-    return shown + (", ..." if len(titles) > _SHOWN else "")
+    names = ", ".join(repr(title.name) for title in titles[:_PRINTED_NAMES])
+    return names + (", ..." if len(titles) > _PRINTED_NAMES else "")

@@ -53,7 +53,7 @@ class RangeEnds(NamedTuple):
 class RunningEnds:
     """Detector of the limits of a range for readings that arrive block by block."""
 
-    KEPT: Final = ("_upper", "_lower")
+    SAVED: Final = ("_upper", "_lower")
 
     def __init__(self) -> None:
         self._upper = _UpperLimit()
@@ -119,7 +119,7 @@ class _UpperLimit:
         count: number of readings equal to it.
     """
 
-    KEPT: Final = (
+    SAVED: Final = (
         *("top", "count", "_total", "_before", "_speed", "_y", "_ok"),
         *("_bottom", "_alike", "_elsewhere", "_visits", "_steps"),
     )

@@ -105,7 +105,7 @@ class Faults:
         why: description of the first of them; empty if there is none.
     """
 
-    KEPT: Final = ("counts", "why")
+    SAVED: Final = ("counts", "why")
 
     def __init__(self, source: str, strict: bool) -> None:
         self.counts = np.zeros(len(KINDS), np.int64)
@@ -154,7 +154,7 @@ class LogReader:
         ahead: lines ahead of the header that were skipped.
     """
 
-    KEPT: Final = ("_latest_time",)
+    SAVED: Final = ("_latest_time",)
 
     def __init__(
         self,
@@ -423,8 +423,8 @@ def samples_of_text(reader: LogReader, path: Path, largest: int, most: float) ->
         count += blocks[-1].t.size
         if count > most:
             break
-    held = [block for block in blocks if block.t.size] or blocks[-1:]
-    return oldest_first(join_samples(held))
+    nonempty = [block for block in blocks if block.t.size] or blocks[-1:]
+    return oldest_first(join_samples(nonempty))
 
 
 def join_samples(blocks: Iterable[Samples]) -> Samples:
@@ -514,11 +514,11 @@ def place_on_steps(samples: Samples, timed: bool, step: float, source: str) -> P
     if not timed:
         return Placed(samples.regular._replace(t=np.arange(len(samples.t)) * step))
     samples, repeated = without_repeats(samples)
-    kept = np.isfinite(samples.t)  # what cannot be read shows as a gap in the others' times
-    read = samples.select_rows(kept)
+    readable = np.isfinite(samples.t)  # what cannot be read shows as a gap in the others' times
+    read = samples.select_rows(readable)
     if not read.t.size:
         return Placed(read.regular)
-    lines_between = np.diff(np.flatnonzero(kept))  # 1 where all could be read
+    lines_between = np.diff(np.flatnonzero(readable))  # 1 where all could be read
     intervals = np.append(step, np.diff(read.t))  # of the first sample a step
     _require_order(intervals, read, source)
     measured = usual_step((intervals[1:] / lines_between)[:WATCHED])

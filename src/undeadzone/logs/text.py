@@ -96,12 +96,12 @@ class Text:
         text = self._rest + self._decode(data, last)
         if last:
             text += "\n"
-        held_back = "\r" if text.endswith("\r") else ""
+        pending = "\r" if text.endswith("\r") else ""
         text = text.removesuffix("\r").replace("\r\n", "\n").replace("\r", "\n")
         *lines, rest = text.split("\n")
         if not self._is_text:
             self._require_text(lines, rest)
-        self._rest = rest[: LONGEST_LINE + 1] + held_back
+        self._rest = rest[: LONGEST_LINE + 1] + pending
         return lines
 
     def _require_text(self, lines: Sequence[str], rest: str) -> None:

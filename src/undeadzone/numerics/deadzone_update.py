@@ -191,7 +191,7 @@ def deadzone_update(
             DeadzoneMemory(0.0, memory.last, *later.tolist()),
             0,
             columns=S,
-            shown=_shown_covariance(belief, S, doubts),
+            shown=_displayed_covariance(belief, S, doubts),
         )
     gate = max(SILENT * noise, rounding * slope)
     side = _sure(y, memory.last, memory.previous, gate) - _sure(
@@ -219,11 +219,11 @@ def deadzone_update(
         e,
         std,
         S,
-        _shown_covariance(belief, S, doubts),
+        _displayed_covariance(belief, S, doubts),
     )
 
 
-def _shown_covariance(belief: Gauss, S: Floats, doubts: Floats) -> Floats:
+def _displayed_covariance(belief: Gauss, S: Floats, doubts: Floats) -> Floats:
     """Return the covariance with the errors that the sensor's shape may have caused (N x N)."""
     wide = S * doubts
     return belief.cov + wide @ wide.T

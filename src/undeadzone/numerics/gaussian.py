@@ -385,14 +385,14 @@ def covariance_loss(along: Any, shift: Any, certain: Any, between: Any) -> Any:
         between: by how much it is more, as they may be wrong (k x k).
     """
     rest = ca.sparsify(along - shift)
-    held = sorted(set(rest.sparsity().row()))
+    moved_in_part = sorted(set(rest.sparsity().row()))
     lost = along @ (ca.mtimes(certain - between, along.T) + ca.mtimes(between, rest.T))
-    if held:
-        g = along[held, :]
-        s = shift[held, :]
+    if moved_in_part:
+        g = along[moved_in_part, :]
+        s = shift[moved_in_part, :]
         half = s @ (ca.mtimes(certain, g.T) - ca.mtimes((certain + between) / 2, s.T))
-        lost[held, :] = lost[:, held].T
-        lost[held, held] = half + half.T
+        lost[moved_in_part, :] = lost[:, moved_in_part].T
+        lost[moved_in_part, moved_in_part] = half + half.T
     return lost
 
 

@@ -121,9 +121,9 @@ def find_pareto_front(
         points = np.where(better, children[best], points)
         values = np.where(better, offered[best], values)
         tick()
-    kept = np.flatnonzero(is_undominated(values) & np.isfinite(values).all(axis=1))
-    _, firsts = np.unique(values[kept].round(9), axis=0, return_index=True)
-    distinct = kept[np.sort(firsts)]
+    undominated = np.flatnonzero(is_undominated(values) & np.isfinite(values).all(axis=1))
+    _, firsts = np.unique(values[undominated].round(9), axis=0, return_index=True)
+    distinct = undominated[np.sort(firsts)]
     return points[distinct], values[distinct]
 
 

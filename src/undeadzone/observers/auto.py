@@ -52,12 +52,12 @@ class Auto(Assumptions, frozen=True, kw_only=True, tag_field="method", tag="auto
     @property
     def is_exact(self) -> bool:
         """Return whether disturbance, bias and model error are all assumed to be 0."""
-        claims = [self.disturbance, self.bias]
+        assumptions = [self.disturbance, self.bias]
         if isinstance(self.tolerance, dict):
-            claims.extend(self.tolerance.values())
+            assumptions.extend(self.tolerance.values())
         else:
-            claims.append(self.tolerance)
-        return not any(claim is None or np.any(claim) for claim in claims)
+            assumptions.append(self.tolerance)
+        return not any(value is None or np.any(value) for value in assumptions)
 
     def build(self, model: System, sensor: Zone) -> Observer:
         """Return the chosen observer for a model, continuous or sampled."""

@@ -88,7 +88,7 @@ DOUBTED = 0.1  # share of their odds by which starts that found other gaps widen
 FAINTEST = 1e-26  # odds of a filter against the best one, however wrong it was
 MEMORY = 0.2  # time over which innovations are summed [s]
 PATIENCE = 1.0  # time over which the squares of the sums are averaged [s]
-WIDENED = 1.3  # factor of the variance of a gap that is shown joint by joint, at least
+WIDENED = 1.3  # factor of the variance of a gap that is displayed joint by joint, at least
 WINDOW = 0.2  # time over which the motion of a gap's estimate is compared with its variance [s]
 JUMP = 4.0  # deviations, beyond which such a motion is more than chance
 CHANCE = 4.0  # mean square of the sums that is taken for chance
@@ -261,8 +261,8 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         ranges = _read_joint_ranges("observer.half", self.half, N)
         mass = float(values[model.names.index("payload")])
         weight = [mass, mass] if self.payload is None else self.payload
-        claims = {"half": ranges, "payload": _read_joint_ranges("observer.payload", weight, 1)}
-        for name, limits in claims.items():
+        limits_of = {"half": ranges, "payload": _read_joint_ranges("observer.payload", weight, 1)}
+        for name, limits in limits_of.items():
             low[of(name)], high[of(name)] = limits.T
             mean[of(name)] = limits.mean(axis=1)
             std[of(name)] = (limits[:, 1] - limits[:, 0]) / np.sqrt(12)
@@ -427,9 +427,11 @@ def unknown_torques(model: System, gears: Geared, payload: float) -> tuple[Float
     links[names.index("payload")] = payload
     turned = np.linspace(-np.pi, np.pi, 8, endpoint=False)
     rest = np.zeros(N)
-    held = [np.abs(np.asarray(gears.arm.bias(links, q * np.eye(1, N)[0], rest))) for q in turned]
+    holding_torques = [
+        np.abs(np.asarray(gears.arm.bias(links, q * np.eye(1, N)[0], rest))) for q in turned
+    ]
     inertia = np.diag(np.asarray(gears.arm.mass(links, rest)))
-    least = LEAST_TORQUE * np.max(held, axis=0).ravel()
+    least = LEAST_TORQUE * np.max(holding_torques, axis=0).ravel()
     least = np.where(least > 0, least, TURNED * inertia)
     motors, own = (np.asarray(gears.gear_number(model.params, name)).ravel() for name in FRICTION)
     return np.maximum(0.3 * motors, 0.6 * least), np.maximum(0.75 * own, least), inertia
@@ -481,7 +483,7 @@ def _step_contact_filter(
         jumps = accumulate_jumps(jumps, *gaps, q.modes.Q[half], WINDOW / drives[0].Ts)
         apart = ca.fmax(apart, gaps[1] + jumps.excess)
     doubt = Doubt(coupling, apart)
-    shown = _to_contact_estimate(setup, q, ones, whole, doubt, reading)._replace(
+    estimate = _to_contact_estimate(setup, q, ones, whole, doubt, reading)._replace(
         **assumption_fields(ratios)
     )
     if setup.ones:
@@ -500,7 +502,7 @@ def _step_contact_filter(
         moved = share_step_graph(partial(predict_modes, drive), calls, LONG)
         pairs = zip(moved, modes, strict=True)
         after.append(tuple(pack_modes(drive, *pair, readings[k]) for pair in pairs))
-    return State(tuple(after), odds, sums, coupling, jumps), shown
+    return State(tuple(after), odds, sums, coupling, jumps), estimate
 
 
 def _weigh_filters(
@@ -583,7 +585,7 @@ def variance_of_starts(
     odds: Sequence[Any],
     mean: Any,
 ) -> Any:
-    """Return the variance of the half gaps about those shown, over all starts (N) [rad^2].
+    """Return the variance of the half gaps about those displayed, over all starts (N) [rad^2].
 
     A single strike that was misread may decide the odds by ten nats, so a share of them counts.
 
@@ -592,16 +594,16 @@ def variance_of_starts(
         groups: joints of each filter.
         each: posteriors of the starts, of each group.
         odds: log of their odds, of each group.
-        mean: of all unknowns, as shown.
+        mean: of all unknowns, as displayed.
     """
     total = ca.SX.zeros(layout.size)
-    shown = mean[layout.slice_of("half")]
+    mean_half = mean[layout.slice_of("half")]
     for group, starts, log in zip(groups, each, odds, strict=True):
         here = list(group)
         half = Layout(len(group)).slice_of("half")
         weights = normalise_weights(ca.vertsplit(ca.exp(DOUBTED * log)))
         for weight, one in zip(weights, starts, strict=True):
-            off = one.whole.mean[half] - shown[here]
+            off = one.whole.mean[half] - mean_half[here]
             total[here] += weight * (ca.diag(one.whole.cov)[half] + off**2)
     return total
 
@@ -617,8 +619,9 @@ def _to_contact_estimate(
     """Return the estimate from the posterior of each filter and of all joints.
 
     Joint by joint, what others do to a link counts as noise, though it repeats from strike to
-    strike. So variances of gaps are shown larger by the coupling over EVEN, at least by WIDENED, up
-    to those of their ranges. Starts that found other gaps add theirs, and so do jumps of a gap.
+    strike. So variances of gaps are displayed larger by the coupling over EVEN, at least by
+    WIDENED, up to those of their ranges. Starts that found other gaps add theirs, and so do jumps
+    of a gap.
     """
     layout = Layout(setup.gears.joint_count)
     mean = whole.whole.mean
@@ -644,7 +647,7 @@ def _to_contact_estimate(
     rows = ca.DM.eye(layout.entry_count)
     halves, centres = (rows[of(name), :] for name in ("half", "centre"))
     z = setup.model.output(q.modes.model, x)
-    shown = build_estimate(x, z, right, left, reading, q.slope, setup.kind, whole.e)
+    estimate = build_estimate(x, z, right, left, reading, q.slope, setup.kind, whole.e)
     push = mean[of("push")] / setup.gears.gear_number(q.modes.model, "inertia")
     names = ("payload", *FRICTION)
     variances = var(rows[: 4 * N, :])
@@ -653,7 +656,7 @@ def _to_contact_estimate(
     open_to = ca.fmax((q.modes.high - q.modes.low)[of("half")] ** 2 / 12, certain)
     wider = ca.fmax(doubt.coupling / EVEN, WIDENED) if setup.ones else 1.0
     wide = ca.fmin(ca.fmax(wider * certain, doubt.variance), open_to)
-    return shown._replace(
+    return estimate._replace(
         x_std=ca.sqrt(ca.vertcat(variances[:N], known + unseen, variances[2 * N : 4 * N])),
         right_std=ca.sqrt(ca.vertcat(var(halves + centres) + wide - certain, both) + give),
         left_std=ca.sqrt(ca.vertcat(var(halves - centres) + wide - certain, both) + give),

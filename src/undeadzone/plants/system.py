@@ -385,11 +385,11 @@ def state_units(flow: Matrices, Ts: float | None = None) -> Floats:
         Ts: sample time [s] (None in continuous time).
     """
     rate = plant_pace(flow, Ts)
-    shown = flow.C
+    output_rows = flow.C
     seen = np.abs(flow.C).max(axis=0)
     for _ in range(1, flow.A.shape[0]):
-        shown = shown @ flow.A / rate
-        seen = np.maximum(seen, np.abs(shown).max(axis=0))
+        output_rows = output_rows @ flow.A / rate
+        seen = np.maximum(seen, np.abs(output_rows).max(axis=0))
     some = seen[seen > 0]
     least = some.min() if some.size else 1.0
     return np.asarray(1 / np.where(seen > 0, seen, least))

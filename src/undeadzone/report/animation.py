@@ -141,7 +141,7 @@ def write_movie(
 
     Args:
         run: of an arm
-        rival: another run of it, shown beside it
+        rival: another run of it, displayed beside it
         path: the file
         progress: called with 1 for each frame done
 
@@ -157,44 +157,44 @@ def write_movie(
     stage.figure.draw_without_rendering()
     stage.figure.set_layout_engine("none")  # laid out once, for all frames
 
-    shown = range(0, max(len(arm.poses) for arm in stage.arms), SKIPPED)
+    frames = range(0, max(len(arm.poses) for arm in stage.arms), SKIPPED)
     write = _write_gif if path.suffix.lower() == ".gif" else _write_mp4
     with replace_file(path) as temporary:
-        write(stage, shown, temporary, progress)
+        write(stage, frames, temporary, progress)
     return path
 
 
-def _write_mp4(stage: Stage, shown: range, path: Path, progress: Callable[[int], None]) -> None:
+def _write_mp4(stage: Stage, frames: range, path: Path, progress: Callable[[int], None]) -> None:
     """Write an MP4 of some frames. Arguments as for `_write_gif`."""
     from matplotlib.animation import FFMpegWriter
 
     speed: Any = FRAMES / SKIPPED
     writer = FFMpegWriter(fps=speed)
     with writer.saving(stage.figure, path, DPI):
-        for frame in shown:
+        for frame in frames:
             _draw_frame(stage, frame)
             writer.grab_frame()
             progress(1)
 
 
-def _write_gif(stage: Stage, shown: range, path: Path, progress: Callable[[int], None]) -> None:
+def _write_gif(stage: Stage, frames: range, path: Path, progress: Callable[[int], None]) -> None:
     """Write a GIF of some frames, in few colours. Each picture keeps the unchanged parts.
 
     Its comment is the run's title.
 
     Args:
         stage: the figure, and what moves on it.
-        shown: the frames.
+        frames: the frames.
         path: the file.
         progress: called with 1 for each frame done.
     """
     from PIL.Image import Dither
 
-    palette = _render_picture(stage, shown[-1]).quantize(COLOURS)
+    palette = _render_picture(stage, frames[-1]).quantize(COLOURS)
 
     def pictures() -> Iterator[Image]:
         """Yield the picture of each frame, in few colours."""
-        for frame in shown:
+        for frame in frames:
             picture = _render_picture(stage, frame)
             progress(1)
             yield picture.quantize(palette=palette, dither=Dither.NONE)

@@ -145,16 +145,16 @@ def estimates_table(
         heads: of further columns.
         cells: of these, for each.
     """
-    shown = [what]
+    titles = [what]
     for row in sheets[0]:
-        shown += [row.title_with_unit] if row.true is None else [row.title_with_unit, "true"]
+        titles += [row.title_with_unit] if row.true is None else [row.title_with_unit, "true"]
     lines = []
     for k, (name, rows) in enumerate(zip(names, sheets, strict=True)):
         line: list[Any] = [name]
         for row in rows:
             line += [row.page_cell] if row.true is None else [row.page_cell, row.true]
         lines.append([*line, *(cells[k] if cells else ())])
-    return build_table((*shown, *heads), lines)
+    return build_table((*titles, *heads), lines)
 
 
 def verdict_line(*parts: tuple[str, str]) -> Html:
@@ -222,8 +222,8 @@ def encode_picture(image: bytes, caption: str) -> Html:
         f'<img alt="{escape(escape_controls(caption))}" src="data:image/svg+xml;base64,{data}" '
         f'style="min-width:{least}px;max-width:{round(least / 0.75)}px">'
     )
-    shown = f'<div class="wide">{img}</div>{build_tag("figcaption", caption).text}'
-    return Html(f'<figure style="flex-basis:{least}px">{shown}</figure>')
+    content = f'<div class="wide">{img}</div>{build_tag("figcaption", caption).text}'
+    return Html(f'<figure style="flex-basis:{least}px">{content}</figure>')
 
 
 class Origin(NamedTuple):
@@ -339,6 +339,6 @@ def encode_pictures(images: Mapping[str, bytes], captions: Mapping[str, str]) ->
     return {name: encode_picture(image, captions[name]) for name, image in images.items()}
 
 
-def pick_pictures(shown: Mapping[str, Html], *names: str) -> list[Html]:
+def pick_pictures(pictures: Mapping[str, Html], *names: str) -> list[Html]:
     """Return the existing pictures of these names."""
-    return [shown[name] for name in names if name in shown]
+    return [pictures[name] for name in names if name in pictures]

@@ -97,7 +97,7 @@ def estimation_page(
     """
     info = result.info
     words, style = VERDICTS[info.consistent]
-    shown = html.encode_pictures(images, {"figure": _OVERVIEW}).values()
+    pictures = html.encode_pictures(images, {"figure": _OVERVIEW}).values()
     question = f"Is the record what the observer claims? {words}"
     head = html.build_paragraph(html.build_tag("span", question, style))
     found = [
@@ -111,7 +111,7 @@ def estimation_page(
         info.title,
         head,
         *reasons,
-        html.build_section("Along the log", *found, *shown, html.build_paragraph(_TEST, "note")),
+        html.build_section("Along the log", *found, *pictures, html.build_paragraph(_TEST, "note")),
         html.build_section(
             "The log", html.build_table(("what", "value"), list(_log_numbers(result).items()))
         ),
@@ -170,19 +170,19 @@ def _drawn_window(result: Estimation) -> slice:
 
 def output(axes: Axes, result: Estimation, i: int = 0, of: str = "") -> None:
     """Draw reading and estimates of output i over its estimated dead zone (of: its name)."""
-    shown = _drawn_window(result)
-    t = result.t[shown]
+    window = _drawn_window(result)
+    t = result.t[window]
     right = result.info.d_right[i]
     left = result.info.d_left[i]
     if result.info.sensor == "play":
-        shade_gap(axes, t, result.y[shown, i], right, left)
+        shade_gap(axes, t, result.y[window, i], right, left)
     elif right > -left:
         at = result.info.output_level[i] if result.info.output_level else 0.0
         shade_zone(axes, right + at, left - at)
-    axes.plot(t, result.y[shown, i], color=ink.READING, label="reading y")
-    axes.plot(t, result.z_hat[shown, i], color=ink.ESTIMATE, label="estimate ẑ")
+    axes.plot(t, result.y[window, i], color=ink.READING, label="reading y")
+    axes.plot(t, result.z_hat[window, i], color=ink.ESTIMATE, label="estimate ẑ")
     if result.z_smooth is not None:
-        smooth = result.z_smooth[shown, i]
+        smooth = result.z_smooth[window, i]
         axes.plot(t, smooth, color=ink.TRUTH, linestyle=DASHED, label="with the whole log")
     _mark_missing(axes, result, i)
     title = f"Output{of}: what was read, and what the observer makes of it"
@@ -201,15 +201,15 @@ def _mark_missing(axes: Axes, result: Estimation, i: int) -> None:
 
 def _draw_log_widths(axes: Axes, result: Estimation, i: int, of: str) -> None:
     """Draw the estimated widths of output i, with 95 % intervals."""
-    shown = _drawn_window(result)
-    t = result.t[shown]
+    window = _drawn_window(result)
+    t = result.t[window]
     columns = slice(2 * i, 2 * i + 2)
-    widths = result.d_hat[shown, columns]
-    std = None if result.d_std is None else result.d_std[shown, columns]
+    widths = result.d_hat[window, columns]
+    std = None if result.d_std is None else result.d_std[window, columns]
     draw_width_lines(axes, t, widths, std)
     if result.d_smooth is not None:
         for column, colour in ((2 * i, ink.PRINTED), (2 * i + 1, ink.OTHER)):
-            axes.plot(t, result.d_smooth[shown, column], color=colour, linestyle=DASHED)
+            axes.plot(t, result.d_smooth[window, column], color=colour, linestyle=DASHED)
     settled = widths[len(widths) // 10 :]  # the start would stretch the axis
     low = float(np.nanmin(settled))
     high = float(np.nanmax(settled))
@@ -224,9 +224,9 @@ def _draw_innovations(axes: Axes, result: Estimation, i: int, of: str) -> None:
     """Draw the normalised innovations of output i and the test statistic (without a test,
     innovations).
     """
-    shown = _drawn_window(result)
-    t = result.t[shown]
-    innovation = result.innovation[shown, i]
+    window = _drawn_window(result)
+    t = result.t[window]
+    innovation = result.innovation[window, i]
     used = innovation != 0
     if result.innovation_std is None or result.B is None:
         axes.plot(t[used], innovation[used], ".", color=ink.ESTIMATE, markersize=2, rasterized=True)
@@ -237,12 +237,12 @@ def _draw_innovations(axes: Axes, result: Estimation, i: int, of: str) -> None:
             legend=0,
         )
         return
-    normalised = innovation[used] / result.innovation_std[shown, i][used]
+    normalised = innovation[used] / result.innovation_std[window, i][used]
     limited = np.clip(normalised, -2 * FAR, 2 * FAR)
     name = "innovation / its std"
     axes.plot(t[used], limited, ".", color=ink.ESTIMATE, markersize=2, label=name, rasterized=True)
     for bound in (-FAR, FAR):
         axes.axhline(bound, color=ink.REFERENCE, linewidth=0.8)
-    axes.plot(t, np.minimum(result.B[shown, i], 2 * FAR), color=ink.PRINTED, label="B")
+    axes.plot(t, np.minimum(result.B[window, i], 2 * FAR), color=ink.PRINTED, label="B")
     axes.axhline(CHANCE, color=ink.PRINTED, linewidth=0.8, linestyle=DASHED, label="usual limit")
     finish_panel(axes, f"Innovations{of} and their test", "standard deviations", legend=3)

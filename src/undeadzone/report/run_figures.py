@@ -100,20 +100,20 @@ def half_rows(left: str, right: str, count: int, columns: int) -> list[list[str]
 
 def output(axes: Axes, run: Run, i: int = 0, of: str = "") -> None:
     """Draw output i over its dead zone: reference, reading, truth and estimate (of: its name)."""
-    shown = run.plot_window
-    t = run.t[shown]
+    window = run.plot_window
+    t = run.t[window]
     right, left = run.info.widths[2 * i : 2 * i + 2]
     if run.info.sensor in ("play", "gears"):
-        shade_gap(axes, t, run.y[shown, i], right, left)
+        shade_gap(axes, t, run.y[window, i], right, left)
     else:
         at = run.info.output_level[i] if run.info.output_level else 0.0
         shade_zone(axes, right + at, left - at)
     if i in run.info.tracked:
-        r = run.r[shown, run.info.tracked.index(i)]
+        r = run.r[window, run.info.tracked.index(i)]
         axes.plot(t, r, color=ink.REFERENCE, linewidth=2.6, alpha=0.45, label="reference r")
-    axes.plot(t, run.y[shown, i], color=ink.READING, label="reading y")
-    axes.plot(t, run.z[shown, i], color=ink.TRUTH, label="output z")
-    estimate = run.z_hat[shown, i]
+    axes.plot(t, run.y[window, i], color=ink.READING, label="reading y")
+    axes.plot(t, run.z[window, i], color=ink.TRUTH, label="output z")
+    estimate = run.z_hat[window, i]
     axes.plot(t, estimate, color=ink.ESTIMATE, linestyle=DASHED, label="estimate ẑ")
     title = f"Output{of} and what is known of it"
     if run.divergence_time is not None:
@@ -125,12 +125,12 @@ def _draw_errors(axes: Axes, run: Run, i: int, of: str) -> None:
     """Draw the sizes of the tracking error, if output i is tracked, and of the estimation
     error.
     """
-    shown = run.plot_window
-    t = run.t[shown]
+    window = run.plot_window
+    t = run.t[window]
     if i in run.info.tracked:
-        tracking = (run.z[:, i] - run.r[:, run.info.tracked.index(i)])[shown]
+        tracking = (run.z[:, i] - run.r[:, run.info.tracked.index(i)])[window]
         plot_magnitude(axes, t, tracking, ink.REFERENCE, "|z - r|")
-    plot_magnitude(axes, t, (run.z - run.z_hat)[shown, i], ink.ESTIMATE, "|z - ẑ|")
+    plot_magnitude(axes, t, (run.z - run.z_hat)[window, i], ink.ESTIMATE, "|z - ẑ|")
     finish_panel(axes, f"Errors{of}", axis_label("error", run.unit("z")))
 
 

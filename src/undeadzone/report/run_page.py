@@ -58,12 +58,12 @@ def run_page(
         reasons += [f"{where}{reason}." for reason in verdict["reasons"]]
     more = [words for name, words in FURTHER.items() if getattr(run, name) is not None]
     captions = CAPTIONS | {"figure": "; ".join([CAPTIONS["figure"], *more]) + "."}
-    shown = html.pick_pictures(html.encode_pictures(images, captions), *captions)
+    pictures = html.pick_pictures(html.encode_pictures(images, captions), *captions)
     first, rest = _numbers_tables(run, rival)
     return html.build_page(
         run.info.title,
         _verdict_on_run(run),
-        html.build_section("What happens", first, *_animation_parts(run, rival, images), *shown),
+        html.build_section("What happens", first, *_animation_parts(run, rival, images), *pictures),
         html.build_section("Numbers", rest),
         html.build_section(
             "Widths",

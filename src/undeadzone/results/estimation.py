@@ -127,32 +127,34 @@ FAULTS: Final = {  # by kind, after a number
 def blocks_from_log(info: LogInfo) -> list[Block]:
     """Return the summary of a log: pairs, and for several outputs a table with their rows."""
     single = len(info.d_right) == 1
-    shown: dict[str, Any] = {
+    summary: dict[str, Any] = {
         "scenario": info.title,
         "observer": f"{info.method}, step {info.step:g} s",
         "log": _describe_samples(info),
     }
     if info.columns:
-        shown["columns"] = info.columns
+        summary["columns"] = info.columns
     if info.unreadable:
         lines = count_in_words(info.unreadable)
-        shown["unreadable"] = f"{lines}, counted as missing; {info.why_unreadable}"
+        summary["unreadable"] = f"{lines}, counted as missing; {info.why_unreadable}"
     if info.faults:
-        shown["faults"] = ", ".join(f"{n} {FAULTS[kind]}" for kind, n in info.faults.items())
+        summary["faults"] = ", ".join(f"{n} {FAULTS[kind]}" for kind, n in info.faults.items())
     if single:
         estimated = "" if info.adapts else " (not estimated)"
-        shown |= sheet.rows_to_text(row._replace(note=estimated) for row in log_width_rows(info)[0])
+        summary |= sheet.rows_to_text(
+            row._replace(note=estimated) for row in log_width_rows(info)[0]
+        )
         for rows in [*log_gap_rows(info), *log_actuator_rows(info)]:
-            shown |= sheet.rows_to_text(rows)
-        shown["readings"] = _describe_branches(info, 0)
+            summary |= sheet.rows_to_text(rows)
+        summary["readings"] = _describe_branches(info, 0)
     elif not info.adapts:
-        shown["widths"] = "not estimated"
-    shown["consistent"] = _describe_consistency(info)
+        summary["widths"] = "not estimated"
+    summary["consistent"] = _describe_consistency(info)
     if unknown := describe_unknowns(info.options):
-        shown["not told"] = unknown
+        summary["not told"] = unknown
     if info.remarks:
-        shown["remark"] = "; ".join(info.remarks)
-    return [shown] if single else [shown, _log_output_rows(info)]
+        summary["remark"] = "; ".join(info.remarks)
+    return [summary] if single else [summary, _log_output_rows(info)]
 
 
 def _log_output_rows(info: LogInfo) -> Rows:

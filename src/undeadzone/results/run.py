@@ -387,43 +387,43 @@ def blocks_from_run(run: Run) -> list[Block]:
     """Return the summary of a run: pairs, and for several outputs a table with their rows."""
     info = run.info
     single = len(run.outputs) == 1
-    shown: dict[str, Any] = {
+    summary: dict[str, Any] = {
         "scenario": info.title,
         "observer": f"{info.method}, {info.time} time, step {info.step:g} s",
         **sheet.rows_to_text(final_error_rows(run)),
     }
     driven = final_actuator_rows(run)
     if single:
-        shown |= sheet.rows_to_text(final_width_rows(run)[0])
+        summary |= sheet.rows_to_text(final_width_rows(run)[0])
     if len(driven) == 1:
-        shown |= sheet.rows_to_text(driven[0])
+        summary |= sheet.rows_to_text(driven[0])
     if single:
         for rows in final_gap_rows(run):
-            shown |= sheet.rows_to_text(rows)
-    shown |= sheet.rows_to_text(final_parameter_rows(run))
+            summary |= sheet.rows_to_text(rows)
+    summary |= sheet.rows_to_text(final_parameter_rows(run))
     if info.sensor != "gears":  # whose encoders are never silent
         quiet = "holding" if info.sensor == "play" else "silent"
-        shown[quiet] = f"{100 * run.silent_fraction:.1f} % of the time"
+        summary[quiet] = f"{100 * run.silent_fraction:.1f} % of the time"
     if run.divergence_time is not None:  # identifiability is of no use then
-        shown["DIVERGED"] = f"at {run.divergence_time:g} s"
-        return [shown] if single else [shown, _final_output_rows(run)]
+        summary["DIVERGED"] = f"at {run.divergence_time:g} s"
+        return [summary] if single else [summary, _final_output_rows(run)]
     if refuted := final_rejections(run.signals.arrays).get("claims"):
-        shown["claims"] = "NOT as told: " + "; ".join(
+        summary["claims"] = "NOT as told: " + "; ".join(
             describe_rejected_assumptions(refuted, info.options)
         )
     if unknown := describe_unknowns(info.options):
-        shown["not told"] = unknown
+        summary["not told"] = unknown
     if info.listens:
-        shown["listens"] = listening_in_words(info.listens)
-    shown |= _describe_proof(run) | _describe_identifiable(info, run.outputs)
+        summary["listens"] = listening_in_words(info.listens)
+    summary |= _describe_proof(run) | _describe_identifiable(info, run.outputs)
     if run.inexact:
         share = info.integration_share
         assert share is not None
-        shown["NOT EXACT"] = (
+        summary["NOT EXACT"] = (
             f"half the step changes the run by {100 * share:.3g} % of the largest |z|: these are "
             "no results; use a smaller simulation.step"
         )
-    return [shown] if single else [shown, _final_output_rows(run)]
+    return [summary] if single else [summary, _final_output_rows(run)]
 
 
 def _final_output_rows(run: Run) -> Rows:
@@ -457,20 +457,20 @@ def _describe_verdict(verdict: Mapping[str, Any]) -> str:
 
 def _describe_proof(run: Run) -> dict[str, Any]:
     """Return the certificate and the integration error of a run, as text by name."""
-    shown: dict[str, Any] = {}
+    summary: dict[str, Any] = {}
     certified = run.info.certified
     rise = run.largest_rise_of_V
     if certified is False:
-        shown["certificate"] = "none found for these gains; undeadzone check says why"
+        summary["certificate"] = "none found for these gains; undeadzone check says why"
     elif certified:
         words = "holds for an exact model without noise or disturbance"
         if rise is not None:
             words += f"; along this run V rose by at most {rise:.1g} of its peak"
-        shown["certificate"] = words
+        summary["certificate"] = words
     error = run.info.integration_error
     if error is not None:
-        shown["integration"] = f"error {error:.2g} (against half the step)"
-    return shown
+        summary["integration"] = f"error {error:.2g} (against half the step)"
+    return summary
 
 
 def _describe_identifiable(info: Info, outputs: Sequence[str]) -> dict[str, Any]:

@@ -80,7 +80,7 @@ class Vary(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     entries: dict[str, Distribution] = {}
 
 
-class CheckedDistribution(NamedTuple):
+class ValidatedDistribution(NamedTuple):
     """A distribution that has been checked.
 
     Attributes:
@@ -113,7 +113,7 @@ TABLE: Final = Table(
 )
 
 
-def spread(address: str, distribution: Distribution, least: float) -> CheckedDistribution:
+def spread(address: str, distribution: Distribution, least: float) -> ValidatedDistribution:
     """Return the distribution of a number, checked.
 
     Args:
@@ -138,7 +138,7 @@ def spread(address: str, distribution: Distribution, least: float) -> CheckedDis
         limit = "must not be negative" if least == 0 else "must be positive"
         what = "low" if kind == "uniform" else "mean"
         raise InputError(f"{key}: this {limit}, found {what} = {first:g}")
-    return CheckedDistribution(kind, first, second, least)
+    return ValidatedDistribution(kind, first, second, least)
 
 
 def _numbers(address: str, distribution: Distribution) -> tuple[str, float, float]:

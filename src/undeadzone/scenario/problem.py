@@ -52,7 +52,7 @@ from undeadzone.signals import exosystem as signals
 from undeadzone.signals.exosystem import Exosystem
 from undeadzone.util.arrays import Array, Floats, require_nonnegative, require_number
 
-CHECKED = 0.01  # [s] between the instants at which a path is checked
+PATH_STEP = 0.01  # [s] between the instants at which a path is checked
 
 
 class Problem(NamedTuple):
@@ -433,7 +433,7 @@ def flat_path(scenario: Scenario, model: System, start: Floats, step: float) -> 
     duration = scenario.simulation.duration
     body = model.arm
     assert body is not None
-    t = np.append(np.arange(0.0, duration, max(step, CHECKED)), duration)
+    t = np.append(np.arange(0.0, duration, max(step, PATH_STEP)), duration)
     if getattr(reference, "space", "joint") == "joint":
         path = signals.build_exosystem("reference", reference, model.m)
         if model.m == body.joint_count:

@@ -44,16 +44,16 @@ BANDWIDTH: Final = 10.0  # of a rigid arm [rad/s]
 UNNAMED: Final[Any] = None  # stands for an observer or a controller until the usual one does
 
 
-def _claims_centre(claims: Any) -> bool:
+def _assumes_centre(assumptions: Any) -> bool:
     """Return whether an asymmetry of the zone other than 0 is assumed. Gears have their own table.
 
     A value that is not a number is refused elsewhere.
     """
-    names = set(getattr(claims, "__struct_fields__", ()))
-    return {"left", "centre"} <= names and str(claims.centre) not in ("None", "0", "0.0")
+    names = set(getattr(assumptions, "__struct_fields__", ()))
+    return {"left", "centre"} <= names and str(assumptions.centre) not in ("None", "0", "0.0")
 
 
-def vague_claims(sensor: Sensor) -> Assumptions:
+def vague_assumptions(sensor: Sensor) -> Assumptions:
     """Return the assumption that the widths lie between 0 and `VAGUE` times the largest, alone."""
     largest = float(max(np.max(sensor.right), np.max(sensor.left)))
     return Assumptions(right=[0.0, VAGUE * (largest or 1.0)])
@@ -72,8 +72,8 @@ def usual_observer(plant: Plant, sensor: Sensor, declared: Assumptions | None) -
         return OBSERVERS.create_options(
             "contact", half=[0.0, VAGUE * max(float(np.max(gears.half)), SMALL)]
         )
-    claims = vague_claims(sensor) if declared is None else declared
-    return OBSERVERS.create_options("auto", **claims.claims())
+    assumptions = vague_assumptions(sensor) if declared is None else declared
+    return OBSERVERS.create_options("auto", **assumptions.claims())
 
 
 def usual_controller(plant: Plant, sampled: bool) -> ControllerOptions:
@@ -258,7 +258,7 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             require_array(f"sensor.{side}", getattr(self.sensor, side))
         if self.schema not in (None, SCHEMA):
             raise InputError(f"schema: expected {SCHEMA}, found {self.schema!r:.40}")
-        if any(_claims_centre(getattr(self, name)) for name in ASSUMPTION_TABLES):
+        if any(_assumes_centre(getattr(self, name)) for name in ASSUMPTION_TABLES):
             msgspec.structs.force_setattr(
                 self, "schema", SCHEMA
             )  # for the file that it is saved in

@@ -86,8 +86,8 @@ def _gears(found: Survey, swing: Floats, widths: Floats) -> dict[str, Any]:
     postures = found.q + np.linspace(-1, 1, PLACES)[:, None] * swing
     steps = int(np.ceil(STEP * fastest_contact(arm, arm.values, postures) / RESOLVED))
     ranges = [f"[0.0, {float(f'{WIDER * width:.3g}')}]" for width in widths]
-    shown = ranges[0] if len({*ranges}) == 1 else f"[{', '.join(ranges)}]"
-    return {**written, "half_ranges": shown, "step": STEP, "substeps": max(steps, FEWEST)}
+    range_text = ranges[0] if len({*ranges}) == 1 else f"[{', '.join(ranges)}]"
+    return {**written, "half_ranges": range_text, "step": STEP, "substeps": max(steps, FEWEST)}
 
 
 def _torques(found: Survey, swing: Floats) -> Floats:

@@ -173,8 +173,8 @@ class Wiring(NamedTuple):
         drive = self.p.actuator
         if drive is None:
             return s.actuator, u
-        kept, passed = pass_command(ca, u, s.actuator, drive, self.p.h)
-        return kept, through_zone(ca, passed, drive)
+        next_state, passed = pass_command(ca, u, s.actuator, drive, self.p.h)
+        return next_state, through_zone(ca, passed, drive)
 
     def _sensor_reading(
         self, z: ca.SX, level: ca.SX, s: State, w: Exogenous, mode: Mode
@@ -326,8 +326,8 @@ def no_target(problem: Problem) -> Target:
 def _instant(problem: Problem) -> loop.Exogenous:
     """Return zeros of the shapes of the exogenous inputs at one instant."""
     plant = problem.plant
-    held = np.zeros((loop.HELD, plant.p))
-    return loop.Exogenous(no_target(problem), np.zeros(plant.m), *held)
+    held_inputs = np.zeros((loop.HELD_INPUTS, plant.p))
+    return loop.Exogenous(no_target(problem), np.zeros(plant.m), *held_inputs)
 
 
 def _first_that_suffices(attempts: list[dense_output.StepAttempt]) -> ca.SX:
@@ -401,13 +401,13 @@ def exogenous_at(columns: list[ca.SX], c: Any, p: int) -> ca.SX:
         c: the fraction: 0.0, 0.5 or 1.0, or a CasADi expression.
         p: number of outputs.
     """
-    first, middle, last = (column[: -loop.HELD * p] for column in columns)
-    held = columns[0][-loop.HELD * p :]
+    first, middle, last = (column[: -loop.HELD_INPUTS * p] for column in columns)
+    held_inputs = columns[0][-loop.HELD_INPUTS * p :]
     if isinstance(c, float):
-        return ca.vertcat(columns[round(2 * c)][: -loop.HELD * p], held)
+        return ca.vertcat(columns[round(2 * c)][: -loop.HELD_INPUTS * p], held_inputs)
     curvature = 2 * (first + last) - 4 * middle
     slope = 4 * middle - 3 * first - last
-    return ca.vertcat(first + c * (slope + c * curvature), held)
+    return ca.vertcat(first + c * (slope + c * curvature), held_inputs)
 
 
 def _located_attempts(step: _Step, order: int) -> list[dense_output.StepAttempt]:
@@ -469,11 +469,11 @@ def _dense_step(step: _Step, order: int) -> Callable[[ca.SX, Any, Any], dense_ou
     h = step.wiring.p.h
     x = ca.SX.sym("x", size)
     w = ca.SX.sym("w", step.columns[0].shape[0])
-    branch_taken = Mode(*(ca.SX.sym(name, wiring.plant.p) for name in Mode._fields))
+    branch = Mode(*(ca.SX.sym(name, wiring.plant.p) for name in Mode._fields))
     s = tree.unpack_column(step.like, x)
     inputs = wiring.exogenous(step.instant, w)
-    derivative = tree.stack_leaves(wiring.move(s, inputs, branch_taken)[0])
-    evaluate = ca.Function("rate", [x, w, *branch_taken], [derivative], {"allow_free": True})
+    derivative = tree.stack_leaves(wiring.move(s, inputs, branch)[0])
+    evaluate = ca.Function("rate", [x, w, *branch], [derivative], {"allow_free": True})
 
     def output(column: ca.SX) -> ca.SX:
         return wiring.plant.output(wiring.p.plant, tree.unpack_column(step.like, column).plant)

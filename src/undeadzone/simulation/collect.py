@@ -33,12 +33,12 @@ from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.identifiability import (
     actuator_unknown,
     as_far_as_known,
-    by_claims,
     late_inputs,
     linear_verdicts,
+    mark_excluded_widths,
+    note_prior_widths,
     widths_with_unknown_actuator,
     with_cures,
-    with_false_claims,
     withdrawn,
 )
 from undeadzone.simulation.loop import Outputs
@@ -63,7 +63,7 @@ def verdicts_of_run(problem: Problem, signal: Outputs) -> list[WidthIdentifiabil
         why = "a nonlinear plant" if problem.plant.nonlinear else "an actuator that is not known"
         return withdrawn(problem, f"no verdict was derived for a play and a dead zone behind {why}")
     if problem.plant.nonlinear:
-        return with_false_claims(problem, _verdicts_along(problem, signal))
+        return mark_excluded_widths(problem, _verdicts_along(problem, signal))
     step = problem.scenario.simulation.step
     arrived = np.isfinite(signal.y)
     schedule = schedule_of_record(signal.z, problem.sensor, step, problem.model.Ts, arrived)
@@ -71,7 +71,7 @@ def verdicts_of_run(problem: Problem, signal: Outputs) -> list[WidthIdentifiabil
         found = _width_verdicts_beside_actuator(problem, signal, schedule)
     else:
         found = linear_verdicts(problem, schedule, np.ones(problem.model.p))
-    return with_false_claims(problem, found)
+    return mark_excluded_widths(problem, found)
 
 
 def _verdicts_on_gaps(problem: Problem, x: Floats) -> list[WidthIdentifiability]:
@@ -182,7 +182,7 @@ def _verdicts_along(problem: Problem, signal: Outputs) -> list[WidthIdentifiabil
     found = width_verdicts(None, None)
     if traits.start_std is not None or traits.centre_std is not None:
         with_prior = width_verdicts(traits.start_std, traits.centre_std)
-        found = [by_claims(traits, *pair) for pair in zip(found, with_prior, strict=True)]
+        found = [note_prior_widths(traits, *pair) for pair in zip(found, with_prior, strict=True)]
     return with_cures(problem, found, signal.z)
 
 

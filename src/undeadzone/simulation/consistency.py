@@ -70,7 +70,7 @@ class Consistency:
         quarter_period: of the plant [s].
     """
 
-    KEPT: Final = (
+    SAVED: Final = (
         *("B", "used", "refused", "silent", "outside"),
         *("_sums", "_squares", "_samples", "_exceeded"),
     )
@@ -164,7 +164,7 @@ class Own:
         refused: readings that it took for wrong, so far.
     """
 
-    KEPT: Final = ("refused", "_last", "_samples", "_unfit", "_before", "_suspected")
+    SAVED: Final = ("refused", "_last", "_samples", "_unfit", "_before", "_suspected")
 
     def __init__(self) -> None:
         self._last = np.zeros(

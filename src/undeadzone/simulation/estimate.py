@@ -178,7 +178,7 @@ def _read_any_log(
 # --- Looking back
 
 BLOCK = 5000  # samples whose moments are in memory at once
-SHOWN = ("x", "z", "right", "left", "x_std", "right_std", "left_std")  # of an estimate
+SMOOTHED_FIELDS = ("x", "z", "right", "left", "x_std", "right_std", "left_std")  # of an estimate
 
 
 class _Ahead(NamedTuple):
@@ -200,18 +200,18 @@ class _Graphs(NamedTuple):
 
     Attributes:
         step: step(s, w, p) is (next state, `[estimate; s]`).
-        moments: of a row `[s; w]`, those of its members. A step without a state, like `shown`.
-        shown: of a row `[beliefs; what the sensor's shape adds; share; record]`, to the quantities
-            in `SHOWN`.
+        moments: of a row `[s; w]`, those of its members. A step without a state, like `estimate`.
+        estimate: of a row `[beliefs; what the sensor's shape adds; share; record]`, to the
+            quantities in `SMOOTHED_FIELDS`.
         filter: the filter itself.
-        causal: places of `SHOWN` among its outputs.
+        causal: places of `SMOOTHED_FIELDS` among its outputs.
         like: `Moments` of the members, of arrays of their shapes.
         odds, record: where these stand in the state.
     """
 
     step: ca.Function
     moments: ca.Function
-    shown: ca.Function
+    estimate: ca.Function
     filter: ObserverGraph
     causal: list[Any]
     like: tuple[Moments, ...]
@@ -276,11 +276,11 @@ def _graphs(model: System, observer: Observer, sensor: Zone) -> _Graphs:
     for one in like:
         size = one.bounded.mean.size if one.doubted[0].size else 0
         wide.append(np.zeros((size, size)))
-    row, (seen, more, share, kept) = tree.create_symbols(
+    row, (seen, more, share, record_symbols) = tree.create_symbols(
         (tuple(beliefs), tuple(wide), np.zeros(len(like)), record), "r"
     )
-    shown: Estimate = smoothing.shown(known.params, seen, more, share, kept)
-    out = tuple(getattr(shown, name) for name in SHOWN)
+    smoothed: Estimate = smoothing.mixture_estimate(known.params, seen, more, share, record_symbols)
+    out = tuple(getattr(smoothed, name) for name in SMOOTHED_FIELDS)
     where = tree.leaf_slices((init, np.zeros(model.m)))[0]
     of_estimate = tree.leaf_slices(known.out).estimate
     return _Graphs(
@@ -290,7 +290,7 @@ def _graphs(model: System, observer: Observer, sensor: Zone) -> _Graphs:
         ),
         interpret.build_stateless_step([row, known.p], ca.cse(tree.stack_leaves(out))),
         known,
-        [getattr(of_estimate, name) for name in SHOWN],
+        [getattr(of_estimate, name) for name in SMOOTHED_FIELDS],
         like,
         smoothing.odds(where) if len(like) > 1 else None,
         smoothing.record(where),
@@ -307,7 +307,7 @@ def _block(graphs: _Graphs, start: Floats, w: Floats, ahead: _Ahead) -> tuple[Fl
         ahead: information of the samples after the block.
 
     Returns:
-        The shown quantities of each sample (B x outputs), and the information for the samples
+        The smoothed quantities of each sample (B x outputs), and the information for the samples
         before.
     """
     numbers = graphs.filter.numbers
@@ -329,11 +329,11 @@ def _block(graphs: _Graphs, start: Floats, w: Floats, ahead: _Ahead) -> tuple[Fl
     shares, odds = _shares(graphs, states, logs, ahead.odds)
     records, worst = _records(graphs, states, ahead.worst)
     rows = np.hstack([*beliefs, *wide, shares, records])
-    shown = interpret.map_rows(graphs.shown, rows, numbers)
-    # If the estimate cannot be smoothed, that of the filter is shown.
-    lost = ~np.isfinite(shown).all(axis=1)
-    shown[lost] = np.hstack([estimates[lost, part] for part in graphs.causal])
-    return shown, _Ahead(before, odds, worst)
+    smoothed = interpret.map_rows(graphs.estimate, rows, numbers)
+    # If the estimate cannot be smoothed, that of the filter is used.
+    lost = ~np.isfinite(smoothed).all(axis=1)
+    smoothed[lost] = np.hstack([estimates[lost, part] for part in graphs.causal])
+    return smoothed, _Ahead(before, odds, worst)
 
 
 def _smooth_doubts(
@@ -415,12 +415,12 @@ def _records(graphs: _Graphs, states: Floats, worst: Any) -> tuple[Floats, Any]:
     return records, worst
 
 
-def _arrange_smoothed(model: System, shown: Floats) -> dict[str, Floats]:
+def _arrange_smoothed(model: System, values: Floats) -> dict[str, Floats]:
     """Return the smoothed signals by name, right and left of each output in turn."""
     n = model.n
     p = model.p
     ends = np.cumsum([n, p, p, p, n, p])
-    x, z, right, left, x_std, right_std, left_std = np.split(shown, ends, axis=1)
-    d = np.stack([right, left], axis=2).reshape(len(shown), -1)
-    d_std = np.stack([right_std, left_std], axis=2).reshape(len(shown), -1)
+    x, z, right, left, x_std, right_std, left_std = np.split(values, ends, axis=1)
+    d = np.stack([right, left], axis=2).reshape(len(values), -1)
+    d_std = np.stack([right_std, left_std], axis=2).reshape(len(values), -1)
     return dict(zip(SMOOTHED, (x, z, d, x_std, d_std), strict=True))

@@ -11,7 +11,7 @@ from undeadzone.feedforward.targets import Target, flat_targets, invert_targets,
 from undeadzone.scenario.problem import Problem
 from undeadzone.signals import exosystem as signals
 from undeadzone.signals import noise
-from undeadzone.simulation.loop import HELD, RUNGE_KUTTA, instants
+from undeadzone.simulation.loop import HELD_INPUTS, RUNGE_KUTTA, instants
 from undeadzone.util.arrays import Floats, Integers, require_vector
 
 NUDGE: Final = 1e-9  # of a step: a reference's corners on the grid belong to the step that follows
@@ -59,7 +59,7 @@ def exogenous(
     plant = problem.plant
     rows = np.arange(problem.steps * refine + 1)
     seed = simulation.seed if seed is None else seed
-    held_inputs = np.zeros((rows.size, HELD * plant.p))
+    held_inputs = np.zeros((rows.size, HELD_INPUTS * plant.p))
     if run is not None:
         held_inputs[:] = np.hstack(_draw_held_inputs(problem, seed, run))[rows // refine]
     grid = _Grid(rows, refine, simulation.step / refine, knots_of(problem, run, seed))

@@ -47,13 +47,13 @@ class Follower:
         observer: as it is built for both.
         levels: at the operating point, from which the observer counts (None: all are 0).
         samples: how many came in.
-        KEPT: names of the attributes that a saved state contains (`saved_state`).
+        SAVED: names of the attributes that a saved state contains (`saved_state`).
 
     Raises:
         InputError: or a subclass, for errors in the scenario.
     """
 
-    KEPT: Final = (
+    SAVED: Final = (
         "samples",
         "_online",
         "_tests",

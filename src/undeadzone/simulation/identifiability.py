@@ -71,7 +71,8 @@ def linear_verdicts(
         return alone
     with_prior = _with_deviations(problem, schedule, readings)
     return [
-        by_claims(problem.observer.traits, *pair) for pair in zip(alone, with_prior, strict=True)
+        note_prior_widths(problem.observer.traits, *pair)
+        for pair in zip(alone, with_prior, strict=True)
     ]
 
 
@@ -218,7 +219,7 @@ def late_inputs(problem: Problem, signal: Outputs) -> Floats:
     return shift_rows(signal.u, problem.plant.delay, np.zeros(1, int))
 
 
-def by_claims(
+def note_prior_widths(
     traits: Traits, alone: WidthIdentifiability, with_prior: WidthIdentifiability
 ) -> WidthIdentifiability:
     """Return the verdict with an observer's prior, with a note on widths known by the prior alone.
@@ -249,7 +250,7 @@ def constant_inputs(problem: Problem, B: Floats) -> Floats | None:
     return unknown_bias(scenario.disturbance, B, scenario.simulation.duration)
 
 
-def with_false_claims(
+def mark_excluded_widths(
     problem: Problem, verdicts: Sequence[WidthIdentifiability]
 ) -> list[WidthIdentifiability]:
     """Return the verdicts. Widths outside their assumed range are unknown, as no reading corrects
@@ -260,8 +261,8 @@ def with_false_claims(
         verdicts: on the widths of each output (p).
     """
     options: Any = problem.scenario.observer
-    claims = {"right", "left"} <= set(getattr(options, "__struct_fields__", ()))
-    if not claims or not problem.observer.traits.adapts:
+    has_ranges = {"right", "left"} <= set(getattr(options, "__struct_fields__", ()))
+    if not has_ranges or not problem.observer.traits.adapts:
         return list(verdicts)
     p = len(verdicts)
     ranges = read_width_ranges(options.right, options.left, p)

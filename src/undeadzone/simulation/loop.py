@@ -15,7 +15,7 @@ from undeadzone.nonlinearities.actuator import Drive
 from undeadzone.nonlinearities.limits import Limits
 
 RUNGE_KUTTA: Final = 4  # the order that needs no Taylor series
-HELD: Final = 5  # exogenous inputs of an output that keep their value within a step: the last ones
+HELD_INPUTS: Final = 5  # exogenous inputs of an output that a step holds constant: the last ones
 
 
 def instants(Ts: float | None, order: int) -> int:

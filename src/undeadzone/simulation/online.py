@@ -82,9 +82,9 @@ def observer_graph(model: System, observer: Observer, sensor: Zone) -> ObserverG
     values = (observer.params, (sensor.threshold, sensor.limits))
     p, (params, levels) = tree.create_symbols(values, "p")
     start = (observer.init(observer.params), np.zeros(model.m))
-    s, (state, held) = tree.create_symbols(start, "s")
+    s, (state, last_input) = tree.create_symbols(start, "s")
     y, u = ca.SX.sym("y", model.p), ca.SX.sym("u", model.m)
-    used = ca.if_else(present(u), u, held)
+    used = ca.if_else(present(u), u, last_input)
     w, reading = ca.vertcat(y, u), to_reading(y, *levels)
     after, estimate = observer.step(params, state, used, reading)
     out = Out(estimate, sample_branch(reading, estimate), ca.mmin(present(y)) == 0)
@@ -137,7 +137,7 @@ class Online:
         estimate, export, deadzone_update
     """
 
-    KEPT: Final = ("samples", "missing", "state")
+    SAVED: Final = ("samples", "missing", "state")
 
     def __init__(
         self,
@@ -149,7 +149,7 @@ class Online:
         compiled: bool = False,
         actuator: ActuatorModel | None = None,
     ) -> None:
-        self._asked = observer, plant, sensor, step, substeps, compiled, actuator
+        self._arguments = observer, plant, sensor, step, substeps, compiled, actuator
         self.model, zone, built = build_observer(observer, plant, sensor, step, substeps, actuator)
         self._graph = observer_graph(self.model, require_graph(built), zone)
         self.samples = 0
@@ -172,11 +172,11 @@ class Online:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Return the constructor's arguments and the saved state, for pickle."""
-        return Online, self._asked, {name: getattr(self, name) for name in self.KEPT}
+        return Online, self._arguments, {name: getattr(self, name) for name in self.SAVED}
 
-    def __setstate__(self, kept: dict[str, Any]) -> None:
+    def __setstate__(self, state: dict[str, Any]) -> None:
         """Restore the saved state of another object."""
-        for name, value in kept.items():
+        for name, value in state.items():
             setattr(self, name, value)
 
     @property

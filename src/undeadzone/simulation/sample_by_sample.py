@@ -67,12 +67,12 @@ def run_sample_by_sample(
             before[estimated] = tree.pack_tree(tuple(estimate))
         if law is not None:
             t = k * problem.scenario.simulation.step
-            shown = estimate
+            law_estimate = estimate
             reference = row[r].copy()
             if levels is not None:
-                shown = levels.restore_estimate(estimate)
+                law_estimate = levels.restore_estimate(estimate)
                 reference += levels.r
-            before[driving] = _input(law(t, shown, reference), m, t)
+            before[driving] = _input(law(t, law_estimate, reference), m, t)
             if levels is not None:
                 before[driving] -= levels.u
         stepper.state[:] = before
@@ -132,16 +132,16 @@ def numeric_along(
         The estimates, a row for each sample in each field, and the measured sides (N x p).
     """
     state = observer.start(seed)
-    held = np.zeros(u.shape[1])
+    last_input = np.zeros(u.shape[1])
     if sensor.limits is not None:
         y = np.where(is_beyond_range(y, sensor.limits), np.nan, y)
     sides = side(y, sensor.threshold, sensor.limits)
     rows = []
     for k in range(len(y)):
-        held = np.where(np.isfinite(u[k]), u[k], held)
+        last_input = np.where(np.isfinite(u[k]), u[k], last_input)
         state, estimate = observer.correct(state, Reading(y[k].copy(), sides[k].copy()))
         rows.append(estimate)
-        state = observer.predict(state, held)
+        state = observer.predict(state, last_input)
         if progress is not None and (k + 1) % CHUNK == 0:
             progress(CHUNK)
     return Estimate(*[np.stack(field) for field in zip(*rows, strict=True)]), sides

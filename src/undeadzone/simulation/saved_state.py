@@ -1,6 +1,6 @@
 """State of live estimation in a file: it is replaced whole, and read as numbers only.
 
-Objects name in `KEPT` what of them a file holds: numbers, arrays, texts, and other such objects.
+Objects name in `SAVED` what of them a file holds: numbers, arrays, texts, and other such objects.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def save(path: Path, parts: Mapping[str, Any], digest: str) -> None:
 
     Args:
         path: of the file.
-        parts: objects with `KEPT`, by name.
+        parts: objects with `SAVED`, by name.
         digest: of the object that the numbers belong to.
 
     Raises:
@@ -50,7 +50,7 @@ def load(path: Path, parts: Mapping[str, Any], digest: str) -> None:
 
     Args:
         path: of the file.
-        parts: objects with `KEPT`, by name, as new.
+        parts: objects with `SAVED`, by name, as new.
         digest: of the object that the numbers must belong to.
 
     Raises:
@@ -84,7 +84,7 @@ def _whole(digest: str) -> str:
 def _stored_arrays(parts: Mapping[str, Any]) -> Iterator[tuple[Any, str, str]]:
     """Yield (owner, attribute, dotted name in the file) of all numbers that objects hold."""
     for above, part in parts.items():
-        for name in part.KEPT:
+        for name in part.SAVED:
             value = getattr(part, name)
             key = f"{above}.{name}"
             inner = _inner(key, value)
@@ -94,11 +94,11 @@ def _stored_arrays(parts: Mapping[str, Any]) -> Iterator[tuple[Any, str, str]]:
 
 
 def _inner(name: str, value: Any) -> dict[str, Any]:
-    """Return the objects with `KEPT` under a name, alone or in a list, but no numbers."""
-    if hasattr(value, "KEPT"):
+    """Return the objects with `SAVED` under a name, alone or in a list, but no numbers."""
+    if hasattr(value, "SAVED"):
         return {name: value}
     if isinstance(value, list):
-        return {f"{name}.{k}": part for k, part in enumerate(value) if hasattr(part, "KEPT")}
+        return {f"{name}.{k}": part for k, part in enumerate(value) if hasattr(part, "SAVED")}
     return {}
 
 

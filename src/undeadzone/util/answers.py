@@ -39,11 +39,11 @@ def report_saved_on_stop(leave: Callable[[], str]) -> Iterator[None]:
         sentences = (str(error), leave())
         raise type(error)("; ".join(filter(None, sentences))) from None
     except BaseException as error:
-        kept = leave()
+        description = leave()
         # Ctrl-C within a lock of the thread pool ends as a RuntimeError.
         before = error.__context__
         if isinstance(before, KeyboardInterrupt | Terminated):
-            raise type(before)(kept) from None
+            raise type(before)(description) from None
         raise
 
 
@@ -163,7 +163,7 @@ class Answers(MemoryAnswers):
 
     def _save(self, question: str, answer: Any) -> None:
         """Write an answer to the file."""
-        line = _to_checked_line(json.dumps([question, answer]))
+        line = _to_checksummed_line(json.dumps([question, answer]))
         write_all_bytes(self._path, self._file, line)
 
     @contextmanager
@@ -191,11 +191,11 @@ class Answers(MemoryAnswers):
             self._file.seek(0)
             content = self._file.read()
         head = json.dumps(problem)
-        if _to_checked_line(head).startswith(content):  # empty, or torn in its first line
+        if _to_checksummed_line(head).startswith(content):  # empty, or torn in its first line
             with convert_write_errors(self._path):
                 self._file.truncate(0)
             try:
-                write_all_bytes(self._path, self._file, _to_checked_line(head))
+                write_all_bytes(self._path, self._file, _to_checksummed_line(head))
             except FileError:  # disk full
                 self.delete_file()
                 raise
@@ -244,7 +244,7 @@ def open_answers(
         yield answers
 
 
-def _to_checked_line(text: str) -> bytes:
+def _to_checksummed_line(text: str) -> bytes:
     """Return a line of the file: checksum and text."""
     data = text.encode()
     return _line_checksum(data) + b" " + data + b"\n"

@@ -116,12 +116,12 @@ def require_matrix(
     if entries.ndim == 0:
         entries = entries.reshape(1, 1)
     shape = entries.shape
-    as_wanted = rows in (None, shape[0]) and columns in (None, shape[-1])
-    if entries.ndim == 2 and 0 not in shape and as_wanted:
+    is_expected = rows in (None, shape[0]) and columns in (None, shape[-1])
+    if entries.ndim == 2 and 0 not in shape and is_expected:
         return entries
-    wanted = _matrix_text(rows, columns)
+    expected = _matrix_text(rows, columns)
     present = f"a list of {_count_text(shape[0])}" if entries.ndim == 1 else describe_shape(shape)
-    raise ShapeError(f"{key}: expected {wanted}{_in_brackets(why)}, found {present}")
+    raise ShapeError(f"{key}: expected {expected}{_in_brackets(why)}, found {present}")
 
 
 def require_vector(key: str, value: Any, size: int, why: str = "") -> Floats:
@@ -144,9 +144,9 @@ def require_vector(key: str, value: Any, size: int, why: str = "") -> Floats:
     if entries.ndim == 0:
         entries = np.full(size, float(entries))
     if entries.shape != (size,):
-        wanted = _count_text(size)
+        expected = _count_text(size)
         present = describe_shape(entries.shape)
-        raise ShapeError(f"{key}: expected {wanted}{_in_brackets(why)}, found {present}")
+        raise ShapeError(f"{key}: expected {expected}{_in_brackets(why)}, found {present}")
     return entries
 
 

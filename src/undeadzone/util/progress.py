@@ -191,13 +191,13 @@ class _NotebookBar:
         if self._handle is not None:
             self._display_bar({"text/plain": "", "text/html": ""})
 
-    def _display_bar(self, shown: dict[str, str]) -> None:
+    def _display_bar(self, mime_bundle: dict[str, str]) -> None:
         """Display the bar, in place of the earlier display."""
         from IPython import display
 
         show: Any = display.display
 
         if self._handle is None:
-            self._handle = show(shown, raw=True, display_id=True)
+            self._handle = show(mime_bundle, raw=True, display_id=True)
         else:
-            self._handle.update(shown, raw=True)
+            self._handle.update(mime_bundle, raw=True)

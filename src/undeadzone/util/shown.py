@@ -75,15 +75,15 @@ def result_to_html(result: Any) -> str:
     """Return the tables and the figure of a result as HTML (`_repr_html_` of results with
     `blocks`).
     """
-    shown = blocks_to_html(result.blocks())
+    tables = blocks_to_html(result.blocks())
     try:
         figure = plot(result)
     except InputError:  # nothing in it can be drawn
-        return shown
+        return tables
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=DOTS)
     image = base64.b64encode(buffer.getvalue()).decode("ascii")
-    return f'{shown}\n<img alt="figure" src="data:image/png;base64,{image}" width="100%">'
+    return f'{tables}\n<img alt="figure" src="data:image/png;base64,{image}" width="100%">'
 
 
 def _format_block(block: Block, width: int | None) -> list[str]:
@@ -113,12 +113,12 @@ def _align_lines(pairs: Pairs, width: int | None) -> list[str]:
 
 def _align_columns(rows: Rows, width: int | None) -> list[str]:
     """Return lines of aligned columns, or a line for each cell if the table is too wide."""
-    shown = [[escape_controls(cell) for cell in row] for row in rows]
-    widths = [max(map(len, column)) for column in zip(*shown, strict=True)]
+    table = [[escape_controls(cell) for cell in row] for row in rows]
+    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
     if width is not None and sum(widths) + 2 * len(widths) - 2 > width:
-        return _list_records(shown, width)
+        return _list_records(table, width)
     lines = []
-    for row in shown:
+    for row in table:
         cells = [f"{cell:<{size}}" for cell, size in zip(row, widths, strict=True)]
         lines.append("  ".join(cells).rstrip())
     return lines

@@ -13,7 +13,7 @@ from typing import Any, Final
 UNPRINTABLE: Final = ("Cc", "Cf", "Cs", "Zl", "Zp")
 HALF_95: Final = 1.959964  # standard deviations in half of a 95 % interval
 LEAST_MASS: Final = 1e-9  # of a Gaussian inside of a range, below which its quantiles mean nothing
-_ASKED: Final = re.compile(r"^@\?([a-z_]+)@(.*\n)", re.MULTILINE)
+_CONDITIONAL_LINE: Final = re.compile(r"^@\?([a-z_]+)@(.*\n)", re.MULTILINE)
 _WORD: Final = re.compile("@([a-z_]+)@")
 
 
@@ -128,7 +128,7 @@ def fill_words(text: str, words: Mapping[str, Any]) -> str:
         text: of lines.
         words: text for each word.
     """
-    lines = _ASKED.sub(lambda line: line[2] if words[line[1]] else "", text)
+    lines = _CONDITIONAL_LINE.sub(lambda line: line[2] if words[line[1]] else "", text)
     return _WORD.sub(lambda word: str(words[word[1]]), lines)
 
 

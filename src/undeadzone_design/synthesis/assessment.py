@@ -39,8 +39,8 @@ from undeadzone.simulation.identifiability import (
     constant_inputs,
     gaps_known,
     linear_verdicts,
+    mark_excluded_widths,
     readings_of,
-    with_false_claims,
 )
 from undeadzone.util.arrays import Floats
 from undeadzone.util.progress import ignore_progress
@@ -277,7 +277,7 @@ def assess_identifiability(
     known = []
     verdicts = linear_verdicts(problem, schedule, arrive)
     if problem.sensor.play is not None:
-        verdicts = with_false_claims(problem, verdicts)
+        verdicts = mark_excluded_widths(problem, verdicts)
     for i, verdict in enumerate(verdicts):
         fields = verdict._asdict() | {"reasons": list(verdict.reasons), "std": verdict.std or {}}
         open_ = not (verdict.right and verdict.left)

@@ -22,8 +22,8 @@ from undeadzone.scenario.encoders import resolve_sensor
 from undeadzone.scenario.ensemble_table import (
     POSITIVE,
     TABLE,
-    CheckedDistribution,
     Distribution,
+    ValidatedDistribution,
     spread,
 )
 from undeadzone.scenario.problem import Problem, sensor_of_model
@@ -82,7 +82,7 @@ class UncertainNumber(NamedTuple):
     """
 
     name: str
-    spread: CheckedDistribution
+    spread: ValidatedDistribution
     slots: tuple[tuple[int, float], ...]
 
 

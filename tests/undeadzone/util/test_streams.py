@@ -118,7 +118,7 @@ def test_writes_are_whole_and_reads_wait() -> None:
 def test_a_save_that_fails_is_said_and_tried_again(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    part: Any = SimpleNamespace(KEPT=("count",), count=1, digest="d")
+    part: Any = SimpleNamespace(SAVED=("count",), count=1, digest="d")
     part.clock = part.reader = part
     (tmp_path / "gone").touch()  # no folder can be made there
     kept = SavedWatch(tmp_path / "gone" / "state.npz", 0.0, part, part)

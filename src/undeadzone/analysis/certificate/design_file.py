@@ -299,7 +299,7 @@ def describe_design(design: Mapping[str, Any]) -> dict[str, Any]:
         design: the fields of a `Design`, as its file has them.
     """
     best = design["best"]
-    shown: dict[str, Any] = {
+    summary: dict[str, Any] = {
         "scenario": design["title"],
         "chosen": f"{design['chosen']}, seed {design['seed']}",
         "L": format_gains(best["L"]),
@@ -311,8 +311,8 @@ def describe_design(design: Mapping[str, Any]) -> dict[str, Any]:
         "trade": _describe_trade_off(best, design["present"]),
     }
     if design["remarks"]:
-        shown["remark"] = design["remarks"]
-    return shown
+        summary["remark"] = design["remarks"]
+    return summary
 
 
 def describe_margin(margin: float, frequency: float | None) -> str:

@@ -126,16 +126,16 @@ def _multipliers_and_modes(
     count = hidden.basis.shape[1]
     U, V = np.split(np.linalg.svd(hidden.basis[part])[0], [count], axis=1)
     # M maps the hidden subspace (U) into itself, so that its multipliers are those of both blocks.
-    multipliers, kept = np.linalg.eig(U.T @ M @ U)
+    multipliers, hidden_vectors = np.linalg.eig(U.T @ M @ U)
     stays = np.abs(np.log(np.maximum(np.abs(multipliers), TINY)) + size) < NEUTRAL
     never: tuple[str, ...] = ()
     if stays.any():
-        staying = np.hstack([kept[:, stays].real, kept[:, stays].imag])
+        staying = np.hstack([hidden_vectors[:, stays].real, hidden_vectors[:, stays].imag])
         never = hidden._replace(basis=hidden.basis @ staying).names_of_undetermined
     dying, vectors = np.linalg.eig(V.T @ M @ V)
     mu = np.append(multipliers[~stays], dying)
     logs = np.log(np.maximum(np.abs(mu), TINY)) + size + 1j * np.angle(mu)
-    return logs, np.hstack([U @ kept[:, ~stays], V @ vectors]), never
+    return logs, np.hstack([U @ hidden_vectors[:, ~stays], V @ vectors]), never
 
 
 def error_matrices(

@@ -66,10 +66,10 @@ def flank_visits(tau: Floats, step: float) -> list[FlankVisits]:
 
 def _keep_lasting_runs(flags: Flags, step: float) -> Flags:
     """Return the flags that belong to a run of at least LASTING seconds (N, bool)."""
-    kept = np.zeros_like(flags)
+    lasting = np.zeros_like(flags)
     for first, last in zip(*bounds_of_runs(flags), strict=True):
-        kept[first : last + 1] = (last + 1 - first) * step >= LASTING
-    return kept
+        lasting[first : last + 1] = (last + 1 - first) * step >= LASTING
+    return lasting
 
 
 def torques_along_path(body: Arm, params: Floats, path: Floats) -> Floats:

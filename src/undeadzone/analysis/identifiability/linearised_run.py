@@ -25,16 +25,16 @@ class LinearisedRun(NamedTuple):
     """Run linearised at K of its samples, s = n + b + t.
 
     Attributes:
-        steps: transition from each kept sample to the next (K x s x s).
+        steps: transition from each of the samples to the next (K x s x s).
         outputs: of `[x; beta; theta]` (K x p x s).
-        kept: the samples (K).
+        samples: their numbers (K).
         tolerance: share of a direction's information, all else known, that the steps' errors may
             feign.
     """
 
     steps: Floats
     outputs: Floats
-    kept: Integers
+    samples: Integers
     tolerance: float
 
 
@@ -131,7 +131,7 @@ def _derivatives_along(
 
 
 def _assemble_run(
-    steps: Floats, outputs: Floats, kept: Integers, tolerance: float
+    steps: Floats, outputs: Floats, samples: Integers, tolerance: float
 ) -> LinearisedRun:
     """Return the run up to the first derivative that is not finite. The constants stay
     constant.
@@ -141,7 +141,7 @@ def _assemble_run(
     n, s = steps.shape[1:]
     constants = np.broadcast_to(np.eye(s)[n:], (end, s - n, s))
     whole = np.concatenate([steps[:end], constants], axis=1)
-    return LinearisedRun(whole, outputs[:end], kept[:end], tolerance)
+    return LinearisedRun(whole, outputs[:end], samples[:end], tolerance)
 
 
 def symmetric(model: System, change: Floats) -> bool:

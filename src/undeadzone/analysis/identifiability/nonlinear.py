@@ -349,7 +349,7 @@ def information_root(run: LinearisedRun, side: Floats, variance: Floats, n: int)
     directions by 1 / CAP^2.
 
     Args:
-        run: the plant, linearised along the run (K kept samples).
+        run: the plant, linearised along the run (K samples).
         side: +1, 0, -1 at every sample (rows x p).
         variance: of a reading's noise (p).
         n: how many states there are.
@@ -360,30 +360,30 @@ def information_root(run: LinearisedRun, side: Floats, variance: Floats, n: int)
         return np.zeros((N, N))
     growth = float(np.log(np.linalg.norm(run.steps, axis=(1, 2)).max() / np.sqrt(s)))
     length = int(np.clip(GROWTH / max(growth, 1e-9), 1, BLOCK))
-    weight = _divide_into_blocks(reading_weights(run.kept, side, variance), length)
+    weight = _divide_into_blocks(reading_weights(run.samples, side, variance), length)
     rows, transitions = _block_rows(run, n, length)
     weighted = rows * weight[..., None]
     own = np.asarray(np.linalg.qr(weighted.reshape(len(rows), -1, N), mode="r"))
     return _accumulate_backward(own, transitions, _moving_indices(n, p, s))
 
 
-def reading_weights(kept: Integers, side: Floats, variance: Floats) -> Floats:
-    """Return the weights (K x p x 2) of the [right, left] readings nearest to each kept
-    sample.
+def reading_weights(samples: Integers, side: Floats, variance: Floats) -> Floats:
+    """Return the weights (K x p x 2) of the [right, left] readings nearest to each
+    sample of a linearised run.
 
     A weight is the root of (how many there are / variance).
 
     Args:
-        kept: the samples (K).
+        samples: their numbers (K).
         side: +1, 0, -1 at every sample (rows x p).
         variance: of a reading's noise (p).
     """
-    K = len(kept)
+    K = len(samples)
     if K > 1:
-        side = side[: kept[-1] + max(1, kept[-1] - kept[-2]) // 2 + 1]
+        side = side[: samples[-1] + max(1, samples[-1] - samples[-2]) // 2 + 1]
     else:
         side = side[:1]
-    halfway = (kept[1:] + kept[:-1]) / 2
+    halfway = (samples[1:] + samples[:-1]) / 2
     nearest = np.minimum(np.searchsorted(halfway, np.arange(len(side)), "right"), K - 1)
     first = np.unique(nearest, return_index=True)[1]
     counts = [np.add.reduceat(side == value, first, axis=0) for value in (1.0, -1.0)]

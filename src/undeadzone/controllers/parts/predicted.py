@@ -33,12 +33,12 @@ class DelayPrediction(NamedTuple):
 
     Attributes:
         model: of the sampled model.
-        held: change of x in a sample per w^ (n x n) [s].
+        disturbance_gain: change of x in a sample per w^ (n x n) [s].
         low, high: of what acts on the plant (m) [u].
     """
 
     model: Any
-    held: Floats
+    disturbance_gain: Floats
     low: Floats
     high: Floats
 
@@ -104,7 +104,7 @@ def step_with_prediction(
     for acting in ca.vertsplit(s.line, model.m):
         x = model.move(ahead.model, x, acting)
         if estimate.w.shape[0]:
-            x = x + ahead.held @ estimate.w
+            x = x + ahead.disturbance_gain @ estimate.w
     then = estimate._replace(x=x, z=model.output(ahead.model, x))
     after, u = controller.step(inner, s.controller, then, target)
     line, _ = through_line(s.line, ca.fmax(ca.fmin(u, ahead.high), ahead.low))

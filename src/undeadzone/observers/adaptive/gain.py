@@ -80,5 +80,5 @@ def default_gain(model: System) -> Floats:
 
 def default_adaptation(model: System) -> float:
     """Return the adaptation gain gamma for the plant's mean pole [1/s]."""
-    wanted = ADAPTATION * mean_pole(model)
-    return wanted if model.Ts is None else min(wanted, LARGEST / model.Ts)
+    rate = ADAPTATION * mean_pole(model)
+    return rate if model.Ts is None else min(rate, LARGEST / model.Ts)

@@ -82,8 +82,8 @@ def rescale_states(observer: Observer, units: Floats) -> Observer:
     def in_plant_units(q: Any, counted: Estimate) -> Estimate:
         """Convert an estimate from the filter's to the plant's units."""
         each = q.model.units if numbered else units
-        shown = counted._replace(x=each * counted.x, x_std=each * counted.x_std)
-        return shown._replace(w=each * counted.w) if shown.w.shape[0] else shown
+        converted = counted._replace(x=each * counted.x, x_std=each * counted.x_std)
+        return converted._replace(w=each * counted.w) if converted.w.shape[0] else converted
 
     def step(q: Any, s: Any, u: Any, reading: Reading) -> tuple[Any, Estimate]:
         """Return the next state, and the estimate in the plant's units."""
@@ -92,6 +92,8 @@ def rescale_states(observer: Observer, units: Floats) -> Observer:
 
     smoothing = observer.smoothing
     if smoothing is not None:
-        inner = smoothing.shown
-        smoothing = smoothing._replace(shown=lambda q, *known: in_plant_units(q, inner(q, *known)))
+        inner = smoothing.mixture_estimate
+        smoothing = smoothing._replace(
+            mixture_estimate=lambda q, *known: in_plant_units(q, inner(q, *known))
+        )
     return observer._replace(step=step, smoothing=smoothing)

@@ -178,9 +178,9 @@ def add_consistency_tests(
         """Return the state at t = 0."""
         none = np.zeros(p)
         once = np.zeros(1)
-        kept = (np.zeros(0), np.zeros(0)) if recovers else (none, once)
+        constant_fields = (np.zeros(0), np.zeros(0)) if recovers else (none, once)
         scores = innovation_tests.start_scores(p) if recovers else ()
-        record = Record(none, none, np.ones(p), none, none, none, once, *kept, scores)
+        record = Record(none, none, np.ones(p), none, none, none, once, *constant_fields, scores)
         return State(member.init(q), record)
 
     smoothing = None
@@ -189,7 +189,7 @@ def add_consistency_tests(
             moments=lambda q, s, u, reading: member.smoothing.moments(q, s.filter, u, reading),
             odds=lambda s: member.smoothing.odds(s.filter),
             record=lambda s: s.record,
-            shown=partial(_to_smoothed_estimate, setup),
+            mixture_estimate=partial(_to_smoothed_estimate, setup),
         )
     step = partial(step_with_tests, setup)
     return Observer(member.params, init, step, traits=traits, smoothing=smoothing)
@@ -199,7 +199,7 @@ def _to_smoothed_estimate(
     setup: Setup, q: Params, beliefs: Any, wide: Any, share: Any, record: Record
 ) -> Estimate:
     """Return the estimate of smoothed Gaussians, widened as the record demands."""
-    estimated = setup.member.smoothing.shown(q, beliefs, wide, share, ())
+    estimated = setup.member.smoothing.mixture_estimate(q, beliefs, wide, share, ())
     return widen_intervals(setup.model, q, record, estimated) if setup.widens else estimated
 
 
@@ -315,7 +315,7 @@ def widen_intervals(model: System, q: Params, record: Record, estimated: Estimat
 
     factor = ca.sqrt(worst)
 
-    def shown(std: Any, off: Any, least: Any) -> Any:
+    def widen_deviation(std: Any, off: Any, least: Any) -> Any:
         """Return a standard deviation that the innovations support."""
         wider = ca.if_else(fits, factor * std, ca.sqrt((factor * std) ** 2 + off**2))
         return ca.if_else(lost, ca.fmax(wider, least), wider)
@@ -327,9 +327,9 @@ def widen_intervals(model: System, q: Params, record: Record, estimated: Estimat
     x_std, right, left = ca.vertsplit(prior, [0, n, n + p, n + 2 * p])
     scale = q.doubt.std[:n] / ca.fmax(ca.mmax(q.doubt.std[:n]), 1e-300)
     return estimated._replace(
-        x_std=shown(estimated.x_std, ca.mmax(off) * scale, x_std),
-        right_std=shown(estimated.right_std, off, right),
-        left_std=shown(estimated.left_std, off, left),
-        width_std=shown(estimated.width_std, off, ca.sqrt(right**2 + left**2)),
+        x_std=widen_deviation(estimated.x_std, ca.mmax(off) * scale, x_std),
+        right_std=widen_deviation(estimated.right_std, off, right),
+        left_std=widen_deviation(estimated.left_std, off, left),
+        width_std=widen_deviation(estimated.width_std, off, ca.sqrt(right**2 + left**2)),
         theta_std=factor * estimated.theta_std,
     )

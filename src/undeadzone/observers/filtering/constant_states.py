@@ -165,7 +165,7 @@ def backlash_offset(q: Any, i: int, contact: Any, X: Any) -> Any:
     return offset(contact, gaps[i], gaps[gaps.shape[0] // 2 + i])
 
 
-def add_gap_estimates(q: Any, estimated: Estimate, shown: Gaussian, reading: Reading) -> Estimate:
+def add_gap_estimates(q: Any, estimated: Estimate, belief: Gaussian, reading: Reading) -> Estimate:
     """Add the gaps of the backlash ahead of the zone, with their deviations, to an estimate.
 
     Uncertain gaps are clipped to their ranges. z_inverse gains chi_m c, the gap on the side in
@@ -174,17 +174,17 @@ def add_gap_estimates(q: Any, estimated: Estimate, shown: Gaussian, reading: Rea
     Args:
         q: numbers of the filter.
         estimated: without gaps.
-        shown: belief about `[x; d; extra]`.
+        belief: belief about `[x; d; extra]`.
         reading: the last one.
     """
     if q.gaps is None:
         return estimated
-    gaps = gap_values(q, shown.mean)
+    gaps = gap_values(q, belief.mean)
     p = estimated.z.shape[0]
     if q.gaps.std.shape[0]:
         gaps = ca.fmax(ca.fmin(gaps, q.gaps.ranges[:, 1]), q.gaps.ranges[:, 0])
-        part = gap_slice(q, shown.mean.shape[0])
-        right, left, both = branch_deviations(shown.cov[part, part])
+        part = gap_slice(q, belief.mean.shape[0])
+        right, left, both = branch_deviations(belief.cov[part, part])
         estimated = estimated._replace(gap_right_std=right, gap_left_std=left, gap_std=both)
     contact = ca.if_else(reading.side != 0, reading.motion, 0.0)
     inverse = estimated.z_inverse + offset(contact, gaps[:p], gaps[p:])
@@ -265,14 +265,14 @@ def predict_plant_input(
     return input_at_mean, left
 
 
-def add_actuator_estimates(zones: Zones | None, estimated: Estimate, shown: Gaussian) -> Estimate:
+def add_actuator_estimates(zones: Zones | None, estimated: Estimate, belief: Gaussian) -> Estimate:
     """Return the estimate with the widths of the actuators, if they are estimated."""
     if zones is None:
         return estimated
     count = zones.middle.shape[0]
-    widths = zones.middle + shown.mean[-count:]
+    widths = zones.middle + belief.mean[-count:]
     inside = ca.fmax(ca.fmin(widths, zones.ranges[:, 1]), zones.ranges[:, 0])
-    std = ca.sqrt(ca.fmax(ca.diag(shown.cov)[-count:], 0.0))
+    std = ca.sqrt(ca.fmax(ca.diag(belief.cov)[-count:], 0.0))
     half = count // 2
     return estimated._replace(
         actuator_right=inside[:half],

@@ -516,16 +516,16 @@ def _limit_variances(q: Params, n: int, cov: Any) -> Any:
 
 
 def add_unknown_estimates(
-    setup: Setup, q: Params, estimated: Estimate, shown: Gaussian, u: Any
+    setup: Setup, q: Params, estimated: Estimate, belief: Gaussian, u: Any
 ) -> Estimate:
     """Return the estimate with w and theta if the filter estimates them (u: the last input)."""
     augmentation = setup.augmentation
     model = setup.model
     n = setup.model.n
     if len(augmentation.cov):
-        extra = shown.mean[n + 2 * model.p :]
+        extra = belief.mean[n + 2 * model.p :]
         if augmentation.disturbance is None:
-            x = shown.mean[:n]
+            x = belief.mean[:n]
             assert model.change is not None
             w = q.rate @ (augmentation.change(q, x, extra, u)[0] - model.change(q.model, x, u))
         else:
@@ -534,7 +534,7 @@ def add_unknown_estimates(
     count = len(augmentation.parameters)
     if count:
         part = slice(setup.shape.first - count, setup.shape.first)
-        theta = q.model[list(augmentation.parameters)] + shown.mean[part]
-        theta_std = ca.sqrt(ca.fmax(ca.diag(shown.cov)[part], 0.0))
+        theta = q.model[list(augmentation.parameters)] + belief.mean[part]
+        theta_std = ca.sqrt(ca.fmax(ca.diag(belief.cov)[part], 0.0))
         estimated = estimated._replace(theta=theta, theta_std=theta_std)
     return estimated

@@ -18,7 +18,7 @@ from undeadzone.interfaces import ASSUMPTION_CHECKS, Reading
 from undeadzone.nonlinearities.sensor import present
 
 NOISY = 7.0  # square of the score of the size of innovations over `Doubt.most`, to refute the noise
-HELD = 0.01  # share of readings that stay while z^ moves on, likewise
+STUCK = 0.01  # share of readings that stay while z^ moves on, likewise
 FEWEST = 4.0  # how many of these there must be of late
 ENOUGH = 10.0  # innovations from which a score is a normal number, however far one of them is
 AGREE = 1 / 8  # share of an innovation within which two readings that are refused agree
@@ -108,10 +108,10 @@ def update_scores(
     same = ca.if_else(is_repeated(doubt, y, s.last), s.same + 1, 0.0)
     stays = ca.logic_and(stays, ca.logic_or(far, same > doubt.run))
     stays = ca.logic_and(stays, ca.fabs(reading.side) < 2)  # at a limit a sound sensor stays
-    shown = ca.fmax(ca.fmin(doubt.push @ u, MOST), -MOST)
+    effect = ca.fmax(ca.fmin(doubt.push @ u, MOST), -MOST)
     left = ca.vertsplit(ca.SX(doubt.means))
     before = (s.quick, s.brisk, s.slow)
-    means = [shown + share * (mean - shown) for share, mean in zip(left, before, strict=True)]
+    means = [effect + share * (mean - effect) for share, mean in zip(left, before, strict=True)]
     return Scores(
         keep * s.size + nu**2 - counted,
         keep**2 * s.count + counted,
@@ -154,7 +154,7 @@ def stuck_ratio(doubt: Any, s: Scores) -> Any:
 
     Above 1 the sensor is faulty.
     """
-    return s.held / ca.fmax(HELD, FEWEST * (1 - doubt.keep))
+    return s.held / ca.fmax(STUCK, FEWEST * (1 - doubt.keep))
 
 
 def mismatch_ratio(s: Scores) -> Any:
@@ -167,7 +167,7 @@ def mismatch_ratio(s: Scores) -> Any:
 
 def stuck_level(doubt: Any, s: Scores) -> Any:
     """Return the mean abs(y) / m of a stuck sensor (p) [z], 0 if the sensor is sound."""
-    return ca.if_else(stuck_ratio(doubt, s) > 1, s.rest / ca.fmax(s.held, HELD), 0.0)
+    return ca.if_else(stuck_ratio(doubt, s) > 1, s.rest / ca.fmax(s.held, STUCK), 0.0)
 
 
 def assumption_ratios(doubt: Any, s: Scores) -> dict[str, Any]:

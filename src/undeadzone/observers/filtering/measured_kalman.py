@@ -214,7 +214,7 @@ def build_branch_filter(
         moments=partial(filter_moments, setup),
         odds=lambda s: np.zeros(1),
         record=lambda s: (),
-        shown=lambda q, beliefs, wide, share, record: estimate_of_belief(
+        mixture_estimate=lambda q, beliefs, wide, share, record: estimate_of_belief(
             setup, q, beliefs[0], wide[0]
         ),
     )
@@ -329,11 +329,11 @@ def estimate_of_belief(setup: Setup, q: Params, belief: Gaussian, wide: Any) -> 
 
     Here wide: covariance that the sensor's shape adds (N x N), or empty.
     """
-    shown, _ = clip_belief(setup, q, belief)
+    clipped, _ = clip_belief(setup, q, belief)
     if wide.shape[0]:
-        shown = Gaussian(shown.mean, shown.cov + wide)
+        clipped = Gaussian(clipped.mean, clipped.cov + wide)
     none = ca.SX(setup.model.p, 1)
-    return to_estimate(setup.model, setup.sensor, q, shown, Reading(none, none), none, none)
+    return to_estimate(setup.model, setup.sensor, q, clipped, Reading(none, none), none, none)
 
 
 def log_likelihood(setup: Setup, corrected: RobustUpdate, bounded: Corrected) -> Any:
@@ -347,15 +347,15 @@ def step_filter(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> 
     """Return the result for a sample: correct by the reading, apply bounds, estimate, predict."""
     q = widen_gate(setup, q)
     y, side, _, corrected, bounded, columns = update_measurement(setup, q, s, reading)
-    shown, fits = clip_belief(setup, q, bounded.belief)
+    clipped, fits = clip_belief(setup, q, bounded.belief)
     if setup.shape.fixed:
-        shown = Gaussian(shown.mean, shown.cov + column_variance(q, columns))
+        clipped = Gaussian(clipped.mean, clipped.cov + column_variance(q, columns))
     e = corrected.e
     std = corrected.std
-    estimated = to_estimate(setup.model, setup.sensor, q, shown, reading, e, std)
-    estimated = add_unknown_estimates(setup, q, estimated, shown, s.u)
-    estimated = add_actuator_estimates(q.zones, estimated, shown)
-    estimated = add_gap_estimates(q, estimated, shown, reading)
+    estimated = to_estimate(setup.model, setup.sensor, q, clipped, reading, e, std)
+    estimated = add_unknown_estimates(setup, q, estimated, clipped, s.u)
+    estimated = add_actuator_estimates(q.zones, estimated, clipped)
+    estimated = add_gap_estimates(q, estimated, clipped, reading)
     mean, cov, restarted = reset_if_invalid(
         q, setup.entries, predict_belief(setup, q, bounded.belief, u, reading.side)
     )
@@ -424,12 +424,12 @@ def apply_backlash_bounds(
     A censored sample implies -d_l - c_l <= z <= d_r + c_r. Beyond an edge z lies within the gap
     about the held level, up to the error of held readings.
     """
-    held = certain_branch(y, s.last, s.previous, q.gate)
+    play_side = certain_branch(y, s.last, s.previous, q.gate)
     silent = ca.logic_and(seen, ca.fabs(y) <= q.gate)
-    is_bounded = ca.logic_or(silent, held != 0)
-    held = ca.if_else(silent, 0.0, held)
-    level = ca.if_else(held != 0, y, 0.0)
-    return use_bounds(setup, q, read, is_bounded, held, level, held)
+    is_bounded = ca.logic_or(silent, play_side != 0)
+    play_side = ca.if_else(silent, 0.0, play_side)
+    level = ca.if_else(play_side != 0, y, 0.0)
+    return use_bounds(setup, q, read, is_bounded, play_side, level, play_side)
 
 
 def choose_branch(setup: Setup, q: Params, s: State, reading: Reading, y: Any, seen: Any) -> Any:
@@ -445,8 +445,8 @@ def choose_branch(setup: Setup, q: Params, s: State, reading: Reading, y: Any, s
     """
     if setup.blind:
         return seen
-    shown = setup.is_jump_sensor or setup.is_backlash_sensor
-    side = reading.side if shown else certain_branch(y, s.last, s.previous, q.gate)
+    side_is_measured = setup.is_jump_sensor or setup.is_backlash_sensor
+    side = reading.side if side_is_measured else certain_branch(y, s.last, s.previous, q.gate)
     if setup.has_limits:
         exact = is_surely_exact(setup, q, y, s.last, s.previous, reading.side)
         side = ca.if_else(exact, side, 0.0)

@@ -29,7 +29,7 @@ from undeadzone.numerics.gaussian import (
 )
 from undeadzone.observers.filtering.constant_states import backlash_offset, information_shares
 from undeadzone.observers.filtering.gaussian_filter import Params, Setup
-from undeadzone.observers.filtering.prior import HELD, SILENT, Prior
+from undeadzone.observers.filtering.prior import HOLD, SILENT, Prior
 from undeadzone.observers.filtering.sensor_shape import (
     add_shape_terms,
     move_columns,
@@ -187,7 +187,7 @@ def use_bounds(
     silent: Any,
     side: Any,
     level: Any = None,
-    held: Any = None,
+    play_side: Any = None,
 ) -> Corrected:
     """Return the correction given that z is inside the breakpoints of a silent sensor.
 
@@ -202,8 +202,8 @@ def use_bounds(
         silent: whether each output is silent (p).
         side: the sides that are sure (p).
         level: from which z is inside the edges (p) [y], y of a play (None: 0).
-        held: side of the zone on which a play ahead of it holds the reading (p), 0 inside the zone
-            (None: there is no such play).
+        play_side: side of the zone on which a play ahead of it holds the reading (p), 0 inside the
+            zone (None: there is no such play).
     """
     p = setup.model.p
     waits = [None] * (2 * p)
@@ -219,9 +219,9 @@ def use_bounds(
             above = 0.0 if level is None else edge * level[i]
             slack = q.gate[i] + above
             branch = edge
-            if held is not None:
-                branch = ca.if_else(held[i] != 0, held[i], edge)
-                slack += ca.if_else(held[i] != 0, HELD / SILENT - 1, 0.0) * q.gate[i]
+            if play_side is not None:
+                branch = ca.if_else(play_side[i] != 0, play_side[i], edge)
+                slack += ca.if_else(play_side[i] != 0, HOLD / SILENT - 1, 0.0) * q.gate[i]
             slack = ca.if_else(silent[i], slack / q.slope[i], 0.0)
             bounds.append(
                 breakpoint_bound(setup, q, belief, i, edge, branch, outside, slack, is_used)

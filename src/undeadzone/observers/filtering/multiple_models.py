@@ -146,7 +146,7 @@ def share_step_graph(
     places = _places_of_equals(columns)
     w = ca.SX.sym("w", 1 + max(places))
     result = step(*tree.rebuild_tree(calls[0], _split_leaves(shapes, w[places])))
-    shown = [ca.SX(leaf).sparsity() for _, leaf in tree.iterate_leaves(result)]
+    sparsities = [ca.SX(leaf).sparsity() for _, leaf in tree.iterate_leaves(result)]
     out = _flatten_leaves(result)
     whence = _places_of_equals([out])
     options = {"never_inline": ca.Function("count", [w], [out]).n_instructions() > long}
@@ -154,7 +154,7 @@ def share_step_graph(
     graph = ca.Function("member", [w], [out[firsts]], ["w"], ["out"], options)
     begins = [places.index(k) for k in range(w.numel())]
     each = (graph(column[begins])[whence] for column in columns)
-    return [tree.rebuild_tree(result, _split_leaves(shown, one)) for one in each]
+    return [tree.rebuild_tree(result, _split_leaves(sparsities, one)) for one in each]
 
 
 def _flatten_leaves(value: Any) -> Any:
@@ -186,16 +186,16 @@ def _build_smoothing(member: Smoothing, variants: Sequence[Callable[[Any], Any]]
             every += member.moments(variant(q), state, u, reading)
         return tuple(every)
 
-    def shown(
+    def mix_smoothed(
         q: Any, beliefs: Sequence[Gaussian], wide: Sequence[Any], share: Any, record: Any
     ) -> Estimate:
         """Return the mixture estimate of smoothed Gaussians of the members."""
         each = []
         for variant, belief, more in zip(variants, beliefs, wide, strict=True):
-            each.append(member.shown(variant(q), [belief], [more], 1.0, record))
+            each.append(member.mixture_estimate(variant(q), [belief], [more], 1.0, record))
         return mix_estimates(each, share)
 
-    return Smoothing(moments, lambda s: s.odds, lambda s: (), shown)
+    return Smoothing(moments, lambda s: s.odds, lambda s: (), mix_smoothed)
 
 
 def mix_estimates(estimates: Sequence[Estimate], share: Any) -> Estimate:

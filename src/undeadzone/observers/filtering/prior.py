@@ -26,7 +26,7 @@ from undeadzone.util.arrays import (
 
 FLOOR = 1e-3  # least noise, in assumed ranges of the widths
 SILENT = 4.0  # noise, in its rms, that is surely not beyond it
-HELD = 6.0  # the same for a held play, which affects many readings, hold after hold
+HOLD = 6.0  # the same for a held play, which affects many readings, hold after hold
 REACH = 5.0  # default standard deviation of x(0) as it appears in z, in largest widths
 
 
@@ -75,7 +75,7 @@ class Prior(NamedTuple):
 
 
 def build_prior(
-    claims: Any,
+    assumptions: Any,
     model: System,
     sensor: Zone,
     *,
@@ -91,8 +91,8 @@ def build_prior(
     A width has the mean of its range, and the standard deviation of a uniform distribution over it.
 
     Args:
-        claims: options with right, left (None: those of right), noise (None: the sensor's, but at
-            least `floor`), x_std (None: the deviation that appears as `reach` times the largest
+        assumptions: options with right, left (None: those of right), noise (None: the sensor's, but
+            at least `floor`), x_std (None: the deviation that appears as `reach` times the largest
             width, `state_units`) and drift (None: `wear` times the extent of each range in 1 /
             |pole|, which is 2 / pi quarter periods: a narrow range implies that the width stays in
             it), as of `Assumptions`.
@@ -112,21 +112,21 @@ def build_prior(
     """
     Ts = require_sample_time(model)
     p = model.p
-    ranges = read_width_ranges(claims.right, claims.left, p)
+    ranges = read_width_ranges(assumptions.right, assumptions.left, p)
     span = ranges[:, 1] - ranges[:, 0]
     largest = max(ranges[:, 1].max(), largest_gap(sensor.play))
-    if claims.noise is None:
+    if assumptions.noise is None:
         rms = sensor.rms
-        shown = np.hypot(sensor.noise, sensor.quantum / np.sqrt(12)) / sensor.slope
+        gate_rms = np.hypot(sensor.noise, sensor.quantum / np.sqrt(12)) / sensor.slope
         least = floor * span.reshape(2, p).max(axis=0)
     else:
-        rms = shown = _read_noise(claims.noise, p)
+        rms = gate_rms = _read_noise(assumptions.noise, p)
         least = np.zeros(p)
-    if claims.x_std is None:
+    if assumptions.x_std is None:
         spread = reach * largest * state_units(model.continuous, Ts)
     else:
-        spread = require_nonnegative("observer.x_std", claims.x_std, model.n, "one per state")
-    drift = claims.drift
+        spread = require_nonnegative("observer.x_std", assumptions.x_std, model.n, "one per state")
+    drift = assumptions.drift
     worn = 0.0
     if drift is None:
         worn = wear**2 * np.pi / 2 * Ts / time_scale(model.continuous, Ts)
@@ -136,7 +136,7 @@ def build_prior(
         mean=np.concatenate([x0, ranges.mean(axis=1)]),
         std=np.concatenate([spread, span / np.sqrt(12)]),
         R=np.maximum(rms, least) ** 2,
-        gate=silence_gate(sensor, shown if silence else rms),
+        gate=silence_gate(sensor, gate_rms if silence else rms),
         drift=growth + worn * span**2,
         worn=worn,
         ranges=ranges,
@@ -155,7 +155,7 @@ def silence_gate(sensor: Zone, rms: Floats) -> Floats:
         rms: of a reading (p) [z].
     """
     noise = rms * sensor.slope
-    return HELD * noise if sensor.kind == "play" else np.maximum(sensor.threshold, SILENT * noise)
+    return HOLD * noise if sensor.kind == "play" else np.maximum(sensor.threshold, SILENT * noise)
 
 
 def prior_traits(prior: Prior, x_std: Array | None) -> Traits:

@@ -47,12 +47,12 @@ class Smoothing(NamedTuple):
         moments: moments(q, s, u, reading) are the `Moments` of its members.
         odds: odds(s) is the log of the odds of its members before a sample (K).
         record: record(s) is the record for tests of its innovations (empty for a member).
-        shown: shown(q, beliefs, wide, share, record) is the estimate that shows beliefs of its
-            members, as likely as `share` (K), with covariances that the sensor's shape adds to each
-            (empty: none).
+        mixture_estimate: mixture_estimate(q, beliefs, wide, share, record) is the estimate from the
+            beliefs of its members, as likely as `share` (K), with covariances that the sensor's
+            shape adds to each (empty: none).
     """
 
     moments: Callable[[Any, Any, Any, Reading], tuple[Moments, ...]]
     odds: Callable[[Any], Any]
     record: Callable[[Any], Any]
-    shown: Callable[[Any, Sequence[Gaussian], Sequence[Any], Any, Any], Estimate]
+    mixture_estimate: Callable[[Any, Sequence[Gaussian], Sequence[Any], Any, Any], Estimate]

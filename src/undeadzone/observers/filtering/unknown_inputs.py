@@ -50,7 +50,7 @@ class Numbers(NamedTuple):
     Attributes:
         F, Q: motion and added covariance of a disturbance of unit rms, as in `Colour`.
         variance: variances of the disturbances.
-        slopes, values, held: as in `Tolerance`.
+        slopes, values, hold_integral: as in `Tolerance`.
         rest: state at rest under each unit bias (n x biases).
         bias: rms of the biases.
         odds: log of the odds that the biases are `SMALL`.
@@ -61,7 +61,7 @@ class Numbers(NamedTuple):
     variance: Floats
     slopes: Floats
     values: Floats
-    held: Floats
+    hold_integral: Floats
     rest: Floats
     bias: Floats
     odds: Any
@@ -181,7 +181,7 @@ def build_unknown_inputs(
         variance=variance,
         slopes=tolerance.slopes,
         values=tolerance.values,
-        held=tolerance.held,
+        hold_integral=tolerance.hold_integral,
         rest=bias_rest_state(model, biased),
         bias=bias[bias > 0],
         odds=np.float64(calibrated / (1 - calibrated)),
@@ -250,7 +250,7 @@ def tolerance_times_state(setup: Setup, q: Params, x: Any, extra: Any, u: Any) -
     for k, (row, column) in enumerate(entries):
         Z[rows.index(row), k] = 1
         right[k] = numbers.values[k] * moved[column]
-    return Products(numbers.held[:, rows], Z, theta, right)
+    return Products(numbers.hold_integral[:, rows], Z, theta, right)
 
 
 def noise_of_unknowns(setup: Setup, q: Params, x: Any, u: Any) -> tuple[Any, Any]:
@@ -297,7 +297,7 @@ class Tolerance(NamedTuple):
             plant).
         entries: rows and columns of the entries in [A, B].
         values: the entries themselves (K).
-        held: `plants.system.hold_integral` (n x n).
+        hold_integral: `plants.system.hold_integral` (n x n).
         changed: changed(params, theta) is the parameters of a nonlinear plant as theta (K) changes
             them.
     """
@@ -306,7 +306,7 @@ class Tolerance(NamedTuple):
     slopes: Floats
     entries: tuple[tuple[int, int], ...] = ()
     values: Floats = np.zeros(0)
-    held: Floats = np.zeros((0, 0))
+    hold_integral: Floats = np.zeros((0, 0))
     changed: Callable[[Any, Any], Any] = lambda params, theta: params * (1 + theta)
 
 
