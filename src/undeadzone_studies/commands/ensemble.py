@@ -94,9 +94,9 @@ def _replace_run_count(scenario: uz.Scenario, runs: int | None) -> uz.Scenario:
 
 def _final_lines(summary: dict[str, Any], folder: Path, written: list[Path]) -> dict[str, str]:
     """Return the lines on the worst runs, the command to show a run, and the files."""
-    from undeadzone_studies.ensemble.words import SHOWN
+    from undeadzone_studies.ensemble.words import LISTED
 
-    worst = [row["run"] for row in summary["worst"]][:SHOWN]
+    worst = [row["run"] for row in summary["worst"]][:LISTED]
     return {
         "worst runs": ", ".join(map(str, worst)),
         "see one": shell_command("undeadzone", "run", written[0], "--replay", worst[0]),

@@ -79,10 +79,10 @@ def tune(
     folder = output.choose_folder(f"{scenario.stem}-tune")
     if folder is not None:
         require_own_file(folder / "tuned.toml", force)
-    wanted = _tuning_task(tuned, over, changes)
+    task = _tuning_task(tuned, over, changes)
     keep = partial_file(folder, "tuned.toml", resume)
-    with progress("tuning", wanted.budget, "candidates", of=tuned.observer) as advance:
-        result = uz.tune(tuned, wanted, progress=advance, keep=keep, resume=resume)
+    with progress("tuning", task.budget, "candidates", of=tuned.observer) as advance:
+        result = uz.tune(tuned, task, progress=advance, keep=keep, resume=resume)
     written = [] if folder is None else [result.save(folder / "tuned.toml")]
     if keep is not None:
         keep.unlink(missing_ok=True)

@@ -64,8 +64,8 @@ class ResampledPlant(NamedTuple):
             row = i % rows
             column = i // rows
             AB[row, column] = own.get(slot, self.AB[row, column])
-        held = zoh_of_each(AB, self.Ts)
-        return {slot: held[i % rows, i // rows] for i, slot in enumerate(self.param_slots)}
+        discretised = zoh_of_each(AB, self.Ts)
+        return {slot: discretised[i % rows, i // rows] for i, slot in enumerate(self.param_slots)}
 
 
 class Binding(NamedTuple):
@@ -170,16 +170,16 @@ def bind_ensemble(problem: Problem, loop: Loop) -> Binding:
         )
     seed = _require_seed(vary, problem)
     params = tree.pack_tree(loop.params)
-    held = _collect_sampled_plants(problem, loop)
+    sampled_plants = _collect_sampled_plants(problem, loop)
     nominal = params.copy()
-    for system in held:
+    for system in sampled_plants:
         nominal[list(system.param_slots)] = system.AB.ravel(order="F")
     columns = resolve_entries(vary.entries, collect_quantities(problem, loop, nominal), problem)
     state = tree.pack_tree(loop.state._replace(plant=problem.x0))
     varied: set[int] = set()
     for column in columns:
         varied |= {slot for slot, _ in column.slots if slot < params.size}
-    sampled = tuple(system for system in held if varied & set(system.param_slots))
+    sampled = tuple(system for system in sampled_plants if varied & set(system.param_slots))
     varied = varied.union(*(system.param_slots for system in sampled))
     copies = tuple(pair for pair in initial_copies(problem, loop) if pair[1] in varied)
     indices = tuple(sorted(varied))

@@ -105,8 +105,8 @@ class Store(NamedTuple):
             rows = b"".join(
                 _read_bytes(self.file, offset, size) for offset in self._block_offsets(block)
             )
-            kept = checksums[block * NUMBER : (block + 1) * NUMBER]
-            done[block] = _block_checksum(block, rows) == kept
+            stored = checksums[block * NUMBER : (block + 1) * NUMBER]
+            done[block] = _block_checksum(block, rows) == stored
         return self._replace(done=done)
 
     @property

@@ -28,7 +28,7 @@ from undeadzone_studies.statistics.sensitivity import Sensitivity
 JUDGED: Final = 2**16  # runs from which sensitivities are found
 MAIN: Final = "rms_tracking"  # the metric by which runs are ranked
 WIDTHS: Final = "d_error"  # the largest |d^ - d| of a run, at the end
-SHOWN: Final = 10  # worst runs, and runs that diverged, in a summary
+LISTED_RUNS: Final = 10  # worst runs, and runs that diverged, in a summary
 
 
 def _influence_of_entry(one: Sensitivity) -> float:
@@ -157,7 +157,7 @@ class Ensemble:
         """
         return unit_of_column(name, self.info.units)
 
-    def worst(self, metric: str = MAIN, count: int = SHOWN) -> list[int]:
+    def worst(self, metric: str = MAIN, count: int = LISTED_RUNS) -> list[int]:
         """Return the numbers of the worst runs, worst first.
 
         Args:
@@ -213,9 +213,9 @@ class Ensemble:
         if not self.varied:
             return {}
         values = np.where(self.diverged, np.nan, self.column(metric))
-        kept = np.flatnonzero(np.isfinite(values[self.independent]))[:JUDGED]
-        entries = np.column_stack([column[kept] for column in self.varied.values()])
-        by_entry = sensitivity.sensitivities_of_runs(entries, values[kept])
+        finite = np.flatnonzero(np.isfinite(values[self.independent]))[:JUDGED]
+        entries = np.column_stack([column[finite] for column in self.varied.values()])
+        by_entry = sensitivity.sensitivities_of_runs(entries, values[finite])
         if self.info.sampling == "saltelli":
             blocks = values.reshape(len(self.varied) + 2, -1)[:, :JUDGED]
             by_entry = [
@@ -256,7 +256,7 @@ class Ensemble:
         settled = self.settled[self.independent]
         info = msgspec.structs.asdict(self.info)
         del info["scenario"], info["units"]
-        lost = np.flatnonzero(self.diverged)[:SHOWN].tolist()
+        lost = np.flatnonzero(self.diverged)[:LISTED_RUNS].tolist()
         names = [] if diverged.all() else self.quantities
         summary = {
             **info,

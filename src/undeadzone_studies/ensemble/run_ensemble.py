@@ -160,11 +160,11 @@ def replay_deviation(result: Ensemble, run: int) -> float:
     Raises:
         InputError: or a subclass, for errors in the scenario.
     """
-    kept = result.row(run)
+    saved_row = result.row(run)
     batch = prepare_batch(parse(result.info.scenario))
     values = batch.binding.draw_columns(run, 1, batch.layout.runs)
     here = batch.rows_of_runs(np.array([run]), values)[0]
-    there = np.array([*kept["varied"].values(), *kept["metrics"].values()])
+    there = np.array([*saved_row["varied"].values(), *saved_row["metrics"].values()])
     differs = ~((here == there) | np.isnan(here) & np.isnan(there))
     with np.errstate(invalid="ignore"):
         size = np.abs(here - there)[differs] / np.abs(there[differs])
@@ -270,10 +270,10 @@ def compute_bands(batch: Batch, runs: int) -> Bands:
     edges = [f"{EDGES[j % 2]}[{j // 2}]" for j in range(2 * p)]
     places = {name: i for i, name in enumerate(tree.number_addresses(batch.loop.outputs))}
     estimates = [f"estimate.{edge}" for edge in edges]
-    wanted = [places[name] for name in (*positions, *estimates)]
+    entries = [places[name] for name in (*positions, *estimates)]
     values = batch.binding.draw_columns(0, runs, batch.layout.runs)
     every = max(1, len(batch.exogenous) // POINTS)
-    outputs = _record_outputs(batch, np.arange(runs), values, wanted, every)
+    outputs = _record_outputs(batch, np.arange(runs), values, entries, every)
     z = outputs[:, :, :p]
     d_hat = outputs[:, :, p:]
     t = batch.exogenous[::every, -2]
@@ -310,13 +310,13 @@ def _record_outputs(
     step = batch.loop.step
     s, w, p = (ca.SX.sym(name, step.size1_in(i)) for i, name in enumerate("swp"))
     show = interpret.build_stateless_step([ca.vertcat(s, w), p], step(s, w, p)[1][outputs])
-    shown = np.empty((len(runs), len(instants), len(outputs)))
+    recorded = np.empty((len(runs), len(instants), len(outputs)))
     for lane, trail in enumerate(trails):
         states, _, drawn = np.split(trail, [s.numel(), finals.shape[1]], axis=1)
         instants[:, batch.own.entries] = drawn
         params[list(batch.binding.indices)] = own.params[lane]
-        shown[lane] = interpret.map_rows(show, np.hstack([states, instants]), params)
-    return shown
+        recorded[lane] = interpret.map_rows(show, np.hstack([states, instants]), params)
+    return recorded
 
 
 def _record_trail(kernel: lanes.Kernel, every: int) -> lanes.Kernel:

@@ -123,8 +123,8 @@ def _load_parquet(file: BinaryIO) -> tuple[str, Columns, Columns]:
 
     table = parquet.read_table(file, page_checksum_verification=True)
     metadata = {key.decode(): value for key, value in (table.schema.metadata or {}).items()}
-    kept = metadata.pop(CHECKSUM, None)  # earlier versions wrote none
-    if kept is not None and kept.decode() != _metadata_checksum(metadata, table.column_names):
+    digest = metadata.pop(CHECKSUM, None)  # earlier versions wrote none
+    if digest is not None and digest.decode() != _metadata_checksum(metadata, table.column_names):
         raise ValueError("its header or the names of its columns were changed")
     columns = {name: table.column(name).to_numpy() for name in table.column_names}
     attached = {}

@@ -138,10 +138,10 @@ def _find_sensor_slots(problem: Problem, loop: Loop) -> dict[str, tuple[int, ...
     places = {}
     for key, numbers in others.items():
         for index, number in np.ndenumerate(numbers):
-            shown = index[1:] if numbers.shape == (1, 2) else index
+            printed_index = index[1:] if numbers.shape == (1, 2) else index
             slots = tuple(np.flatnonzero(params == number).tolist())
             if slots and np.isfinite(number):
-                places[f"sensor.{key}[{','.join(map(str, shown))}]"] = slots
+                places[f"sensor.{key}[{','.join(map(str, printed_index))}]"] = slots
     return places
 
 

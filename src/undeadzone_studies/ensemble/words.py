@@ -34,7 +34,7 @@ METRICS: Final = {
     "rms_input": Metric("rms u", "rms of u"),
     "silent_fraction": Metric("share of silent samples", "share of silent samples"),
 }
-SHOWN: Final = 5  # worst runs, and entries that decide
+LISTED: Final = 5  # worst runs, and entries that decide
 
 
 def describe_ensemble(info: Info, summary: dict[str, Any], diverged: int) -> list[Block]:
@@ -54,7 +54,7 @@ def describe_ensemble(info: Info, summary: dict[str, Any], diverged: int) -> lis
     if summary["metrics"]:
         blocks.append(_quantile_table(info, summary["metrics"]))
     if summary["sensitivities"]:
-        entries = list(summary["sensitivities"].items())[:SHOWN]
+        entries = list(summary["sensitivities"].items())[:LISTED]
         heads = ("what decides rms z - r", "rank correlation", "share of the variance")
         blocks.append([heads, *(_sensitivity_row(name, entry) for name, entry in entries)])
     return blocks
@@ -96,8 +96,8 @@ def _quantile_table(info: Info, metrics: dict[str, Any]) -> list[tuple[str, ...]
 
 def _list_runs(runs: list[int], total: int) -> str:
     """Return the first runs of a list as text."""
-    names = ", ".join(map(str, runs[:SHOWN]))
-    return f"run{'s' * (total > 1)} {names}{', ...' * (total > SHOWN)}"
+    names = ", ".join(map(str, runs[:LISTED]))
+    return f"run{'s' * (total > 1)} {names}{', ...' * (total > LISTED)}"
 
 
 def _format_share(share: dict[str, Any]) -> str:

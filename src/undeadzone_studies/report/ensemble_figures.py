@@ -107,7 +107,7 @@ def distribution(axes: Axes, result: Ensemble) -> None:
 
 
 def _metrics_to_show(result: Ensemble) -> list[str]:
-    """Return the metrics to be shown as distributions, settling times only if some run settled."""
+    """Return the metrics to plot as distributions, settling times only if some run settled."""
     names = ["rms_tracking", "peak_tracking"]
     for name in ("rms_behind_play", "rms_tip"):
         if name in result.metrics:
@@ -239,10 +239,10 @@ WORST: Final = 20  # runs that are marked
 class MarkedRuns(NamedTuple):
     """Numbers of runs: with a finite metric, diverged, worst, and the median run.
 
-    Of runs beyond the first `JUDGED` only the worst are shown.
+    Of runs beyond the first `JUDGED` only the worst are plotted.
     """
 
-    shown: npt.NDArray[np.intp]
+    finite: npt.NDArray[np.intp]
     diverged: npt.NDArray[np.intp]
     worst: npt.NDArray[np.intp]
     typical: int | None
@@ -327,7 +327,7 @@ def plot_influence(result: Ensemble, sensitivities: Sensitivities) -> Figure | N
     The worst runs, the median one and those that diverged are marked.
 
     Args:
-        result: of which runs are shown
+        result: of which runs are plotted
         sensitivities: of its entries, as in a summary (None is returned if there are none)
     """
     if not sensitivities:
@@ -339,7 +339,7 @@ def plot_influence(result: Ensemble, sensitivities: Sensitivities) -> Figure | N
     figure, panels = create_panels(rows, "The most influential entries", width=width, height=4.4)
     values = np.where(result.diverged, np.nan, result.column(MAIN))
     runs = _runs_to_mark(result, values)
-    scale = _choose_scale(values[runs.shown])
+    scale = _choose_scale(values[runs.finite])
     quantity = axis_label(describe_metric(MAIN, result.info.duration), result.unit(MAIN))
     labels = [axis_label(escape_formulas(name), result.unit(name)) for name in names]
     for name, x_label in zip(names, labels, strict=True):
@@ -357,7 +357,7 @@ def plot_influence(result: Ensemble, sensitivities: Sensitivities) -> Figure | N
 def _runs_to_mark(result: Ensemble, values: Floats) -> MarkedRuns:
     """Return the runs to mark (values: of the main metric, nan for a diverged run)."""
     return MarkedRuns(
-        shown=np.flatnonzero(np.isfinite(values[:JUDGED])),
+        finite=np.flatnonzero(np.isfinite(values[:JUDGED])),
         diverged=np.flatnonzero(result.diverged[:JUDGED]),
         worst=np.argpartition(np.nan_to_num(values, nan=-np.inf), -WORST)[-WORST:],
         typical=result.typical(),
@@ -374,13 +374,13 @@ def _choose_scale(values: Floats) -> Scale:
 
 def _draw_over_entry(axes: Axes, x: Floats, y: Floats, runs: MarkedRuns, scale: Scale) -> None:
     """Draw the metric y over an entry x: a dot for each run, their trend, and the marked runs."""
-    shown = runs.shown
+    finite = runs.finite
     diverged = runs.diverged
-    alpha = min(0.6, 20 / np.sqrt(shown.size))
+    alpha = min(0.6, 20 / np.sqrt(finite.size))
     axes.set_yscale(scale)
     dots: Any = {"markersize": 3, "markeredgewidth": 0, "rasterized": True}
-    axes.plot(x[shown], y[shown], ".", color=ink.ESTIMATE, alpha=alpha, **dots)
-    _draw_trend(axes, x[shown], y[shown])
+    axes.plot(x[finite], y[finite], ".", color=ink.ESTIMATE, alpha=alpha, **dots)
+    _draw_trend(axes, x[finite], y[finite])
     _mark_runs(axes, x, y, runs)
     if diverged.size:
         at_bottom = axes.get_xaxis_transform()
@@ -395,8 +395,8 @@ def _draw_over_entries(
     """Draw the median of the metric over two entries, in hexagons, and return it for a colour
     bar.
     """
-    points = x[runs.shown], y[runs.shown], values[runs.shown]
-    size = int(np.clip(np.sqrt(runs.shown.size) / 3, 8, 30))
+    points = x[runs.finite], y[runs.finite], values[runs.finite]
+    size = int(np.clip(np.sqrt(runs.finite.size) / 3, 8, 30))
     looks: Any = {"norm": scale, "cmap": "viridis_r", "edgecolors": "none"}
     hexagons = axes.hexbin(*points, gridsize=size, reduce_C_function=np.median, **looks)
     if runs.diverged.size:

@@ -85,16 +85,16 @@ def ensemble_page(
     images: SVGs by the names of `draw_ensemble_figures`. The other arguments are those of
     `write_ensemble`.
     """
-    shown = html.encode_pictures(images, CAPTIONS)
+    pictures = html.encode_pictures(images, CAPTIONS)
     first, *others = _metric_tables(result, summary)
-    parts = [html.build_section("Over time", first, *html.pick_pictures(shown, "over_time"))]
+    parts = [html.build_section("Over time", first, *html.pick_pictures(pictures, "over_time"))]
     parts.append(
-        html.build_section("Distributions", *others, *html.pick_pictures(shown, "distributions"))
+        html.build_section("Distributions", *others, *html.pick_pictures(pictures, "distributions"))
     )
     if result.varied:
         decisive = [
             *_sensitivity_table(summary),
-            *html.pick_pictures(shown, "tornado", "influence"),
+            *html.pick_pictures(pictures, "tornado", "influence"),
         ]
         parts.append(html.build_section("What decides", *decisive))
     parts.append(html.build_section("The worst runs", *_worst_runs(result, summary)))

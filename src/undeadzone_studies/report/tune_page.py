@@ -59,7 +59,7 @@ def write_tuned(result: Tuned, folder: Path, origin: html.Origin | None) -> list
 
 def tune_page(result: Tuned, images: dict[str, bytes], origin: html.Origin | None) -> str:
     """Return the page (images: SVGs by name, else see `write_tuned`)."""
-    shown = html.encode_pictures(images, CAPTIONS)
+    pictures = html.encode_pictures(images, CAPTIONS)
     what = result.what
     paragraph = (
         f"Made small: {what.statistic} of {what.metric} over {what.runs} runs, with "
@@ -70,12 +70,12 @@ def tune_page(result: Tuned, images: dict[str, bytes], origin: html.Origin | Non
         f"Tuned: {result.scenario.title}",
         _tuning_verdict(result),
         html.build_section(
-            "Numbers", *_number_table(result), *html.pick_pictures(shown, "history")
+            "Numbers", *_number_table(result), *html.pick_pictures(pictures, "history")
         ),
         html.build_section(
             "What they are worth", html.build_paragraph(paragraph), _held_out_table(result)
         ),
-        html.build_section("Around what was found", *html.pick_pictures(shown, "around")),
+        html.build_section("Around what was found", *html.pick_pictures(pictures, "around")),
         html.build_section(
             "The tuned scenario",
             html.fold_section("tuned.toml", html.source_html(toml.to_toml(result.scenario))),
@@ -158,19 +158,19 @@ def candidates(axes: Axes, result: Tuned) -> None:
     Those that are not certified are crossed out.
     """
     cost = np.array([trial.cost for trial in result.trials])
-    kept = np.array([not trial.margin < result.what.margin for trial in result.trials])
-    best = np.minimum.accumulate(np.where(kept, cost, np.inf))
+    certified = np.array([not trial.margin < result.what.margin for trial in result.trials])
+    best = np.minimum.accumulate(np.where(certified, cost, np.inf))
     known = best[np.isfinite(best)]
     top = 1.15 * max(float(known.max(initial=0.0)), result.cost[0])
-    shown = np.minimum(cost, top)
+    clipped = np.minimum(cost, top)
     for stage, colour in COLOURS.items():
         tried = np.flatnonzero([trial.stage == stage for trial in result.trials])
         if tried.size:
-            axes.plot(tried, shown[tried], ".", color=colour, markersize=5, label=stage)
-    if not kept.all():
-        lost = np.flatnonzero(~kept)
+            axes.plot(tried, clipped[tried], ".", color=colour, markersize=5, label=stage)
+    if not certified.all():
+        lost = np.flatnonzero(~certified)
         small: Any = {"markersize": 3.5, "alpha": 0.6}
-        axes.plot(lost, shown[lost], "x", color=ink.PRINTED, label="not certified", **small)
+        axes.plot(lost, clipped[lost], "x", color=ink.PRINTED, label="not certified", **small)
     axes.plot(best, color=ink.ESTIMATE, drawstyle="steps-post", label="best so far")
     _use_log_axis(axes, known)
     finish_panel(
@@ -203,16 +203,16 @@ def _draw_sweep(
     (x,) = curve.axes.values()
     cost = curve.cost
     axes.set_xscale("log" if parameter.log else "linear")
-    shown = np.isfinite(cost) & (cost < STEEP * cost.min())
-    axes.plot(x[shown], cost[shown], ".-", color=ink.ESTIMATE)
-    lost = shown & (curve.margin < margin)
+    plotted = np.isfinite(cost) & (cost < STEEP * cost.min())
+    axes.plot(x[plotted], cost[plotted], ".-", color=ink.ESTIMATE)
+    lost = plotted & (curve.margin < margin)
     if lost.any():
         axes.plot(x[lost], cost[lost], "x", color=ink.PRINTED, label="not certified")
     start = parameter.start
     axes.axvline(value, color=ink.REFERENCE, label=f"tuned {value:.4g}")
     axes.axvline(start, color=ink.ZONE, linestyle=DASHED, label=f"start {start:.4g}")
     axes.set_xlim(parameter.low, parameter.high)
-    _use_log_axis(axes, cost[shown])
+    _use_log_axis(axes, cost[plotted])
 
 
 def _describe_objective(result: Tuned) -> str:
@@ -244,7 +244,7 @@ def _whisker_length(end: float, value: float) -> float:
     return abs(end - value) if np.isfinite(end) else 0.0
 
 
-def _use_log_axis(axes: Axes, shown: Floats) -> None:
+def _use_log_axis(axes: Axes, values: Floats) -> None:
     """Set a logarithmic axis if values span more than a decade."""
-    if shown.size and shown.min() > 0 and shown.max() > 10 * shown.min():
+    if values.size and values.min() > 0 and values.max() > 10 * values.min():
         axes.set_yscale("log")

@@ -213,7 +213,7 @@ class Tuned:
 def describe_tuning(found: Tuned) -> dict[str, Any]:
     """Return the result of tuning as text, by topic."""
     what = found.what
-    shown: dict[str, Any] = {
+    summary: dict[str, Any] = {
         "scenario": found.scenario.title,
         "made small": (
             f"{what.statistic} of {what.metric}, {what.runs} runs, "
@@ -224,12 +224,12 @@ def describe_tuning(found: Tuned) -> dict[str, Any]:
         words = f"{value:.6g} (from {parameter.start:.6g})"
         if parameter.name in found.at_edge:
             words += ", at the end of its range: a wider one may do better"
-        shown[parameter.name] = words
-    shown |= _describe_improvement(found)
+        summary[parameter.name] = words
+    summary |= _describe_improvement(found)
     if to_json_value(found.margin) is not None:
         yes_no = "yes" if found.certified else "NO"
-        shown["certified"] = f"{yes_no}, margin {found.margin:.4g}"
-    return shown
+        summary["certified"] = f"{yes_no}, margin {found.margin:.4g}"
+    return summary
 
 
 def _describe_improvement(found: Tuned) -> dict[str, str]:
@@ -237,7 +237,7 @@ def _describe_improvement(found: Tuned) -> dict[str, str]:
     before, after, runs = found.held_out[0]
     drawn = f"{runs} runs" if runs > 1 else "one run: nothing differs between them"
     verdict = "better" if found.improved else "NO improvement that chance could not explain"
-    shown = {
+    summary = {
         "runs tuned on": " -> ".join(map(_format_known_number, found.cost)),
         "held-out runs": f"{_format_cost_interval(before.value)} -> "
         f"{_format_cost_interval(after.value)}, {drawn}",
@@ -245,8 +245,8 @@ def _describe_improvement(found: Tuned) -> dict[str, str]:
     }
     lost = before.diverged.value, after.diverged.value
     if any(lost):
-        shown["diverged"] = f"{100 * lost[0]:.3g} % -> {100 * lost[1]:.3g} % of the held-out runs"
-    return shown
+        summary["diverged"] = f"{100 * lost[0]:.3g} % -> {100 * lost[1]:.3g} % of the held-out runs"
+    return summary
 
 
 def _format_cost_interval(interval: Interval) -> str:
@@ -318,15 +318,15 @@ def estimate_cost(name: str, lost: Floats) -> HeldOutCost:
 
     The largest of the runs bounds the worst of all runs from below only.
     """
-    kept = np.sort(lost[lost < LIMIT])
-    diverged = statistics.proportion(lost.size - kept.size, lost.size)
-    if not kept.size:
+    bounded = np.sort(lost[lost < LIMIT])
+    diverged = statistics.proportion(lost.size - bounded.size, lost.size)
+    if not bounded.size:
         return HeldOutCost(Interval(np.nan, np.nan, np.nan), diverged)
     if name == "worst":
-        return HeldOutCost(Interval(float(kept[-1]), float(kept[-1]), np.inf), diverged)
+        return HeldOutCost(Interval(float(bounded[-1]), float(bounded[-1]), np.inf), diverged)
     if name == "mean":
-        return HeldOutCost(statistics.mean_interval(kept), diverged)
-    return HeldOutCost(statistics.quantile_interval(kept, QUANTILES[name]), diverged)
+        return HeldOutCost(statistics.mean_interval(bounded), diverged)
+    return HeldOutCost(statistics.quantile_interval(bounded, QUANTILES[name]), diverged)
 
 
 def estimate_change(on: Objective, lost: list[Floats], seed: int) -> Interval:

@@ -122,9 +122,9 @@ def tune(
         notebook_progress(progress, "tuning", what.budget, "candidates") as advance,
         open_answers(
             keep, functools.partial(_describe_search, on, seed), "candidates", resume
-        ) as kept,
+        ) as known_costs,
     ):
-        search = Search(on, tuned, [], advance, kept)
+        search = Search(on, tuned, [], advance, known_costs)
         search.spend_budget(start, seed)
         return validate_best(on, tuned, search.candidates, seed)
 
@@ -217,14 +217,14 @@ class Search(NamedTuple):
         parameters: tuned numbers
         candidates: those simulated so far, in order (the list grows)
         progress: called with the number of candidates just simulated
-        kept: costs of candidates, of an earlier run too
+        known_costs: costs of candidates, of an earlier run too
     """
 
     objective: Objective
     parameters: tuple[Parameter, ...]
     candidates: list[SimulatedCandidate]
     progress: Callable[[int], None]
-    kept: MemoryAnswers
+    known_costs: MemoryAnswers
 
     @property
     def cheapest_candidate(self) -> SimulatedCandidate:
@@ -279,7 +279,7 @@ class Search(NamedTuple):
             costs = self.objective.candidate_costs([problems[k] for k in missing])
             yield from zip(missing, costs.tolist(), strict=True)
 
-        return np.array(self.kept.compute_missing(points.tolist(), compute))
+        return np.array(self.known_costs.compute_missing(points.tolist(), compute))
 
     def spend_budget(self, start: Floats, seed: int) -> None:
         """Search from a start, given as shares of the ranges, until the budget is spent."""
