@@ -98,12 +98,12 @@ def export(
     if to == "page":
         out = Path("live.html") if out is None else out
     with tempfile.TemporaryDirectory() as scratch:
-        kept = out if out is not None or check else Path("firmware")
-        folder = Path(scratch) / "firmware" if kept is None else kept
+        destination = out if out is not None or check else Path("firmware")
+        folder = Path(scratch) / "firmware" if destination is None else destination
         with progress("exporting", None, of=problem.observer):
             options = (precision, part, tunable, name, check, force)
             result = run(problem, to, folder, *options, notify=partial(print_line, err=True))
-    files = [] if kept is None else [str(path) for path in result.files]
+    files = [] if destination is None else [str(path) for path in result.files]
     if as_json:
         print_json(result.report | {"written": files})
     else:

@@ -45,7 +45,7 @@ string strings tgmath threads time uchar unistd wchar wctype avr numpy
 """
 _KEYWORDS = frozenset(_RESERVED.split())
 # Words of C and Python, and files that one with such a name would hide.
-_TAKEN = frozenset({*_KEYWORDS, *_HEADERS.split(), *keyword.kwlist, *sys.stdlib_module_names})
+_FORBIDDEN = frozenset({*_KEYWORDS, *_HEADERS.split(), *keyword.kwlist, *sys.stdlib_module_names})
 
 
 class Field(NamedTuple):
@@ -71,7 +71,7 @@ def to_identifier(text: str) -> str:
     name = re.sub(r"[^A-Za-z0-9]+", "_", text).strip("_").lower()
     if not name:
         return "observer"
-    return f"n{name}" if name[0].isdigit() or name in _TAKEN else name
+    return f"n{name}" if name[0].isdigit() or name in _FORBIDDEN else name
 
 
 def state_fields(state: Any, units: Units, drop: str = "") -> list[Field]:
@@ -164,16 +164,16 @@ def name_entries(**inputs: Iterable[Any]) -> dict[str, Any]:
     return named
 
 
-def make_distinct(wanted: list[str], key: Callable[[str], str] = str) -> list[str]:
+def make_distinct(bases: list[str], key: Callable[[str], str] = str) -> list[str]:
     """Return the names with a number appended to each that occurred before.
 
     Args:
-        wanted: the names.
+        bases: the names.
         key: key of a name that must be distinct.
     """
     used: set[str] = set()
     names = []
-    for base in wanted:
+    for base in bases:
         name = base
         count = 2
         while key(name) in used:
@@ -348,8 +348,8 @@ def _trace_observer(problem: Problem, observer: Observer, params: _StepNumbers) 
     if levels is not None:
         estimate = levels.restore_estimate(estimate)
     out = (estimate, sample_branch(reading, estimate))
-    shown = _estimate_fields(problem, estimate)
-    return _TracedStep(memory, column, [y, u], following, out, [_u_field(problem)], shown)
+    output_fields = _estimate_fields(problem, estimate)
+    return _TracedStep(memory, column, [y, u], following, out, [_u_field(problem)], output_fields)
 
 
 def _trace_loop(problem: Problem, observer: Observer, params: Any) -> _TracedStep:
@@ -383,9 +383,9 @@ def _trace_loop(problem: Problem, observer: Observer, params: Any) -> _TracedSte
         u = u + levels.u
         estimate = levels.restore_estimate(estimate)
     out = u, estimate, sample_branch(reading, estimate)
-    shown = [_u_field(problem), *_estimate_fields(problem, estimate)]
+    output_fields = [_u_field(problem), *_estimate_fields(problem, estimate)]
     fields = _target_fields(like, problem.scenario.units)
-    return _TracedStep(memory, column, [y, t_column], following, out, fields, shown)
+    return _TracedStep(memory, column, [y, t_column], following, out, fields, output_fields)
 
 
 def _u_field(problem: Problem) -> Field:

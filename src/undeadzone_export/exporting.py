@@ -201,8 +201,8 @@ def _leaner_choices(observer: Any) -> dict[str, Callable[[], Any]]:
     leaner: dict[str, Callable[[], Any]] = {}
     if own not in ("kalman", "certified"):
         sides = ("right", "left")
-        claims = {name: getattr(observer, name) for name in sides if hasattr(observer, name)}
-        leaner["kalman"] = partial(OBSERVERS.create_options, "kalman", **claims)
+        ranges = {name: getattr(observer, name) for name in sides if hasattr(observer, name)}
+        leaner["kalman"] = partial(OBSERVERS.create_options, "kalman", **ranges)
     if own != "certified":
         leaner["certified"] = partial(OBSERVERS.create_options, "certified")
     return leaner
@@ -268,9 +268,9 @@ def _initial_report(
 def _fit_leaner(scenario: Scenario, part: str, is_single: bool) -> dict[str, list[str]]:
     """Return the boards that cheaper observers fit, by tag."""
     found = {}
-    for name, made in _leaner_choices(scenario.observer).items():
+    for name, build_options in _leaner_choices(scenario.observer).items():
         with suppress(InputError, TypeError):  # the scenario cannot have it
-            other = msgspec.structs.replace(scenario, observer=made())
+            other = msgspec.structs.replace(scenario, observer=build_options())
             printed = build_code(
                 exported_step.build_step(resolve_scenario(other), part, ()), single=is_single
             )
@@ -293,11 +293,11 @@ def constants_beyond_float(printed: Code) -> list[str]:
     texts = set()
     bodies = [part.results for part in printed.parts]
     order = required_nodes(itertools.chain(*printed.results, *bodies))
-    kept = {node.constant_value for node in order if node.is_real}
+    printed_constants = {node.constant_value for node in order if node.is_real}
     function = printed.step.function
     for value in itertools.chain(*map(read_constants, [function, *function.find_functions()])):
         is_beyond = abs(value) > float(limits.max) or 0 < abs(value) < float(limits.tiny)
-        if is_beyond and round_to_type(value, "float32") in kept:
+        if is_beyond and round_to_type(value, "float32") in printed_constants:
             texts.add(f"{value!r}: {c_literal(value, 'float32')}")
     return sorted(texts)
 

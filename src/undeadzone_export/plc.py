@@ -170,8 +170,8 @@ class _BlockBuilder:
         self.results = outline_repeats(code.results, repeats)
         self.repeats = [_Repeat(part, repeats, labels, style) for part in repeats]
         labelled = local_meanings(self.results, step, 1)
-        for nodes, wanted in zip(self.results, (self.following, self.outputs), strict=True):
-            for node, name in zip(nodes, wanted, strict=True):
+        for nodes, targets in zip(self.results, (self.following, self.outputs), strict=True):
+            for node, name in zip(nodes, targets, strict=True):
                 if node.args:
                     labelled[node] = name
         inner = _Inner(f"fb_{labels.prefix}", self.results, repeats, self.entries, style)
@@ -192,18 +192,18 @@ class _BlockBuilder:
 
     def _main_block(self) -> PlcUnit:
         """Build the block that users call."""
-        shown, step = set(self.outputs), self.code.step
-        held = [each for each in self.inner.variables if each.name not in shown]
+        output_names, step = set(self.outputs), self.code.step
+        local_variables = [each for each in self.inner.variables if each.name not in output_names]
         read = [PlcVariable(text, self.real) for text in self.read]
         copied, stored = self._memory_assignments()
-        held += [PlcVariable(text, self.real) for text in copied]
+        local_variables += [PlcVariable(text, self.real) for text in copied]
         variables = {
             INPUTS: self._input_variables(),
             OUTPUTS: self._field_variables(self.outputs, step.outputs),
             LOCALS: [
                 *self._variables_with_start(self.states, step.state, step.start),
                 *read,
-                *held,
+                *local_variables,
             ],
         }
         states = zip(self.states, step.start.tolist(), strict=True)
@@ -313,25 +313,25 @@ class _Inner:
         self.expressions = Expressions(style, entries)
         self.expressions.calls = self._call_repeat
         self._inputs = {part.name: part.inputs for part in repeats}
-        self._taken = find_calls(results)
+        self._calls = find_calls(results)
 
     def _call_repeat(self, name: str, node: Node, expressions: Expressions) -> list[str]:
         """Return the statements that call a repeated part and copy its results, which get names."""
         pairs = zip(self._inputs[node.text], node.args, strict=True)
         given = ", ".join(f"{to.text} := {expressions.write_node(arg).text}" for to, arg in pairs)
         lines = wrap_statement(f"{node.text}({given});")
-        for k, result in self._taken[node].items():
+        for k, result in self._calls[node].items():
             expressions.names[result] = f"{name}_{k}"
             lines.append(f"{INDENT}{name}_{k} := {node.text}.r{k};")
         return lines
 
     def _declare(self, found: Iterable[Local]) -> list[PlcVariable]:
         """Return the variables of locals, for a call those of its results."""
-        held = self.expressions.names
+        node_names = self.expressions.names
         variables = []
         for local in found:
-            given = self._taken.get(local.node, {0: local.node})
-            variables += [PlcVariable(held[one], TYPES[one.kind]) for one in given.values()]
+            given = self._calls.get(local.node, {0: local.node})
+            variables += [PlcVariable(node_names[one], TYPES[one.kind]) for one in given.values()]
         return variables
 
     def write(self, labels: dict[Node, str]) -> _Written:
@@ -341,26 +341,26 @@ class _Inner:
             labels: names of some nodes.
         """
         found = find_locals(self.results, self.expressions, labels)
-        called = dict.fromkeys(node.text for node in self._taken)
+        called = dict.fromkeys(node.text for node in self._calls)
         instances = [PlcVariable(each, f"fb_{self.prefix}_{each}") for each in called]
         if len(found) <= STATEMENTS:
             return _Written([], [*self._declare(found), *instances], local_statements(found))
-        held = self.expressions.names
+        node_names = self.expressions.names
         shared = set(itertools.chain(*self.results))
         parts: list[tuple[list[Local], list[Node]]] = []
-        for is_call, run in itertools.groupby(found, lambda local: local.node in self._taken):
+        for is_call, run in itertools.groupby(found, lambda local: local.node in self._calls):
             many = list(run)
             size = 1 if is_call else STATEMENTS
             for part in (many[start : start + size] for start in range(0, len(many), size)):
                 inside = {local.node for local in part}
-                read = itertools.chain(*[statement_operands(local, held) for local in part])
+                read = itertools.chain(*[statement_operands(local, node_names) for local in part])
                 given = list(dict.fromkeys(node for node in read if node not in inside))
                 shared.update(given)
                 parts.append((part, given))
         units, lines = list[PlcUnit](), list[str]()
-        count = sum(part[0].node not in self._taken for part, _ in parts)
+        count = sum(part[0].node not in self._calls for part, _ in parts)
         for part, given in parts:
-            if part[0].node in self._taken:
+            if part[0].node in self._calls:
                 lines += part[0].lines
                 continue
             meaning = f"Part {len(units) + 1} of {count}: the block calls it."
@@ -368,7 +368,7 @@ class _Inner:
             variables = self._part_variables(part, given, shared)
             units.append(PlcUnit("FUNCTION_BLOCK", *unit, variables, local_statements(part)))
             lines += _call_part(units[-1])
-        own = [local for local in found if local.node in shared or local.node in self._taken]
+        own = [local for local in found if local.node in shared or local.node in self._calls]
         instances += [PlcVariable(_instance_name(unit), unit.name) for unit in units]
         return _Written(units, [*self._declare(own), *instances], lines)
 
@@ -382,8 +382,8 @@ class _Inner:
             given: nodes that it reads.
             shared: nodes that are read outside of the part that computes them.
         """
-        held = self.expressions.names
-        names = [held.get(node) or self.entries[node.text] for node in given]
+        node_names = self.expressions.names
+        names = [node_names.get(node) or self.entries[node.text] for node in given]
         variables: dict[str, list[PlcVariable]] = {INPUTS: [], OUTPUTS: [], LOCALS: []}
         for node, name in zip(given, names, strict=True):
             variables[INPUTS].append(PlcVariable(name, TYPES[node.kind]))
@@ -413,15 +413,15 @@ class _Repeat:
         inner = _Inner(name, [part.results], repeats, entries, style)
         outputs = {node: f"r{k}" for k, node in enumerate(part.results) if node.args}
         written, self.expressions = inner.write(outputs), inner.expressions
-        lines, shown = list(written.lines), []
+        lines, output_variables = list(written.lines), []
         for k, node in enumerate(part.results):
-            shown.append(PlcVariable(f"r{k}", TYPES[node.kind]))
+            output_variables.append(PlcVariable(f"r{k}", TYPES[node.kind]))
             text = self.expressions.write_node(node).text
             lines += wrap_statement(f"r{k} := {text};") if text != f"r{k}" else []
-        names = {each.name for each in shown}
+        names = {each.name for each in output_variables}
         variables = {
             INPUTS: [PlcVariable(each.text, TYPES[each.kind]) for each in part.inputs],
-            OUTPUTS: shown,
+            OUTPUTS: output_variables,
             LOCALS: [each for each in written.variables if each.name not in names],
         }
         meaning = "What the block computes several times, on other numbers."

@@ -428,5 +428,5 @@ def _single(values: list[float], path: Path) -> float:
 def _with_range(value: float, prior: Any) -> tuple[float, float, float]:
     """Return a width with the observer's assumed range, if the range contains the width."""
     pair = [value, value] if prior is None else _numbers(prior)
-    is_held = len(pair) == 2 and pair[0] <= value <= pair[1] < math.inf
-    return (value, pair[0], pair[1]) if is_held else (value, value, value)
+    is_covered = len(pair) == 2 and pair[0] <= value <= pair[1] < math.inf
+    return (value, pair[0], pair[1]) if is_covered else (value, value, value)

@@ -136,22 +136,22 @@ def _print_bodies(code: Code, style: Style) -> _Bodies:
     stored = [f"state->{name}[{k}]" for name, k in member_entries(step.state)]
     following = [f"next_{name}_{k}" for name, k in member_entries(step.state)]
     out = [f"out->{name}[{k}]" for name, k in member_entries(step.outputs)]
-    shown = [f"{name}_{k}" for name, k in member_entries(step.outputs)]
-    kept = dict(zip(stored, name_entries(s=stored), strict=True))
+    output_names = [f"{name}_{k}" for name, k in member_entries(step.outputs)]
+    in_place = dict(zip(stored, name_entries(s=stored), strict=True))
     functions = {}
     named = dict[str, Body]()
     inputs = _input_expressions(code)
     is_short = len(required_nodes(itertools.chain(*code.results))) <= SMALL
     if code.phases is None or is_short:
         whole = outline_repeats(code.results, parts)
-        functions["step"] = _Function(whole, 1, [stored, out], [following, shown])
+        functions["step"] = _Function(whole, 1, [stored, out], [following, output_names])
     if code.phases is not None:
         first = outline_repeats(code.phases.estimate, parts)
         second = outline_repeats(code.phases.advance, parts)
         carry = [f"state->carry[{k}]" for k in _order_by_calls(first[1])]
         local = [f"carry_{k}" for k in range(code.carry_size)]
         inputs |= name_entries(c=carry)
-        functions["estimate"] = _Function(first, 0, [out, carry], [shown, local])
+        functions["estimate"] = _Function(first, 0, [out, carry], [output_names, local])
         functions["advance"] = _Function(second, None, [stored], [following])
         given = "state, params, in" if step.params else "state, in"
         halves = (f"estimate({given}, out)", f"advance({given})")
@@ -162,7 +162,7 @@ def _print_bodies(code: Code, style: Style) -> _Bodies:
         calls = Calls(parts, results, _places_in_arrays(results, inputs, targets, style))
         texts += calls.print_functions(parts, style, printed)
         known = local_meanings(results, step, place)
-        names = Names(inputs, targets, locals_, known, kept, calls)
+        names = Names(inputs, targets, locals_, known, in_place, calls)
         named[name] = build_body(results, style, names)
         count += sum(count_operations(results).values())
     return _Bodies(named, texts, count)
@@ -200,8 +200,8 @@ def _places_in_arrays(
         elif node.op == "input" and node.text[0] == "c":
             places[node] = Place(carry, _index_in(inputs[node.text]), "")
     read = {node.text for node in places}
-    for nodes, wanted in zip(results, targets, strict=True):
-        for k, (node, target) in enumerate(zip(nodes, wanted, strict=True)):
+    for nodes, entries in zip(results, targets, strict=True):
+        for k, (node, target) in enumerate(zip(nodes, entries, strict=True)):
             if node.op == "part" and target.startswith(carry):
                 places.setdefault(node, Place(carry, _index_in(target), target))
             elif node.op == "part" and target.startswith("state->") and f"s{k}" not in read:
@@ -247,17 +247,17 @@ def _header_words(code: Code, name: str, style: Style) -> dict[str, Any]:
     return {
         "structs": "\n".join(structs),
         "prototypes": "\n".join(prototypes),
-        "claims": "\n".join(_claim_macros(code, name.upper())),
+        "claims": "\n".join(_assumption_macros(code, name.upper())),
     }
 
 
-def _claim_macros(code: Code, upper: str) -> list[str]:
+def _assumption_macros(code: Code, upper: str) -> list[str]:
     """Return macros for the bits of `claims`, or none if `claims` is not an output."""
     if not any(field.name == "claims" for field in code.step.outputs):
         return []
     lines = ["/* bits of out->claims[0], a whole number; suspect counts them from 1 */"]
-    for k, (name, claim) in enumerate(ASSUMPTION_CHECKS.items()):
-        lines.append(f"#define {upper}_CLAIM_{name.upper()} {1 << k} /**< {claim.words} */")
+    for k, (name, check) in enumerate(ASSUMPTION_CHECKS.items()):
+        lines.append(f"#define {upper}_CLAIM_{name.upper()} {1 << k} /**< {check.words} */")
     return [*lines, ""]
 
 
@@ -319,8 +319,8 @@ def _code_words(code: Code, name: str, style: Style, bodies: _Bodies) -> dict[st
     start = _store_statements("state", code.structs["state"], values, style)
     defaults = _store_statements("params", step.params, step.defaults.tolist(), style)
     parts = {"params_default": defaults, "init": start}
-    for part, made in bodies.named.items():
-        parts[part] = [*_void_casts(made, bool(step.params)), *made.lines]
+    for part, body in bodies.named.items():
+        parts[part] = [*_void_casts(body, bool(step.params)), *body.lines]
     functions = ["\n".join(repeat.lines) for repeat in bodies.parts]
     for part, signature in function_signatures(code, name).items():
         functions.append("\n".join([signature, "{", *parts[part], "}"]))

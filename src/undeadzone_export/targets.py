@@ -221,10 +221,10 @@ def _readme_text(report: dict[str, Any], build: str = "") -> str:
 def _template_words(report: dict[str, Any]) -> dict[str, Any]:
     """Return the values of the words in the templates."""
     counts = ", ".join(f"{count} {word}" for word, count in report["operations"].items())
-    shown = {"shown_title": escape_controls(report["title"]), "seconds": f"{report['step']:g}"}
-    shown |= {"counts": counts, "upper": report["name"].upper()}
-    shown |= {f"{struct}_bytes": size for struct, size in report["sizes"].items()}
-    return report | call_words(report["name"], bool(report["tunable"])) | shown
+    words = {"shown_title": escape_controls(report["title"]), "seconds": f"{report['step']:g}"}
+    words |= {"counts": counts, "upper": report["name"].upper()}
+    words |= {f"{struct}_bytes": size for struct, size in report["sizes"].items()}
+    return report | call_words(report["name"], bool(report["tunable"])) | words
 
 
 def _build_system_files(report: dict[str, Any], has_math: bool) -> dict[str, str]:
@@ -266,21 +266,21 @@ def _st_files(material: Material) -> tuple[Files, dict[str, str]]:
     report = material.report
     labels = material.labels
     printed = material.printed
-    made = plc.export_plc(printed, labels, material.vectors)
+    program = plc.export_plc(printed, labels, material.vectors)
     name = labels.prefix
-    text = plcopen.st_text(made.units, labels, printed)
-    report["structured_text"] = {"blocks": made.block_count, "lines": text.count("\n")}
+    text = plcopen.st_text(program.units, labels, printed)
+    report["structured_text"] = {"blocks": program.block_count, "lines": text.count("\n")}
     content: Files = {
         f"{name}.st": text,
-        f"{name}_test.st": plcopen.st_text([made.test], labels, printed),
-        f"{name}.xml": plcopen.plcopen_xml([*made.units, made.test], labels, printed),
+        f"{name}_test.st": plcopen.st_text([program.test], labels, printed),
+        f"{name}.xml": plcopen.plcopen_xml([*program.units, program.test], labels, printed),
     }
     words = _template_words(report) | {
-        "blocks": made.block_count,
+        "blocks": program.block_count,
         "type": "REAL" if printed.single else "LREAL",
         "samples": len(material.vectors.states),
         "argument": f"{printed.step.inputs[1].name}_0",
-        "parted": made.block_count > 1,
+        "parted": program.block_count > 1,
         "single": printed.single,
         "double": not printed.single,
     }

@@ -157,7 +157,7 @@ class _Writer:
     ) -> None:
         self._inputs, self._callees, self._first = inputs, callees, len(arguments)
         self._locals: dict[Node, int] = {}
-        self._parts_of_calls = find_calls(results)
+        self._calls = find_calls(results)
         for node in required_nodes(itertools.chain(*results)):
             if node.op == "input" and node.text in arguments:
                 self._locals[node] = arguments[node.text]
@@ -192,7 +192,7 @@ class _Writer:
         numbers = {node: self._first + k for k, node in enumerate(nodes)}
         self._locals |= {node: place for node, place in numbers.items() if node.op == "part"}
         code = b""
-        for node in sorted([*numbers, *self._parts_of_calls], key=lambda node: node.number):
+        for node in sorted([*numbers, *self._calls], key=lambda node: node.number):
             if node.op == "apply":
                 code += self._encode_call(node)
             elif node.op != "part":
@@ -202,7 +202,7 @@ class _Writer:
 
     def _encode_call(self, node: Node) -> bytes:
         """Return the instructions that call a repeated part and fill the locals of its results."""
-        called, parts = self._callees[node.text], self._parts_of_calls[node]
+        called, parts = self._callees[node.text], self._calls[node]
         code = b"".join(map(self.encode_node, node.args)) + b"\x10"
         code += _encode_unsigned(called.number)
         for k in reversed(range(called.outputs)):  # the last one is on top

@@ -32,7 +32,7 @@ _CAN: Final = {
 }
 
 
-_HELD: Final = {"dependencies": ""}
+_NO_DEPENDENCIES: Final = {"dependencies": ""}
 
 
 # Fields of an estimate that a table calls otherwise; widths keep their names.
@@ -190,10 +190,10 @@ def _add_fmu_variable(parent: Element, reference: int, variable: FmuVariable, ve
 def _add_structure(root: Element, listed: list[FmuVariable], version: int) -> None:
     """Add the outputs. They depend on no present input: they belong to the last sample."""
     parent = SubElement(root, "ModelStructure")
-    shown = [k for k, variable in enumerate(listed) if variable.causality == "output"]
-    for word, known in (("Output", _HELD), ("InitialUnknown", {})):
+    outputs = [k for k, variable in enumerate(listed) if variable.causality == "output"]
+    for word, known in (("Output", _NO_DEPENDENCIES), ("InitialUnknown", {})):
         group = SubElement(parent, f"{word}s") if version == 2 else parent
-        for k in shown:
+        for k in outputs:
             if version == 2:
                 SubElement(group, "Unknown", {"index": str(k + 1), **known})
             else:

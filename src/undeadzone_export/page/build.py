@@ -313,7 +313,7 @@ def _page_data(problem: Problem, loop: Loop, memory: dict[str, int]) -> dict[str
     if problem.sensor.limits is not None:
         lead = f"{lead} {texts['lead']['range']}"
     instant = tree.leaf_slices(loop.instant)
-    made = sliders.build_sliders(problem, loop, _output_sizes(problem))
+    controls = sliders.build_sliders(problem, loop, _output_sizes(problem))
     return {
         "kind": kind,
         "lead": lead,
@@ -342,8 +342,8 @@ def _page_data(problem: Problem, loop: Loop, memory: dict[str, int]) -> dict[str
         "params": np.clip(tree.pack_tree(loop.params), -_LARGEST, _LARGEST).tolist(),
         "reference": reference_data(problem),
         "disturbance": disturbance_data(problem),
-        "sliders": [slider._asdict() for slider in made],
-        "learns": any(slider.key == "gamma" for slider in made),
+        "sliders": [slider._asdict() for slider in controls],
+        "learns": any(slider.key == "gamma" for slider in controls),
     }
 
 

@@ -49,12 +49,12 @@ class Slider(NamedTuple):
     moves: list[tuple[int, float, float]] = []
 
 
-def build_slider(wanted: Slider, moves: list[tuple[int, float, float]]) -> Slider:
+def build_slider(slider: Slider, moves: list[tuple[int, float, float]]) -> Slider:
     """Return a slider over a range that moves numbers, with steps of a round size."""
-    grid = round_up_nicely((wanted.most - wanted.least) / TICKS, (1.0, 2.0, 5.0))
-    most = max(wanted.most, wanted.value)
-    least = min(wanted.least, wanted.value)
-    return wanted._replace(least=least, most=most, grid=grid, moves=moves)
+    grid = round_up_nicely((slider.most - slider.least) / TICKS, (1.0, 2.0, 5.0))
+    most = max(slider.most, slider.value)
+    least = min(slider.least, slider.value)
+    return slider._replace(least=least, most=most, grid=grid, moves=moves)
 
 
 def round_up_nicely(value: float, factors: tuple[float, ...] = ROUND) -> float:
@@ -83,17 +83,17 @@ def build_sliders(problem: Problem, loop: Loop, sizes: Floats) -> list[Slider]:
         sizes: largest |z| of the reference (p) [z].
     """
     scenario = problem.scenario
-    made = _breakpoint_sliders(problem, loop, sizes)
-    made += _reference_sliders(problem, loop)
-    made += _adaptation_sliders(problem, loop)
+    sliders = _breakpoint_sliders(problem, loop, sizes)
+    sliders += _reference_sliders(problem, loop)
+    sliders += _adaptation_sliders(problem, loop)
     if np.ptp(problem.sensor.noise) == 0:
         noise = float(problem.sensor.noise[0])
         most = round_up_nicely(max(4 * noise, 0.05 * float(sizes.max())))
-        wanted = Slider("noise", "noise of the reading", _unit_label(scenario), noise, 0.0, most)
+        slider = Slider("noise", "noise of the reading", _unit_label(scenario), noise, 0.0, most)
         noisy = functools.partial(scenario.replace, "sensor.noise")
-        made += _key_sliders(problem, loop, wanted, noisy)
-    made += _mismatch_sliders(problem, loop)
-    return _drop_overlapping(made)
+        sliders += _key_sliders(problem, loop, slider, noisy)
+    sliders += _mismatch_sliders(problem, loop)
+    return _drop_overlapping(sliders)
 
 
 def _unit_label(scenario: Scenario) -> str:
@@ -103,7 +103,7 @@ def _unit_label(scenario: Scenario) -> str:
 
 def _breakpoint_sliders(problem: Problem, loop: Loop, sizes: Floats) -> list[Slider]:
     """Return a slider for each breakpoint of each output."""
-    made = []
+    sliders = []
     limit = problem.observer.traits.width_max
     widest = np.maximum(problem.sensor.right, problem.sensor.left)
     for output in range(problem.plant.p):
@@ -115,11 +115,11 @@ def _breakpoint_sliders(problem: Problem, loop: Loop, sizes: Floats) -> list[Sli
             if limit is not None:
                 most = min(most, float(limit[output]))
             place = _param_index(loop, f"sensor.{side}[{output}]")
-            wanted = Slider(
+            slider = Slider(
                 side + number, f"{side} edge{of}", _unit_label(problem.scenario), width, 0.0, most
             )
-            made.append(build_slider(wanted, [(place, 1.0, 0.0)]))
-    return made
+            sliders.append(build_slider(slider, [(place, 1.0, 0.0)]))
+    return sliders
 
 
 def _reference_sliders(problem: Problem, loop: Loop) -> list[Slider]:
@@ -139,17 +139,17 @@ def _reference_sliders(problem: Problem, loop: Loop) -> list[Slider]:
             size = abs(float(np.ravel(signal.amplitude)[0]))
             size_unit = unit
     place = _param_index(loop, "scale.reference")
-    wanted = Slider("size", "size of the motion", size_unit, size, 0.0, round_up_nicely(2 * size))
-    made = [build_slider(wanted, [(place, 1.0 / size, 0.0)])] if size > 0 else []
+    slider = Slider("size", "size of the motion", size_unit, size, 0.0, round_up_nicely(2 * size))
+    sliders = [build_slider(slider, [(place, 1.0 / size, 0.0)])] if size > 0 else []
     if isinstance(signal, Step) or problem.model.m != len(problem.tracked):
-        return made
+        return sliders
     fastest = speed * _fastest_factor(problem)
     least = speed / 4
     most = min(round_up_nicely(2.5 * speed), fastest)
     if most > speed:
-        wanted = Slider("speed", "speed of the motion", speed_unit, speed, least, most)
-        made.append(build_slider(wanted, []))
-    return made
+        slider = Slider("speed", "speed of the motion", speed_unit, speed, least, most)
+        sliders.append(build_slider(slider, []))
+    return sliders
 
 
 def _fastest_factor(problem: Problem) -> float:
@@ -186,8 +186,8 @@ def _adaptation_sliders(problem: Problem, loop: Loop) -> list[Slider]:
         observer = msgspec.structs.replace(options, gamma=base * (value / own))
         return msgspec.structs.replace(problem.scenario, observer=observer)
 
-    wanted = Slider("gamma", "learning gain", unit, own, 0.0, round_up_nicely(4 * own))
-    return _key_sliders(problem, loop, wanted, change)
+    slider = Slider("gamma", "learning gain", unit, own, 0.0, round_up_nicely(4 * own))
+    return _key_sliders(problem, loop, slider, change)
 
 
 def _mismatch_sliders(problem: Problem, loop: Loop) -> list[Slider]:
@@ -198,34 +198,34 @@ def _mismatch_sliders(problem: Problem, loop: Loop) -> list[Slider]:
     for place, name in enumerate(names):
         if name.startswith("plant.B[") and values[place]:
             moves.append((place, float(values[place]) / 100, 0.0))
-    wanted = Slider("drive", "drive stronger than modelled", "%", 0.0, -30.0, 30.0)
-    return [build_slider(wanted, moves)] if moves else []
+    slider = Slider("drive", "drive stronger than modelled", "%", 0.0, -30.0, 30.0)
+    return [build_slider(slider, moves)] if moves else []
 
 
-def _key_sliders(problem: Problem, loop: Loop, wanted: Slider, change: Change) -> list[Slider]:
+def _key_sliders(problem: Problem, loop: Loop, slider: Slider, change: Change) -> list[Slider]:
     """Return the slider of a key over the range in which the scenario is accepted, or none.
 
     Args:
         problem: the checked parts of the scenario.
         loop: its closed loop.
-        wanted: wanted range of the slider.
+        slider: the slider with its widest range.
         change: gives the scenario with a value of the key.
     """
-    for least in (wanted.least, wanted.most / TICKS):  # 0 may be another kind of scenario
-        accepted = _narrow_range(wanted._replace(least=least), change)
+    for least in (slider.least, slider.most / TICKS):  # 0 may be another kind of scenario
+        accepted = _narrow_range(slider._replace(least=least), change)
         moves = _fit_moves(problem, loop, accepted, change)
         if moves is not None:
             return [build_slider(accepted, moves)]
     return []
 
 
-def _narrow_range(wanted: Slider, change: Change) -> Slider:
+def _narrow_range(slider: Slider, change: Change) -> Slider:
     """Return the range with its upper end lowered until the scenario is accepted."""
     for _ in range(HALVINGS):
-        if _try_value(change, wanted.most) is not None:
+        if _try_value(change, slider.most) is not None:
             break
-        wanted = wanted._replace(most=(wanted.most + wanted.value) / 2)
-    return wanted
+        slider = slider._replace(most=(slider.most + slider.value) / 2)
+    return slider
 
 
 def _try_value(change: Change, value: float) -> Problem | None:
@@ -238,19 +238,19 @@ def _try_value(change: Change, value: float) -> Problem | None:
     return problem
 
 
-def _fit_moves(problem: Problem, loop: Loop, wanted: Slider, change: Change) -> Moves | None:
+def _fit_moves(problem: Problem, loop: Loop, slider: Slider, change: Change) -> Moves | None:
     """Return the changes of the loop's numbers with a key within a range.
 
     Return None if the key does more than move numbers by polynomials of degree two.
 
     None if it does more than move them by polynomials of degree two.
     """
-    between = 0.37 * wanted.least + 0.63 * wanted.most
-    points = np.array([wanted.least, wanted.most, between])
+    between = 0.37 * slider.least + 0.63 * slider.most
+    points = np.array([slider.least, slider.most, between])
     possible = [_try_value(change, float(value)) for value in points]
     others = [other for other in possible if other is not None]
     same = all(graph(other) == graph(problem) for other in others)
-    if not same or len(others) < len(points) or wanted.most <= wanted.value:
+    if not same or len(others) < len(points) or slider.most <= slider.value:
         return None
     own = tree.pack_tree(loop.params)
     known = np.stack([pack_problem(other, loop)[1] for other in others])
@@ -259,7 +259,7 @@ def _fit_moves(problem: Problem, loop: Loop, wanted: Slider, change: Change) -> 
     for place in changed_params(loop, known).tolist():
         a, b, c = np.linalg.solve(matrix, known[:, place])
         size = float(np.abs(known[:, place]).max())
-        if abs(a + b * wanted.value + c * wanted.value**2 - own[place]) > EXACT * size:
+        if abs(a + b * slider.value + c * slider.value**2 - own[place]) > EXACT * size:
             return None
         square = 0.0 if abs(c) * points.max() ** 2 < 1e-12 * size else float(c)
         moves.append((place, float(b), square))
@@ -271,16 +271,16 @@ def _param_index(loop: Loop, name: str) -> int:
     return tree.number_addresses(loop.params).index(name)
 
 
-def _drop_overlapping(made: list[Slider]) -> list[Slider]:
+def _drop_overlapping(sliders: list[Slider]) -> list[Slider]:
     """Return the sliders without those that move a number of an earlier slider.
 
     Their effects would not add up.
     """
     covered: set[int] = set()
-    kept = []
-    for slider in made:
+    independent = []
+    for slider in sliders:
         places = {place for place, _, _ in slider.moves}
         if not places & covered:
-            kept.append(slider)
+            independent.append(slider)
             covered |= places
-    return kept
+    return independent
