@@ -270,7 +270,7 @@ def run_contest(
     describe = functools.partial(result_dependencies, scenarios, seeds, numbers)
     with (
         notebook_progress(progress, "arena", None) as advance,
-        open_answers(keep, describe, "results", resume) as kept,
+        open_answers(keep, describe, "results", resume) as saved_results,
     ):
         results = score_methods(
             methods,
@@ -279,7 +279,7 @@ def run_contest(
             numbers=numbers,
             processes=processes,
             progress=advance,
-            kept=kept,
+            saved_results=saved_results,
         )
     references = {name for name, method in method_registry().items() if method.reference}
     rows = rank_methods(results, references)

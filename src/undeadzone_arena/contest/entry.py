@@ -151,12 +151,12 @@ def _options_from_prior(part: str, names: set[str], prior: PriorKnowledge) -> Op
         return _actuator_options(prior.actuator)
     p = prior.model.p
     every = msgspec.structs.asdict(prior.declared)
-    claims = {name: value for name, value in every.items() if value is not None}
+    options = {name: value for name, value in every.items() if value is not None}
     if "correlation_time" not in names:
-        claims.pop("disturbance", None)  # of another colour there
+        options.pop("disturbance", None)  # of another colour there
     guess = prior.widths.mean(axis=1).reshape(2, p).T
     most = prior.widths[:, 1].reshape(2, p).max(axis=0)
-    return claims | {
+    return options | {
         "widths0": guess,
         "width_max": most,
         "reach": prior.reach if part == "controller" else prior.reach[0],
@@ -169,7 +169,7 @@ def _actuator_options(belief: Belief | None) -> Options:
     if belief is None:
         return {}
     widths = np.stack([belief.drive.right, belief.drive.left])
-    claims = {"widths0": widths.mean(axis=0)}
+    options = {"widths0": widths.mean(axis=0)}
     if belief.ranges is not None:
-        claims["width_max"] = belief.ranges[:, 1].reshape(2, -1).max(axis=0)
-    return claims
+        options["width_max"] = belief.ranges[:, 1].reshape(2, -1).max(axis=0)
+    return options

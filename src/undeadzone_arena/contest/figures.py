@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 LEAST: Final = 3e-3  # regret, of logarithmic axes: below it methods are all but perfect
-SHOWN: Final = 4.0  # [s] at the end of a run
+TRACE_SECONDS: Final = 4.0  # [s] at the end of a run
 COLOURS: Final = (ink.ESTIMATE, ink.READING, ink.PRINTED, ink.OTHER)
 
 
@@ -65,9 +65,9 @@ def _plot_regrets(
     """Plot a marker for the regret of each method, on a bar for its interval."""
     low, high = np.clip(np.array(intervals).T, LEAST, CAP)
     axes.hlines(at, low, high, color=colour, alpha=0.45, linewidth=4)
-    shown = np.clip(np.array(regret), LEAST, CAP)
+    clipped = np.clip(np.array(regret), LEAST, CAP)
     words = f"{name} over the scenarios"
-    axes.plot(shown, at, marker, color=colour, markersize=4.5, label=words)
+    axes.plot(clipped, at, marker, color=colour, markersize=4.5, label=words)
 
 
 def plot_regret_map(
@@ -87,10 +87,10 @@ def plot_regret_map(
     figure, panels = create_panels([["all"]], "Regret by scenario", width=width, height=height)
     axes = panels["all"]
     table = np.array([regrets[row.method].mean(axis=1) for row in rows])
-    shown = np.clip(table, 0.01, CAP)
-    axes.imshow(shown, norm=LogNorm(0.01, CAP), cmap="RdYlBu_r", aspect="auto")
+    clipped = np.clip(table, 0.01, CAP)
+    axes.imshow(clipped, norm=LogNorm(0.01, CAP), cmap="RdYlBu_r", aspect="auto")
     for (i, j), value in np.ndenumerate(table):
-        dark = shown[i, j] < 0.03 or shown[i, j] > 3
+        dark = clipped[i, j] < 0.03 or clipped[i, j] > 3
         colour = "white" if dark else ink.TRUTH
         axes.text(
             j, i, regret_cell_text(value), ha="center", va="center", fontsize=6.5, color=colour
@@ -139,7 +139,7 @@ def plot_traces(runs: Sequence[Trace]) -> Figure:
 
 def _plot_trace(axes: Axes, trace: Trace) -> None:
     """Plot reference, output and estimate of one method in the last seconds."""
-    tail = trace.t > trace.t[-1] - SHOWN
+    tail = trace.t > trace.t[-1] - TRACE_SECONDS
     t = trace.t[tail]
     r = trace.r[tail]
     z = trace.z[tail]

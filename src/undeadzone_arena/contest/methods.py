@@ -143,8 +143,11 @@ GAIN = Knob(0.3, 300.0, "1/s")
 NOISE = Knob(1e-3, 0.3, "z")
 SHAKE = Knob(0.03, 10.0, "white u")
 DRIFT = Knob(1e-4, 0.1, "z")
-CLAIMS = {"observer.noise": NOISE, "observer.disturbance": SHAKE, "observer.drift": DRIFT}
-BLURRED = CLAIMS | {"observer.noise": Knob(0.01, 1.0, "z"), "observer.drift": Knob(0.01, 1.0, "z")}
+ASSUMPTIONS = {"observer.noise": NOISE, "observer.disturbance": SHAKE, "observer.drift": DRIFT}
+BLURRED = ASSUMPTIONS | {
+    "observer.noise": Knob(0.01, 1.0, "z"),
+    "observer.drift": Knob(0.01, 1.0, "z"),
+}
 LEARNING = {"observer.speed": Knob(1.0, 100.0, "1/s"), "observer.gain": Knob(0.3, 3000.0, "1/s")}
 SLIDING = {
     "observer.speed": RATE,
@@ -194,16 +197,16 @@ METHODS: Final[Mapping[str, Method]] = MappingProxyType(
         "certified": Method(
             Certified, {"gain": Knob(0.1, 1e4), "observer.gamma": GAIN}, derived=_passivity_options
         ),
-        "kalman": Method(Kalman, CLAIMS),
+        "kalman": Method(Kalman, ASSUMPTIONS),
         "censored": Method(Censored),
         "extended": Method(
             Extended, {"observer.disturbance": Knob(0.1, 10.0, "u"), "observer.drift": DRIFT}
         ),
-        "ekf": Method(EKF, CLAIMS),
+        "ekf": Method(EKF, ASSUMPTIONS),
         "ekf_measured": Method(
-            EKF, CLAIMS, {"observer.mode": "measured", "observer.pseudo": False}
+            EKF, ASSUMPTIONS, {"observer.mode": "measured", "observer.pseudo": False}
         ),
-        "tobit": Method(Tobit, CLAIMS),
+        "tobit": Method(Tobit, ASSUMPTIONS),
         "ukf": Method(
             UKF,
             BLURRED
@@ -213,7 +216,7 @@ METHODS: Final[Mapping[str, Method]] = MappingProxyType(
             },
         ),
         "particle_filter": Method(ParticleFilter, BLURRED),
-        "moving_horizon": Method(MovingHorizon, CLAIMS),
+        "moving_horizon": Method(MovingHorizon, ASSUMPTIONS),
         "interval": Method(
             Interval, {"observer.speed": Knob(0.1, 30.0, "1/s")}, derived=_disturbance_options
         ),
@@ -273,7 +276,7 @@ METHODS: Final[Mapping[str, Method]] = MappingProxyType(
             compensator=AdaptiveZoneInverse,
         ),
         "robust_adaptive": Method(
-            Kalman, CLAIMS | ROBUST, controller=RobustAdaptive, compensator=NoInverse
+            Kalman, ASSUMPTIONS | ROBUST, controller=RobustAdaptive, compensator=NoInverse
         ),
         "robust_adaptive_blind": Method(
             Luenberger,

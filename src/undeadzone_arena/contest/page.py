@@ -132,23 +132,23 @@ def panel(axes: Axes, contest: Contest) -> None:
 
 def arena_page(contest: Contest, images: Mapping[str, bytes], origin: Origin | None = None) -> str:
     """Return the HTML of the page. `images` are SVGs by the names of `arena_figures`."""
-    shown = encode_pictures(images, CAPTIONS)
+    pictures = encode_pictures(images, CAPTIONS)
     every = fold_section(
         "All numbers",
         build_table(HEAD, map(_html_cells, contest.rows)),
         build_paragraph(NOTE, "note"),
     )
-    ranked = [_top_table(contest), *pick_pictures(shown, "leaderboard"), every]
+    ranked = [_top_table(contest), *pick_pictures(pictures, "leaderboard"), every]
     rules = [*map(build_paragraph, RULES), _refusal_table(contest), _knob_table(contest)]
     return build_page(
         "The arena",
         _leader_text(contest),
         build_section("Leaderboard", *ranked),
         build_section(
-            "Scenario by scenario", *pick_pictures(shown, "scenarios"), _scenario_table(contest)
+            "Scenario by scenario", *pick_pictures(pictures, "scenarios"), _scenario_table(contest)
         ),
-        build_section("What it looks like", *pick_pictures(shown, "trajectories")),
-        build_section("What it costs", *pick_pictures(shown, "cost")),
+        build_section("What it looks like", *pick_pictures(pictures, "trajectories")),
+        build_section("What it costs", *pick_pictures(pictures, "cost")),
         build_section("Rules", *rules),
         origin=origin,
     )

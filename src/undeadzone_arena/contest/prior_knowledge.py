@@ -160,11 +160,11 @@ def build_setting(scenario: Scenario) -> Setting:
             "Compare two observers by [compare]"
         )
     problem = resolve_scenario(scenario)
-    claims = scenario_assumptions(scenario)
-    widths = ranges(claims.right, claims.left, problem.model.p)
+    assumptions = scenario_assumptions(scenario)
+    widths = ranges(assumptions.right, assumptions.left, problem.model.p)
     prior = PriorKnowledge(
         kind=scenario.sensor.kind,
-        declared=claims,
+        declared=assumptions,
         model=problem.model,
         widths=widths,
         reach=_reference_reach(problem, float(widths.max())),
@@ -185,9 +185,9 @@ def scenario_assumptions(scenario: Scenario) -> Assumptions:
     observer = scenario.observer
     sensor = scenario.sensor
     every = {name: getattr(observer, name, None) for name in Assumptions.__struct_fields__}
-    claims = {name: value for name, value in every.items() if value is not None}
-    if "right" in claims:
-        return Assumptions(**claims)
+    assumptions = {name: value for name, value in every.items() if value is not None}
+    if "right" in assumptions:
+        return Assumptions(**assumptions)
     most = getattr(observer, "width_max", None)
     if most is None:
         limit = VAGUE * max(np.max(sensor.right), np.max(sensor.left))

@@ -74,11 +74,11 @@ def trace_runs(contest: Contest, title: str | None = None) -> list[Trace]:
 def _methods_to_trace(contest: Contest) -> list[str]:
     """Return the methods whose runs are shown, each once."""
     contestants = contest.contestants
-    kept = [row.method for row in contestants if not row.diverged and not row.not_applicable]
-    if not kept:
-        kept = [contestants[0].method]
+    eligible = [row.method for row in contestants if not row.diverged and not row.not_applicable]
+    if not eligible:
+        eligible = [contestants[0].method]
     paper = [row.method for row in contest.rows if row.method == PAPER]
-    return list(dict.fromkeys([kept[0], kept[-1], *paper, NAIVE]))
+    return list(dict.fromkeys([eligible[0], eligible[-1], *paper, NAIVE]))
 
 
 def _trace_run(contest: Contest, method: str, title: str) -> Trace:

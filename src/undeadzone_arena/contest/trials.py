@@ -145,7 +145,7 @@ def score_methods(
     numbers: Numbers | None = None,
     processes: int | None = None,
     progress: Callable[[int], None] | None = None,
-    kept: MemoryAnswers | None = None,
+    saved_results: MemoryAnswers | None = None,
 ) -> list[Result]:
     """Run methods on scenarios, with the reference lines (FRAME), and return the results.
 
@@ -157,7 +157,7 @@ def score_methods(
         numbers: of the knobs, by method (None: those that come with the package).
         processes: at once (None: one per processor).
         progress: called with the number of runs just done.
-        kept: results of an earlier run, of methods of the catalogue (None: none).
+        saved_results: results of an earlier run, of methods of the catalogue (None: none).
 
     Raises:
         InputError: or a subclass.
@@ -180,7 +180,7 @@ def score_methods(
                 progress(len(results))
 
     questions = [[job.title, job.name] for job in jobs]
-    plain = (kept or MemoryAnswers()).compute_missing(questions, compute)
+    plain = (saved_results or MemoryAnswers()).compute_missing(questions, compute)
     every: list[Result] = []
     for results in plain:
         every += msgspec.convert(results, list[Result])

@@ -72,8 +72,8 @@ def tune_methods(
         """Return all data that the tuned numbers depend on."""
         return result_dependencies(grounds, seeds, {}) | {"budget": budget, "search": search}
 
-    with open_answers(keep, describe, "methods", resume) as kept:
-        plain = kept.compute_missing(adjustable, compute)
+    with open_answers(keep, describe, "methods", resume) as answers:
+        plain = answers.compute_missing(adjustable, compute)
     methods = msgspec.convert(dict(zip(adjustable, plain, strict=True)), dict[str, TunedMethod])
     return Tuned(
         budget=budget, seeds=list(seeds), search=search, scenarios=list(grounds), methods=methods

@@ -56,8 +56,8 @@ def save_tuned(tuned: Tuned, path: Path) -> Path:
 
     Of methods that were not tuned now, those already in the file stay, unless someone edited it.
     """
-    kept = load_tuned(path).methods if is_own_file(path) else {}
-    methods = dict(sorted((kept | tuned.methods).items()))
+    stored_methods = load_tuned(path).methods if is_own_file(path) else {}
+    methods = dict(sorted((stored_methods | tuned.methods).items()))
     text = HEAD + toml.to_toml(msgspec.structs.replace(tuned, methods=methods))
     return write_text(mark_toml(text), path)
 

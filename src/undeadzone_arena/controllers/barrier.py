@@ -65,10 +65,10 @@ class Barrier(Options, frozen=True, kw_only=True, tag="barrier"):
         def step(p: BarrierParams, s: Any, estimate: Estimate, target: Target) -> tuple[Any, Any]:
             """Return the unchanged state, and u (1)."""
             highest = p.top.T @ target.x_ref + p.b * target.u_ff
-            wanted = barrier_backstepping(
+            derivative = barrier_backstepping(
                 p, p.rows @ estimate.x, ca.vertcat(p.rows @ target.x_ref, highest)
             )
-            return s, (wanted - p.top.T @ estimate.x) / p.b
+            return s, (derivative - p.top.T @ estimate.x) / p.b
 
         return Controller(params, lambda p: None, step, rate=r * rate)
 
@@ -106,13 +106,13 @@ def barrier_backstepping(p: BarrierParams, z: Any, reference: Any) -> Any:
     reference_moved = ca.vertcat(below[1:], 0.0)
     error = at[0] - below[0]
     pull = ca.SX(0.0)
-    wanted = below[1]
+    alpha = below[1]  # the virtual control of a step, the r-th derivative at last
     for i in range(r):
-        wanted = wanted - p.rate * error - pull
+        alpha = alpha - p.rate * error - pull
         if i + 1 == r:
             break
         room = p.bound**2 - error**2
         pull = error / ca.fmax(room, LEAST * p.bound**2) if i == 0 else error
-        error = at[i + 1] - wanted
-        wanted = ca.jtimes(wanted, at, moved) + ca.jtimes(wanted, below, reference_moved)
-    return ca.substitute(wanted, ca.vertcat(at, below), ca.vertcat(z, reference))
+        error = at[i + 1] - alpha
+        alpha = ca.jtimes(alpha, at, moved) + ca.jtimes(alpha, below, reference_moved)
+    return ca.substitute(alpha, ca.vertcat(at, below), ca.vertcat(z, reference))

@@ -219,7 +219,7 @@ def feedback_step(
     phi = basis.phi(p.basis, s.x)
     error = s.x - p.reference @ target.x_ref
     # f + b u, what z^(r) is to be
-    wanted = p.top.T @ target.x_ref + p.b * target.u_ff - p.L_top * e - p.feedback.T @ error
-    u = (wanted - ca.dot(s.W, phi)) / p.b
+    pseudo_control = p.top.T @ target.x_ref + p.b * target.u_ff - p.L_top * e - p.feedback.T @ error
+    u = (pseudo_control - ca.dot(s.W, phi)) / p.b
     learnt = keep * s.W + p.gain * phi * (p.slide.T @ error) - p.leak * s.W
-    return FeedbackState(p.chain @ s.x + p.input * wanted + p.L * e, learnt), u
+    return FeedbackState(p.chain @ s.x + p.input * pseudo_control + p.L * e, learnt), u

@@ -142,8 +142,8 @@ def interval_step(
     phi = mode_rotation(setup.pairs, setup.model.n, s.angle)
     frame = q.T @ phi
     now, z = tighten_boxes(setup, q, s.boxes, frame, reading)
-    shown = restart_empty_boxes(q, IntervalState(now, s.angle)).boxes
-    boxes = shown if sampled else s.boxes
+    restarted_boxes = restart_empty_boxes(q, IntervalState(now, s.angle)).boxes
+    boxes = restarted_boxes if sampled else s.boxes
     e = (z.lo + z.hi) / 2 - q.model.C @ boxes.x
     x = setup.model.move_with_correction(q.model, boxes.x, u, q.L @ e)
     if sampled:
@@ -152,7 +152,7 @@ def interval_step(
         rate = boxes_rate(setup, q, boxes._replace(x=x), phi, z)
         followed = map_boxes(lambda rate, new, old: rate + q.pace * (new - old), rate, now, boxes)
         after = IntervalState(followed, q.turn)
-    return after, boxes_to_estimate(q, shown, frame, reading, setup.kind, e)
+    return after, boxes_to_estimate(q, restarted_boxes, frame, reading, setup.kind, e)
 
 
 def next_boxes(

@@ -93,12 +93,16 @@ class JointPrior(NamedTuple):
 
 
 def build_joint_prior(
-    claims: JointAssumptions, model: System, sensor: Zone, defaults: JointDefaults, stride: int = 1
+    assumptions: JointAssumptions,
+    model: System,
+    sensor: Zone,
+    defaults: JointDefaults,
+    stride: int = 1,
 ) -> JointPrior:
     """Build the prior of a joint filter, with defaults for options that are not given.
 
     Args:
-        claims: the options.
+        assumptions: the options.
         model: the sampled model.
         sensor: the dead zone.
         defaults: the method's.
@@ -109,23 +113,23 @@ def build_joint_prior(
     """
     Ts = require_sample_time(model)
     readings = quarter_period(model) / (stride * Ts)
-    ranges = read_width_ranges(claims.right, claims.left, model.p)
+    ranges = read_width_ranges(assumptions.right, assumptions.left, model.p)
     largest = float(ranges.max())
     floor = defaults.noise * max(1.0, readings / CROWD) ** 0.5
     prior = build_prior(
-        claims,
+        assumptions,
         model,
         sensor,
         floor=floor,
         reach=defaults.x_std,
         wear=defaults.drift,
     )
-    swing = require_number("observer.swing", claims.swing, least=0.0)
-    if claims.disturbance is None:
+    swing = require_number("observer.swing", assumptions.swing, least=0.0)
+    if assumptions.disturbance is None:
         rms = white_disturbance_rms(model, swing * largest)
     else:
         rms = require_nonnegative(
-            "observer.disturbance", claims.disturbance, model.m, "one per input"
+            "observer.disturbance", assumptions.disturbance, model.m, "one per input"
         )
     return JointPrior(prior, rms**2, ranges)
 

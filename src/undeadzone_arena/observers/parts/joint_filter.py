@@ -126,8 +126,8 @@ def build_joint_filter(
             each.append(correct(q, belief, sample))
             belief = each[-1].belief
         known = stack_updates(each)
-        shown, fits = clip_to_ranges(model.n, q, belief, share > 0)
-        estimated = to_estimate(model, sensor, q, shown, reading, known.e, known.std)
+        clipped, fits = clip_to_ranges(model.n, q, belief, share > 0)
+        estimated = to_estimate(model, sensor, q, clipped, reading, known.e, known.std)
         after = predict(belief, *build_transition(model, q, augmentation, belief, lambda X: u))
         mean, cov, restarted = reset_if_invalid(q, entries, after)
         patience = s.patience
