@@ -297,7 +297,7 @@ def ultimate_bound(
     # The most that d~'R d~ can be, per unit weight of each group.
     R = Storage(np.eye(errors.L.shape[0]), np.ones(p), gamma).R
     most = np.outer(scaled_widths, scaled_widths) * np.abs(R) / scaling.time
-    held = most.sum(axis=1).reshape(p, 2).sum(axis=1) @ errors.groups
+    largest_width_term = most.sum(axis=1).reshape(p, 2).sum(axis=1) @ errors.groups
     # The rate at which leakage feeds V, per unit weight of each group.
     fed = sigma * np.square(scaled_widths).reshape(p, 2).sum(axis=1) @ errors.groups
     fastest = _fastest_rate(scaled)
@@ -306,7 +306,7 @@ def ultimate_bound(
 
     def level_at_rate(rate: float) -> _Level:
         """Return the least level of V at a rate."""
-        of_widths = fed / (2 * rate) if sigma > 0 else held
+        of_widths = fed / (2 * rate) if sigma > 0 else largest_width_term
         return _least_level(scaled, signals, z, of_widths, rate)
 
     rate = _best_rate(lambda rate: level_at_rate(rate).bound, fastest)

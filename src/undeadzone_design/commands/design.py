@@ -163,6 +163,9 @@ def _design_to_blocks(design: uz.Design, judged: uz.Check) -> list[Block]:
 
     first, *others = judged.blocks()
     assert isinstance(first, dict)
-    checked = {name: words for name, words in first.items() if name != "observer"}
+    findings = {name: words for name, words in first.items() if name != "observer"}
     own = design_in_words(msgspec.to_builtins(design))
-    return [own | {name: checked.pop(name) for name in own if name in checked} | checked, *others]
+    return [
+        own | {name: findings.pop(name) for name in own if name in findings} | findings,
+        *others,
+    ]

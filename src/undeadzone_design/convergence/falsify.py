@@ -241,7 +241,7 @@ def mode_transitions(
     Args:
         errors: the error dynamics.
         modes: one for each map.
-        moved: F -> F in the coordinates that are wanted.
+        moved: F -> F in the coordinates that are required.
     """
     F = np.stack([moved(error_generator(errors, mode)) for mode in modes])
     seconds = np.array([mode.seconds for mode in modes])

@@ -82,8 +82,8 @@ def simulate_trajectories(
     modes = [_mean_vertex_mode(errors, row, step) for row in sides]
     pieces = mode_transitions(errors, modes)
     full = np.flatnonzero(sides.all(axis=1))
-    held = matrix_powers(pieces, np.full(len(modes), count))
-    moves = _Moves(held, full, max(WINDOW, 2 * len(full)))
+    interval_maps = matrix_powers(pieces, np.full(len(modes), count))
+    moves = _Moves(interval_maps, full, max(WINDOW, 2 * len(full)))
     start = _random_unit_error(V, rng)
     chosen = [("random", _random_modes(rng, moves)) for _ in range(RANDOM)]
     chosen.append(("adversary", _adversary_modes(V, start, moves, fair=False)))
@@ -98,8 +98,8 @@ def simulate_trajectories(
 def _random_modes(rng: np.random.Generator, moves: _Moves) -> Integers:
     """Return random modes at every switch, each lasting up to a window."""
     modes = rng.integers(len(moves.maps), size=SWITCHES)
-    held = rng.integers(1, moves.window + 1, SWITCHES)
-    return np.repeat(modes, held)[:SWITCHES]
+    durations = rng.integers(1, moves.window + 1, SWITCHES)
+    return np.repeat(modes, durations)[:SWITCHES]
 
 
 def _adversary_modes(V: Storage, start: Floats, moves: _Moves, fair: bool) -> Integers:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 FACTORS: Final = np.linspace(0.0, 3.0, 1501)  # times the gains
 CHOSEN: Final = 500  # index of the factor 1
-EVERY: Final = 25  # of the factors: where rates are shown
+EVERY: Final = 25  # of the factors: where rates are plotted
 NAMES: Final = {"gamma": r"$\gamma$", "L": "$L$"}
 ELLIPSE: Final = 2.447747  # of a 95 % ellipse
 PRICES: Final = (("noise", "disturbance"), ("disturbance", "noise"))
@@ -131,8 +131,8 @@ def _error_poles(dynamics: Dynamics, scaled: Dynamics) -> np.ndarray:
     S = branch_pattern((1,) * outputs)  # which width each output's reading holds
     F = error_generator(scaled, SwitchMode(np.ones(1), S, np.ones(outputs), 0.0))
     adapted = S.any(axis=0) & (np.diag(dynamics.gamma) > 0)
-    kept = np.concatenate([np.ones(len(dynamics.A[0]), bool), adapted])
-    return np.asarray(np.linalg.eigvals(F[np.ix_(kept, kept)]))
+    selected = np.concatenate([np.ones(len(dynamics.A[0]), bool), adapted])
+    return np.asarray(np.linalg.eigvals(F[np.ix_(selected, selected)]))
 
 
 def _shade_unstable(axes: Axes, poles: np.ndarray, Ts: float | None) -> None:

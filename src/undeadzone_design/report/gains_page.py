@@ -110,8 +110,9 @@ def gains_page(
         of, tried, design, origin: see `write_gains`
         images: SVGs by the names of `figures`
     """
-    shown = html.encode_pictures(images, CAPTIONS)
-    leads = [shown.pop(name) for name in list(shown)[:1]]  # of a design its front, else the proof
+    pictures = html.encode_pictures(images, CAPTIONS)
+    # The first picture is the front of a design, else the proof.
+    leads = [pictures.pop(name) for name in list(pictures)[:1]]
     sections = [html.build_section("The answer", _answer_table(of), *leads)]
     if of.gains is None:
         sections.append(
@@ -120,13 +121,13 @@ def gains_page(
     else:
         guarantee = [
             *guarantee_section(of.gains, tried),
-            *html.pick_pictures(shown, "nyquist", "lyapunov"),
+            *html.pick_pictures(pictures, "nyquist", "lyapunov"),
         ]
-        speed = [*speed_section(of.gains), *html.pick_pictures(shown, "root_locus")]
+        speed = [*speed_section(of.gains), *html.pick_pictures(pictures, "root_locus")]
         sections.append(html.build_section("The gains", *gains_section(of.gains, design)))
         sections.append(html.build_section("What is guaranteed", *guarantee))
         sections.append(html.build_section("How fast", *speed))
-    knowledge = [*knowledge_section(of), *html.pick_pictures(shown, "ellipse")]
+    knowledge = [*knowledge_section(of), *html.pick_pictures(pictures, "ellipse")]
     sections.append(html.build_section("What can be known", *knowledge))
     if design is not None:
         sections.append(html.build_section("The trade", *trade_section(design)))
@@ -271,11 +272,11 @@ def guarantee_section(gains: Gains, tried: Attacks | None) -> list[html.Html]:
     )
     head = ("P", *(f"x[{j}]" for j in range(len(proof.P))))
     rows = [(f"x[{i}]", *map(float, row)) for i, row in enumerate(proof.P)]
-    checked = "Checked by eigenvalues alone, without the solver that found P:"
+    note = "Checked by eigenvalues alone, without the solver that found P:"
     return [
         html.build_paragraph(guarantee + attempts),
         html.build_table(head, rows),
-        html.build_paragraph(f"W = {list_numbers(proof.W)}. {checked}"),
+        html.build_paragraph(f"W = {list_numbers(proof.W)}. {note}"),
         html.build_table(("what", "value"), _certificate_rows(proof)),
     ]
 

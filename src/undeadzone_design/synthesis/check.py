@@ -363,7 +363,7 @@ def describe_check(found: Check) -> list[Block]:
     """Return the check of a scenario's gains as pairs, and for several outputs as a table."""
     scenario = found.scenario
     names = found.outputs
-    shown: dict[str, Any] = {
+    summary: dict[str, Any] = {
         "scenario": scenario.title,
         "observer": f"{scenario.observer.__struct_config__.tag}, {scenario.simulation.time} time",
         **_describe_certificate(found),
@@ -371,24 +371,24 @@ def describe_check(found: Check) -> list[Block]:
         **_describe_decay(found),
     }
     if found.listens:
-        shown["listens"] = share_in_words(found.listens)
+        summary["listens"] = share_in_words(found.listens)
     if found.overrun:
-        shown["overrun"] = _describe_coasting(found.overrun)
+        summary["overrun"] = _describe_coasting(found.overrun)
     if len(names) == 1:
-        shown |= _describe_output(scenario, found.known[0])
+        summary |= _describe_output(scenario, found.known[0])
     if found.shape:
-        shown["shape"] = _describe_shape(found)
+        summary["shape"] = _describe_shape(found)
     if alike := in_words_of_truths([one.second for one in found.known]):
-        shown["same readings"] = alike
+        summary["same readings"] = alike
     if reasons := [reason for reason in found.reasons if not reason.startswith(REFUSED)]:
-        shown["why"] = reasons
+        summary["why"] = reasons
     if found.cures:
-        shown["cure"] = list(found.cures)
+        summary["cure"] = list(found.cures)
     if len(names) == 1:
-        return [shown]
+        return [summary]
     duration = scenario.simulation.duration
     note = label_with_unit(f"±: 95 % at best after {duration:g} s", scenario.units.output)
-    return [shown, _identifiability_rows(found), note]
+    return [summary, _identifiability_rows(found), note]
 
 
 def _describe_shape(found: Check) -> list[str]:
@@ -420,59 +420,63 @@ def _format_identifiability(known: Knowledge, name: str) -> str:
 
 def _describe_certificate(found: Check) -> dict[str, str]:
     """Return whether the gains are certified, and whether a run stays in the certified region."""
-    shown = {}
+    summary = {}
     on_region = found.scenario.region is not None
     if found.certified and on_region:
-        shown["certified"] = (
+        summary["certified"] = (
             f"yes on the region, margin {found.margin:.4g}: V never rises while x, x^ and u "
             "stay in it, whatever the sides do"
         )
     elif found.certified:
         assert found.margin is not None
-        shown["certified"] = describe_margin(found.margin, found.frequency)
+        summary["certified"] = describe_margin(found.margin, found.frequency)
     elif found.certified is False:
         refused = [reason for reason in found.reasons if reason.startswith(REFUSED)]
         why = "; ".join(reason.removeprefix(REFUSED) for reason in refused)
-        shown["certified"] = f"NO: {why}"
+        summary["certified"] = f"NO: {why}"
     if on_region and found.certified is not None:
         left = found.left_region
-        shown["region"] = "a run of the scenario stays in it"
+        summary["region"] = "a run of the scenario stays in it"
         if left is not None:
-            shown["region"] = f"LEFT at {left:.4g} s of a run of the scenario: no claim from there"
-    return shown
+            summary["region"] = (
+                f"LEFT at {left:.4g} s of a run of the scenario: no claim from there"
+            )
+    return summary
 
 
 def _describe_bounds(found: Check) -> dict[str, str]:
     """Return certified gains near to uncertified gains, and L2 bounds of certified gains."""
-    shown = {}
+    summary = {}
     near = found.nearest
     if near is not None:
         gains = f"L = {format_gains(near.L.tolist())}, gamma = {format_gains(near.gamma.tolist())}"
-        shown["nearest certified"] = f"{gains}: margin {near.margin:.3g}, rate {near.rate:.4g} 1/s"
-        shown["faster ones"] = (
+        summary["nearest certified"] = (
+            f"{gains}: margin {near.margin:.3g}, rate {near.rate:.4g} 1/s"
+        )
+        summary["faster ones"] = (
             "undeadzone design finds certified gains by their rate and what they trade for it"
         )
     if found.l2_gain is not None:
-        shown["bounded"] = (
+        summary["bounded"] = (
             f"L2 gain to z - z^ {found.l2_gain.disturbance:.4g} from the input's disturbance, "
             f"{found.l2_gain.noise:.4g} from noise on y"
         )
-    return shown
+    return summary
 
 
 def _describe_decay(found: Check) -> dict[str, str]:
     """Return the decay rate of the error, and the errors that stay."""
-    shown = {}
+    summary = {}
     if found.rate is not None:
         after = "the error does not die"
         if found.time_constant is not None:
             after = f"time constant {found.time_constant:.4g} s"
-        shown["rate"] = f"{found.rate:.4g} 1/s along the reference, {after}"
+        summary["rate"] = f"{found.rate:.4g} 1/s along the reference, {after}"
     if found.never:
-        shown["stays"] = (
+        summary["stays"] = (
             f"{', '.join(found.never)}: these errors stay along this reference, whatever the gains"
         )
-    return shown
+    return summary
 
 
 def _describe_coasting(overrun: Sequence[float | None]) -> str:
@@ -485,11 +489,11 @@ def _describe_coasting(overrun: Sequence[float | None]) -> str:
 
 def _describe_output(scenario: Scenario, one: Knowledge) -> dict[str, str]:
     """Return the identifiability of a single output, and its deviations at best."""
-    shown = {"identifiable": format_yes_no(msgspec.structs.asdict(one))}
-    kept = {name: std for name, std in one.std.items() if to_json_value(std) is not None}
-    known = [f"{name} ± {HALF_95 * std:.2g}" for name, std in kept.items()]
+    summary = {"identifiable": format_yes_no(msgspec.structs.asdict(one))}
+    deviations = {name: std for name, std in one.std.items() if to_json_value(std) is not None}
+    known = [f"{name} ± {HALF_95 * std:.2g}" for name, std in deviations.items()]
     if known:
         duration = scenario.simulation.duration
         words = append_unit(", ".join(known), scenario.units.output)
-        shown["known to"] = f"{words} (95 %) after {duration:g} s at best"
-    return shown
+        summary["known to"] = f"{words} (95 %) after {duration:g} s at best"
+    return summary

@@ -128,8 +128,8 @@ def why_not_certifiable(flow: System) -> str:
 
 def apply_design(scenario: Scenario, design: Design) -> Scenario:
     """Return the scenario with the gains of a design."""
-    kept = scenario.observer if isinstance(scenario.observer, Certified) else Certified()
-    observer = msgspec.structs.replace(kept, L=design.L, gamma=design.gamma, design=None)
+    base_options = scenario.observer if isinstance(scenario.observer, Certified) else Certified()
+    observer = msgspec.structs.replace(base_options, L=design.L, gamma=design.gamma, design=None)
     return msgspec.structs.replace(scenario, observer=observer)
 
 

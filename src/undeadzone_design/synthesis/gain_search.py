@@ -352,7 +352,7 @@ def _collect_front(task: Task, points: Floats) -> list[Candidate]:
     candidates = [score_point(task, point) for point in points]
     candidates.sort(key=lambda one: -one.rate)
     keep = is_undominated(np.array([_to_objectives(one) for one in candidates]))
-    return [one for one, kept in zip(candidates, keep, strict=True) if kept]
+    return [one for one, undominated in zip(candidates, keep, strict=True) if undominated]
 
 
 def _to_objectives(one: Candidate) -> tuple[float, float, float]:

@@ -316,8 +316,8 @@ def _slowest_multiplier(task: Task, M: Floats, size: Floats) -> Floats:
     own = _log_eigenvalues(task.seen.T @ M @ task.seen).max(axis=-1) + size
     if not task.hidden.shape[1]:
         return own
-    kept = _log_eigenvalues(task.hidden.T @ M @ task.hidden) + size[:, None]
-    return np.maximum(own, np.where(np.abs(kept) < floquet.NEUTRAL, -np.inf, kept).max(axis=-1))
+    logs = _log_eigenvalues(task.hidden.T @ M @ task.hidden) + size[:, None]
+    return np.maximum(own, np.where(np.abs(logs) < floquet.NEUTRAL, -np.inf, logs).max(axis=-1))
 
 
 def _log_eigenvalues(M: Floats) -> Floats:
