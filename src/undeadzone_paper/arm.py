@@ -128,8 +128,8 @@ def _run_as_printed(problem: Problem, given: bool) -> tuple[Floats, Floats, Floa
     t = np.arange(problem.steps + 1) * simulation.step
     reference = SWING * np.sin(2 * np.pi * FREQUENCY * t)
     advance, start = _close_printed_loop(problem, given)
-    _, shown = advance.mapaccum(t.size)(start, reference)
-    link, estimate = np.asarray(shown)
+    _, angles = advance.mapaccum(t.size)(start, reference)
+    link, estimate = np.asarray(angles)
     return link, estimate, reference
 
 
@@ -164,6 +164,6 @@ def _close_printed_loop(problem: Problem, given: bool) -> tuple[ca.Function, Flo
         return tree.stack_leaves(observer.step(observer.params, s, u, reading)[0])
 
     following = ca.vertcat(plant.move(plant.params, x, u), rk4(rate, column, step))
-    shown = ca.vertcat(plant.output(plant.params, x) - DOWN, estimate.z)
-    function = ca.Function("step", [state, reference], [following, shown], {"cse": True})
+    angles = ca.vertcat(plant.output(plant.params, x) - DOWN, estimate.z)
+    function = ca.Function("step", [state, reference], [following, angles], {"cse": True})
     return function, np.append(problem.x0, tree.pack_tree(first))

@@ -98,7 +98,7 @@ def audit(progress: Progress | None = None) -> Paper:
     )
 
 
-SHOWN: Final = ("rms_tracking", "rms_estimation", "d_right", "d_left", "integration_error")
+LISTED: Final = ("rms_tracking", "rms_estimation", "d_right", "d_left", "integration_error")
 
 
 def _numbers_as_printed(run: Run) -> dict[str, Any]:
@@ -109,7 +109,7 @@ def _numbers_as_printed(run: Run) -> dict[str, Any]:
         "peak_abs_z": largest_absolute(run.z),
         "max_abs_y": largest_absolute(run.y),
     }
-    return numbers | {name: value for name, value in run.summary().items() if name in SHOWN}
+    return numbers | {name: value for name, value in run.summary().items() if name in LISTED}
 
 
 def _numbers_as_repaired(run: Run) -> dict[str, Any]:

@@ -175,14 +175,14 @@ def _sides_of_sensor(p: ErrorSignals, q: ErrorSignals) -> dict[int, BothSides]:
     read = q.side != 0
     sign = np.sign(p.y)
     branch = _branch_flags(p.z, D)
-    taken = _sum_over_sides(p.chi, D)
-    taken_mended = _sum_over_sides(q.mended_chi, D)
+    offset = _sum_over_sides(p.chi, D)
+    mended_offset = _sum_over_sides(q.mended_chi, D)
     mended_side = _branch_flags(q.side, 0.0)
     mended_branch = _branch_flags(q.z, D)
     side_error = m.largest_absolute(mended_side - mended_branch)
-    offset_error = m.largest_absolute((q.y - (q.z - taken_mended))[read])
+    offset_error = m.largest_absolute((q.y - (q.z - mended_offset))[read])
     of_z = _branch_flags(p.z, 0.0)
-    mended_sat = m.largest_absolute((np.abs(q.z - q.y) - np.abs(taken_mended))[read])
+    mended_sat = m.largest_absolute((np.abs(q.z - q.y) - np.abs(mended_offset))[read])
     return {
         1: _compare("y that was read, and Dz(x) by branches", p.y, branches),
         2: BothSides(
@@ -202,10 +202,10 @@ def _sides_of_sensor(p: ErrorSignals, q: ErrorSignals) -> dict[int, BothSides]:
         8: _compare("tanh(k_s y), and sgn y", np.tanh(SHARPNESS * p.y), sign, side_error),
         9: _compare("chi_r, and whether x > d_r", p.chi[:, 0], branch[:, 0], side_error),
         10: _compare("chi_l, and whether x < -d_l", p.chi[:, 1], branch[:, 1], side_error),
-        11: _compare("y, and x - chi_l d_l - chi_r d_r", p.y, (p.z - taken), offset_error),
-        12: _compare("y, and x - chi_bar d", p.y, (p.z - taken), offset_error),
-        13: _compare("|Sat|, and |chi_bar d|", np.abs(sat), np.abs(taken), mended_sat),
-        21: _compare("chi_bar d, and Sat x", taken, sat, offset_error),
+        11: _compare("y, and x - chi_l d_l - chi_r d_r", p.y, (p.z - offset), offset_error),
+        12: _compare("y, and x - chi_bar d", p.y, (p.z - offset), offset_error),
+        13: _compare("|Sat|, and |chi_bar d|", np.abs(sat), np.abs(offset), mended_sat),
+        21: _compare("chi_bar d, and Sat x", offset, sat, offset_error),
     }
 
 
@@ -429,14 +429,14 @@ def _sides_of_V(p: ErrorSignals, linear: Matrices, rise: float) -> dict[int, Bot
     of_35 = -float(c @ Q @ c) * p.e**2 - 2 * cross + 2 * of_widths
     of_36 = -float(c @ Q @ c) * p.e**2
     residual = drift.T @ P + P @ drift - 2 * ALPHA * P @ B @ B.T @ P + Q
-    told = "V' along the run, and its right side"
+    label = "V' along the run, and its right side"
     return {
-        31: _compare(told, V_moved, of_31),
-        32: _compare(told, V_moved, of_32),
-        33: _compare(told, V_moved, of_33),
+        31: _compare(label, V_moved, of_31),
+        32: _compare(label, V_moved, of_32),
+        33: _compare(label, V_moved, of_33),
         34: BothSides("left side, and -Q", m.largest_absolute(residual), None),
-        35: _compare(told, V_moved, of_35),
-        36: _compare(told, V_moved, of_36, rise),
+        35: _compare(label, V_moved, of_35),
+        36: _compare(label, V_moved, of_36, rise),
     }
 
 

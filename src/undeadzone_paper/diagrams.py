@@ -104,10 +104,10 @@ def trace_diagram(scenario: Scenario) -> Diagram:
     targets = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
     plan = ca.SX.zeros(law.plan_size)
     start = law.init(law.params)
-    held = None if start is None else tree.create_symbols(start, "c")[1]
-    told = estimate._replace(**symbols)
-    changed, command = law.step(law.params, held, told, Target(**targets, plan=plan))
-    answer = ca.vertcat(command, tree.stack_leaves(changed)) if held is not None else command
+    memory = None if start is None else tree.create_symbols(start, "c")[1]
+    symbolic = estimate._replace(**symbols)
+    changed, command = law.step(law.params, memory, symbolic, Target(**targets, plan=plan))
+    answer = ca.vertcat(command, tree.stack_leaves(changed)) if memory is not None else command
     zone = problem.sensor
     read = branch(z, where(z, zone.right, zone.left), zone.right, zone.left, zone.slope, zone.kind)
     inverse = estimate.z_inverse
@@ -169,10 +169,10 @@ def _without_observer(diagram: Diagram) -> Diagram:
     names = {
         key: name for key, name in diagram.names.items() if PLACES[key][1] > PLACES[OBSERVER][1]
     }
-    kept = {*names, OUT}
+    ends = {*names, OUT}
     return Diagram(
         names,
-        [arrow for arrow in diagram.arrows if arrow.source in names and arrow.target in kept],
+        [arrow for arrow in diagram.arrows if arrow.source in names and arrow.target in ends],
     )
 
 

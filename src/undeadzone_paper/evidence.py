@@ -59,7 +59,7 @@ DISTURBANCE: Final = 1.0  # amplitude at the input, 0.3 Hz
 MISMATCH: Final = 0.1  # relative error of the model's stiffness, damping and input gain
 SLOPE: Final = 2.5  # m of a sensor that is not normalised
 UNAWARE: Final = 0.2  # d^(0) of an observer that does not know d
-HELD: Final = 0.8  # widths of one that never learns them
+FIXED_WIDTH: Final = 0.8  # widths of one that never learns them
 LOPSIDED: Final = (1.0, 0.5)  # d_r, d_l of a zone that is not symmetric
 LESSER: Final = (0.5, 1.0, 1.2)  # amplitudes of a reference at and about the zone's edges
 DIRECTIONS: Final = (0.0, 0.5, 1.0, 1.5)  # of starts in the plane of x1 and x2 [pi rad]
@@ -75,7 +75,7 @@ CONDITIONS: Final[dict[str, Any]] = {
     "farthest": RADII[-1],
     "least_alpha": 0.01,
     "most_alpha": 1000.0,
-    "mismatched": 1 - HELD,
+    "mismatched": 1 - FIXED_WIDTH,
     "amplitudes": ", ".join(f"{amplitude:g}" for amplitude in (*LESSER, *AMPLITUDES)),
     "half": HALF_GAP,
     "readings": READINGS_OF_THEOREM,
@@ -111,7 +111,8 @@ class Evidence(NamedTuple):
         far: from near and far starts
         blind: Luenberger's observer with the same L takes y for z
         slow: the repaired observer with the paper's poles, L = (12, 15), for 100 s
-        held: the repaired observer with widths held 20 % off: without a tanh term, and with one
+        fixed_widths: the repaired observer with widths fixed 20 % off: without a tanh term, and
+            with one
         filtered: `kalman` with noise on y, and with a disturbance at the input
         logged: repaired, at 100 Hz, noise on y, input gain of the model wrong
         identified: the widths that `identify` finds in the log of that run
@@ -119,7 +120,7 @@ class Evidence(NamedTuple):
         lopsided: with d_r = 1, d_l = 0.5
         still: repaired, with r = 0
         at_input, at_output: `kalman` with noise on y, and an unknown zone at the input, the output
-        mismatch: with widths held at d, and 20 % off, as printed from x1 = 5 and repaired
+        mismatch: with widths fixed at d, and 20 % off, as printed from x1 = 5 and repaired
         theorem: the outcomes of every reading of Theorem 4.1
         law: the run of Theorem 4.1 from x1 = 5, d - d^ given, and estimated
         arm: errors of a one-link arm behind gears
@@ -138,7 +139,7 @@ class Evidence(NamedTuple):
     far: RunPair
     blind: Run
     slow: Run
-    held: tuple[Run, Run]
+    fixed_widths: tuple[Run, Run]
     filtered: tuple[Run, Run]
     logged: Run
     identified: tuple[Interval, Interval]
@@ -211,7 +212,7 @@ def gather_evidence(progress: Callable[[int], None] | None) -> Evidence:
         slow=runner.simulate_changed(
             nominal, observer=paper_poles, simulation=Simulation(duration=100.0)
         ),
-        held=_constant_width_runs(runner),
+        fixed_widths=_constant_width_runs(runner),
         filtered=(
             runner.simulate_changed(
                 nominal, observer=_kalman_options(0.0), simulation=SAMPLED, sensor=noisy
@@ -283,11 +284,11 @@ def _far_runs(runner: Runner) -> RunPair:
 def _constant_width_runs(runner: Runner) -> tuple[Run, Run]:
     """Run the repaired example with wrong fixed widths, without a tanh term and with one."""
     nominal = example_as_repaired(5.0)
-    held = _change_observer(nominal, gamma=1e-9, widths0=[HELD, HELD])
+    observer = _change_observer(nominal, gamma=1e-9, widths0=[FIXED_WIDTH, FIXED_WIDTH])
     robust = StateFeedback(alpha=ALPHA, robust=Robust(gain=5.0, width=0.05))
     return (
-        runner.simulate_changed(nominal, observer=held),
-        runner.simulate_changed(nominal, observer=held, controller=robust),
+        runner.simulate_changed(nominal, observer=observer),
+        runner.simulate_changed(nominal, observer=observer, controller=robust),
     )
 
 
@@ -323,16 +324,16 @@ def _run_zone_at_input(runner: Runner) -> Run:
 
 
 def _mismatch_runs(runner: Runner) -> RunPair:
-    """Run both versions with the widths held at d, then 20 % off."""
+    """Run both versions with the widths fixed at d, then 20 % off."""
     begun = example_as_printed(5.0, x1=STARTED)
     nominal = example_as_repaired(5.0)
     printed = []
     repaired = []
-    for width in (D, HELD):
-        held = _change_observer(begun, sigma=0.0, widths0=width)
-        printed.append(runner.simulate_changed(begun, observer=held))
-        held = _change_observer(nominal, gamma=1e-9, widths0=[width, width])
-        repaired.append(runner.simulate_changed(nominal, observer=held))
+    for width in (D, FIXED_WIDTH):
+        observer = _change_observer(begun, sigma=0.0, widths0=width)
+        printed.append(runner.simulate_changed(begun, observer=observer))
+        observer = _change_observer(nominal, gamma=1e-9, widths0=[width, width])
+        repaired.append(runner.simulate_changed(nominal, observer=observer))
     return RunPair(tuple(printed), tuple(repaired))
 
 

@@ -76,15 +76,15 @@ def _pole_facts(name: str, linear: Matrices) -> list[Fact]:
     roots = _quadratic_roots(a1 + l1, a0 + a1 * l1 + l2)
     poles = np.sort(np.linalg.eigvals(linear.A - np.array([L_PRINTED]).T @ linear.C).real)
     placed = observer_gain(linear, POLES, None).ravel()
-    # of the wanted polynomial s^2 + p s + q
+    # of the required polynomial s^2 + p s + q
     p = -sum(POLES)
     q = POLES[0] * POLES[1]
-    wanted = (p - a1, q - a0 - a1 * (p - a1))
+    gains = (p - a1, q - a0 - a1 * (p - a1))
     return [
         Fact(name, "rightmost pole of A - L C, (40)", float(poles[1]), float(roots[0])),
         Fact(name, "leftmost pole of A - L C, (40)", float(poles[0]), float(roots[1])),
-        Fact(name, "l1 for poles -4, -10", float(placed[0]), float(wanted[0])),
-        Fact(name, "l2 for poles -4, -10", float(placed[1]), float(wanted[1])),
+        Fact(name, "l1 for poles -4, -10", float(placed[0]), float(gains[0])),
+        Fact(name, "l2 for poles -4, -10", float(placed[1]), float(gains[1])),
     ]
 
 

@@ -180,10 +180,10 @@ def _plot_sorted_errors(
     """Plot the errors of the readings of (29) as printed, in their order."""
     errors = [outcome.worst_error for outcome in select_outcomes(outcomes, mismatch)]
     values = np.sort(errors)
-    shown = np.isfinite(values)
+    finite = np.isfinite(values)
     axes.set_yscale("log")
     axes.plot(
-        np.arange(values.size)[shown] + 1, np.maximum(values[shown], LEAST), ".", color=colour
+        np.arange(values.size)[finite] + 1, np.maximum(values[finite], LEAST), ".", color=colour
     )
 
 
@@ -204,20 +204,22 @@ def _plot_lines(axes: Axes, lines: tuple[SignalLine, ...], run: Run) -> None:
     """Plot the lines of a run: oscillating pairs early, an error or the widths over all of it."""
     widths = lines is _LINES[8]
     paired = len(lines) == 2 and not widths
-    shown = run.t <= (EARLY if paired else run.t[-1])
+    window = run.t <= (EARLY if paired else run.t[-1])
     if widths:
         axes.axhline(D, color=ink.TRUTH, linewidth=3.0, alpha=0.25, label="truth")
     for line in lines:
-        t = run.t[shown]
-        value = line.value(run)[shown]
+        t = run.t[window]
+        value = line.value(run)[window]
         dashes = DASHED if paired and line is lines[1] else "-"
         axes.plot(t, value, color=line.colour, label=line.name, linestyle=dashes)
 
 
 def _plot_from_rest(axes: Axes, run: Run, value: Callable[[Run], Floats]) -> None:
     """Plot a thin line of the run from rest, up to the end of the panel."""
-    shown = run.t <= axes.dataLim.x1
-    axes.plot(run.t[shown], value(run)[shown], color=ink.PRINTED, linewidth=1.0, label="from rest")
+    window = run.t <= axes.dataLim.x1
+    axes.plot(
+        run.t[window], value(run)[window], color=ink.PRINTED, linewidth=1.0, label="from rest"
+    )
 
 
 def plot_silence(t: Floats, outputs: Mapping[str, Floats]) -> Figure:

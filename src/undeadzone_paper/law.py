@@ -63,13 +63,13 @@ class PrintedLaw(Options, frozen=True, kw_only=True, tag="printed"):
         def step(p: LawParams, s: Any, estimate: Estimate, target: Target) -> tuple[Any, Any]:
             """Return the unchanged state, and u (1)."""
             e = estimate.innovation
-            taken_off = -e
+            width_term = -e
             if given:
                 chi_r, chi_l = indicators(_reading_of(estimate), p.sharpness)
                 missing_r = p.right - estimate.right
                 missing_l = p.left - estimate.left
-                taken_off = chi_r * missing_r - p.left_sign * chi_l * missing_l
-            return s, -p.sign * (p.of_reading * e + p.of_widths * taken_off) + target.r
+                width_term = chi_r * missing_r - p.left_sign * chi_l * missing_l
+            return s, -p.sign * (p.of_reading * e + p.of_widths * width_term) + target.r
 
         return Controller(self._law_numbers(model), lambda p: None, step)
 

@@ -308,21 +308,24 @@ def _figures_section(claims: list[Claim], images: AuditFigures) -> list[Html]:
             for number, words in FIGURES.items()
         },
     }
-    said = [
+    full_captions = [
         f"Figure {number}: {words}. {claims_text(number, claims)}"
         for number, words in captions.items()
     ]
-    said += ["z beside the desired trajectory, of which the text of figures 3 and 4 speaks.", "V."]
+    full_captions += [
+        "z beside the desired trajectory, of which the text of figures 3 and 4 speaks.",
+        "V.",
+    ]
     first, second = images.numbered.values()
-    shown = [
+    pictures = [
         encode_picture(image.read_bytes(), caption)
-        for image, caption in zip((*images.diagrams, *first), said, strict=True)
+        for image, caption in zip((*images.diagrams, *first), full_captions, strict=True)
     ]
     again = [
         encode_picture(image.read_bytes(), caption)
-        for image, caption in zip(second, said[len(DIAGRAMS) :], strict=True)
+        for image, caption in zip(second, full_captions[len(DIAGRAMS) :], strict=True)
     ]
-    return [*shown, fold_section("The same for the reference 2 sin 2πt", *again)]
+    return [*pictures, fold_section("The same for the reference 2 sin 2πt", *again)]
 
 
 def claims_text(number: int, claims: list[Claim]) -> str:

@@ -257,8 +257,8 @@ def select_outcomes(
     outcomes: Iterable[TheoremOutcome], mismatch: str, sign: float = 1.0
 ) -> list[TheoremOutcome]:
     """Select the outcomes by knowledge of d - d^ and sign of the law."""
-    wanted = mismatch, sign
-    return [outcome for outcome in outcomes if outcome.variant[:2] == wanted]
+    variant = mismatch, sign
+    return [outcome for outcome in outcomes if outcome.variant[:2] == variant]
 
 
 def count_diverging(outcomes: Iterable[TheoremOutcome]) -> int:

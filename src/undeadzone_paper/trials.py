@@ -38,7 +38,7 @@ from undeadzone_paper.equations import EQUATIONS, FIGURES
 from undeadzone_paper.evidence import (
     BEGUN,
     CONDITIONS,
-    HELD,
+    FIXED_WIDTH,
     LESSER,
     RESTING,
     SLOPE,
@@ -149,10 +149,10 @@ def _sensor_claims(e: Evidence) -> Numbers:
         POSITIVE: m.largest_absolute(y - printed_form),
         NEGATIVE: m.largest_absolute(y - signed_form),
     }
-    taken_off = m.largest_absolute(saturation(z, D, D))
+    largest_saturation = m.largest_absolute(saturation(z, D, D))
     widths = {
-        POSITIVE: max(0.0, taken_off - abs(D - D)),
-        NEGATIVE: max(0.0, taken_off - abs(D + D)),
+        POSITIVE: max(0.0, largest_saturation - abs(D - D)),
+        NEGATIVE: max(0.0, largest_saturation - abs(D + D)),
     }
     smooth = _worst_value(_smooth_indicator_error, e.printed[RESTING])
     figure_1 = {
@@ -161,7 +161,7 @@ def _sensor_claims(e: Evidence) -> Numbers:
     }
     return {
         "decomposition": ClaimNumbers(decomposition, m.largest_absolute(y - corrected)),
-        "width-bound": ClaimNumbers(widths, max(0.0, taken_off - saturation_bound(D, D))),
+        "width-bound": ClaimNumbers(widths, max(0.0, largest_saturation - saturation_bound(D, D))),
         "figure-1": ClaimNumbers(figure_1, _worst_value(_output_deviation, e.repaired)),
         "indicators": _of_single_case(smooth, _worst_value(m.side_error, e.repaired)),
     }
@@ -388,7 +388,7 @@ def _mismatch_effect(runs: tuple[Run, ...]) -> float:
     """Return the rms by which wrong widths move x^1, per unit of d - d^, last 2 s [1]."""
     right, off = runs
     moved = (off.x_hat - right.x_hat)[right.last, 0]
-    return m.rms_or_inf(moved) / (D - HELD)
+    return m.rms_or_inf(moved) / (D - FIXED_WIDTH)
 
 
 def _divergence_flag(run: Run) -> float:
@@ -398,7 +398,7 @@ def _divergence_flag(run: Run) -> float:
 
 def _remedy_claims(e: Evidence) -> Numbers:
     """Compute the numbers of the proposed remedies: a tanh term, a filter, identification."""
-    without, with_term = (m.tracking_error(run) for run in e.held)
+    without, with_term = (m.tracking_error(run) for run in e.fixed_widths)
     in_noise, in_gust = (m.width_error(run) for run in e.filtered)
     filtered = {
         "with noise on y": in_noise / _worst_value(m.width_error, e.noisy.repaired),
@@ -437,8 +437,8 @@ def _paper_claims(e: Evidence) -> Numbers:
 
 def _missing_words(*words: str) -> ClaimNumbers:
     """Count the words that no caption and no equation contains. No repair can supply them."""
-    shown = "\n".join([*FIGURES.values(), *(equation.what for equation in EQUATIONS)])
-    return _of_single_case(float(sum(word not in shown for word in words)), None)
+    text = "\n".join([*FIGURES.values(), *(equation.what for equation in EQUATIONS)])
+    return _of_single_case(float(sum(word not in text for word in words)), None)
 
 
 OTHERS: Final[dict[str, dict[str, Any]]] = {
@@ -479,14 +479,14 @@ def _theorem_claims(e: Evidence) -> Numbers:
         f"with d - d^ {mismatch}": select_outcomes(e.theorem, mismatch)
         for mismatch in (GIVEN, ESTIMATED)
     }
-    told = select_outcomes(e.theorem, GIVEN)
-    kind = [outcome for outcome in told if is_kindest(outcome.variant)]
+    given_outcomes = select_outcomes(e.theorem, GIVEN)
+    kind = [outcome for outcome in given_outcomes if is_kindest(outcome.variant)]
     named: dict[str, Any] = {
-        "diverge": count_diverging(told),
-        "right": sum(outcome.worst_error <= RIGHT for outcome in told),
-        "leave": sum(outcome.leaves_widths for outcome in told),
+        "diverge": count_diverging(given_outcomes),
+        "right": sum(outcome.worst_error <= RIGHT for outcome in given_outcomes),
+        "leave": sum(outcome.leaves_widths for outcome in given_outcomes),
         "survive": sum(
-            outcome.variant.width == D and outcome.diverged_at is None for outcome in told
+            outcome.variant.width == D and outcome.diverged_at is None for outcome in given_outcomes
         ),
         "other_diverge": count_diverging(select_outcomes(e.theorem, GIVEN, -1.0)),
         "kindest": max(outcome.width_error or 0.0 for outcome in kind),
@@ -524,8 +524,8 @@ def _change_of_input(options: Any) -> float:
     inputs = []
     for width in (D, D + 1.0):
         known = "widths" in options.__struct_fields__
-        told = msgspec.structs.replace(options, widths=width) if known else options
-        law = told.build(model)
+        law_options = msgspec.structs.replace(options, widths=width) if known else options
+        law = law_options.build(model)
         _, u = law.step(law.params, law.init(law.params), estimate, target)
         inputs.append(float(np.asarray(u).item()))
     return abs(inputs[1] - inputs[0])
