@@ -83,12 +83,12 @@ def _build_answer_figures(found_log: Identified) -> dict[str, Figure]:
     """Build the figures of the answer itself, by name."""
     element = found_log.answer.element
     if element is not None:
-        shown = {
+        figures = {
             "overview": _plot_element_over_time(found_log, element),
             "element": _plot_element_by_output(found_log, element),
         }
         columns = crossing_columns(found_log.answer)
-        return shown | ({"crossings": _plot_crossings(found_log, columns)} if columns else {})
+        return figures | ({"crossings": _plot_crossings(found_log, columns)} if columns else {})
     drawn = {
         "overview": overview(found_log),
         "residual_map": _plot_residual_map(found_log),

@@ -151,14 +151,14 @@ def shorten_log(grid: Grid, integrators: int = 0) -> Grid:
         " used: cut the log to use others"
     )
     firsts = np.linspace(0, size - long, STRETCHES).astype(int)
-    kept = np.concatenate([np.arange(first, first + long) for first in firsts])
-    begins = np.union1d(np.flatnonzero(np.isin(kept, grid.start)), long * np.arange(STRETCHES))
+    samples = np.concatenate([np.arange(first, first + long) for first in firsts])
+    begins = np.union1d(np.flatnonzero(np.isin(samples, grid.start)), long * np.arange(STRETCHES))
     return grid._replace(
-        t=grid.t[kept],
-        u=grid.u[kept],
-        r=grid.r[kept],
-        y=grid.y[kept],
-        ok=grid.ok[kept],
+        t=grid.t[samples],
+        u=grid.u[samples],
+        r=grid.r[samples],
+        y=grid.y[samples],
+        ok=grid.ok[samples],
         start=begins,
         remarks=[*grid.remarks, remark],
     )
@@ -225,7 +225,7 @@ def _fill_regular(log: Log, step: float, remarks: list[str]) -> _Piece:
     start = np.flatnonzero(breaks)
     place = np.cumsum(steps).astype(int) - 1
     whole = fill_gaps(Regular(log.t, log.y, np.hstack([log.u, log.r])), steps, step)
-    held = np.maximum.accumulate(np.where(np.isfinite(whole.u[:, 0]), np.arange(whole.t.size), 0))
+    last = np.maximum.accumulate(np.where(np.isfinite(whole.u[:, 0]), np.arange(whole.t.size), 0))
     missing = whole.t.size - log.t.size
     if missing:
         remarks.append(
@@ -236,7 +236,7 @@ def _fill_regular(log: Log, step: float, remarks: list[str]) -> _Piece:
             f"{start.size} gaps of {log.source} are longer than {LONG} steps; a new record"
             " begins after each"
         )
-    return _Piece(whole.t, whole.u[held], whole.y[:, 0], np.append(0, place[start]))
+    return _Piece(whole.t, whole.u[last], whole.y[:, 0], np.append(0, place[start]))
 
 
 def _resample_log(log: Log, step: float, remarks: list[str]) -> _Piece:
@@ -247,16 +247,16 @@ def _resample_log(log: Log, step: float, remarks: list[str]) -> _Piece:
     if size > 20 * log.t.size:
         raise InputError(f"resample: a step of {step:g} s is far below the spacing of the log")
     t = log.t[0] + step * np.arange(size)
-    held = np.clip(np.searchsorted(log.t, t + 1e-6 * step, side="right") - 1, 0, None)
-    after = np.minimum(held + 1, log.t.size - 1)
-    nearer = np.abs(log.t[after] - t) < np.abs(log.t[held] - t)
-    near = np.where(nearer, after, held)
+    before = np.clip(np.searchsorted(log.t, t + 1e-6 * step, side="right") - 1, 0, None)
+    after = np.minimum(before + 1, log.t.size - 1)
+    nearer = np.abs(log.t[after] - t) < np.abs(log.t[before] - t)
+    near = np.where(nearer, after, before)
     y = np.where(np.abs(log.t[near] - t) <= 0.1 * step, log.y[near, 0], np.nan)
     remarks.append(
         f"resampled to {step:g} s: {int(np.isfinite(y).sum())} of {log.t.size} readings lie within"
         " a tenth of a step of the grid and are kept"
     )
-    return _Piece(t, np.hstack([log.u, log.r])[held], y, np.zeros(1, int))
+    return _Piece(t, np.hstack([log.u, log.r])[before], y, np.zeros(1, int))
 
 
 def find_quantum(y: Floats) -> float:

@@ -234,8 +234,8 @@ def log_from_samples(samples: Samples, layout: Layout, source: str) -> Log:
             raise FileError(f"{source}: {name} holds numbers beyond {LARGEST:g}")
     driving = layout.input_titles[: 1 if layout.has_current else None]
     units = {title.unit or "1" for title in driving}
-    is_said = layout.reference is not None or layout.of_the_trade
-    remarks = [f"{source}: {layout.columns_text}"] if is_said else []
+    needs_remark = layout.reference is not None or layout.of_the_trade
+    remarks = [f"{source}: {layout.columns_text}"] if needs_remark else []
     if repeated:
         remarks.append(
             f"{source}: {repeated} samples have the time of the one before, and are left out"

@@ -112,8 +112,8 @@ def _flag_dropouts(grid: Grid, ok: Flags, remarks: list[str]) -> Flags:
 
 def _flag_stuck(grid: Grid, ok: Flags, remarks: list[str]) -> Flags:
     """Return the flags of a long constant reading, not 0, while the input moves (N)."""
-    held = np.append(False, (np.diff(grid.y) == 0) & ok[1:] & ok[:-1]) & (grid.y != 0)
-    first, last = bounds_of_runs(held)
+    unchanged = np.append(False, (np.diff(grid.y) == 0) & ok[1:] & ok[:-1]) & (grid.y != 0)
+    first, last = bounds_of_runs(unchanged)
     stuck = np.zeros_like(ok)
     if not first.size:
         return stuck

@@ -70,7 +70,7 @@ WITHHELD = ("undecided", "unclear")  # words that withhold a name
 ODDS_OF = {"operating_point": "none", "unreached": "dead_zone"}  # words with odds of another
 LEAST = 1e-6  # of a width, by which its range is wide at least
 
-Shown = dict[str, Interval | None]  # right, left, width, centre
+DisplayedWidths = dict[str, Interval | None]  # right, left, width, centre
 
 
 class Disturbance(NamedTuple):
@@ -101,7 +101,7 @@ class Possible(NamedTuple):
     """
 
     share: float
-    widths: Shown
+    widths: DisplayedWidths
     option: str
 
 
@@ -386,13 +386,13 @@ def _odds_of_word(found: Findings) -> dict[str, float]:
     if word == "undecided":
         return odds if found.verdict.reasons[0].startswith(CANNOT_TELL) else {}
     own = ODDS_OF.get(word, word)
-    held = {own, *LARGER.get(own, ())} | (set(AS_LINEAR) if own == "none" else set())
-    if own not in odds or next(iter(odds)) not in held:
+    classes = {own, *LARGER.get(own, ())} | (set(AS_LINEAR) if own == "none" else set())
+    if own not in odds or next(iter(odds)) not in classes:
         return {}
     if next(iter(odds)) == own:
         return odds
-    rest = {name: share for name, share in odds.items() if name not in held}
-    return {own: sum(odds[name] for name in held if name in odds)} | rest
+    rest = {name: share for name, share in odds.items() if name not in classes}
+    return {own: sum(odds[name] for name in classes if name in odds)} | rest
 
 
 def withhold_poor_fit(found: Findings, share: float) -> Findings:
@@ -434,39 +434,39 @@ def _validate_findings(case: Case, found: Findings) -> OrderFit:
 def _add_edges(answer: Answer) -> Answer:
     """Return the answer with the edges of a sensor's zone."""
     has_residual = has_input_residual(answer.fit)
-    shown = _jump_widths(answer.case) or _log_unit_widths(answer, 2.0 if has_residual else 1.0)
-    remarks = [*_delay_remarks(answer), *_edge_remarks(answer, shown, has_residual)]
-    remarks += _widen_rare_edges(answer, shown)
-    doubt = _doubt_of_zero(shown) or _doubt_of_unmoved(answer, shown)
+    intervals = _jump_widths(answer.case) or _log_unit_widths(answer, 2.0 if has_residual else 1.0)
+    remarks = [*_delay_remarks(answer), *_edge_remarks(answer, intervals, has_residual)]
+    remarks += _widen_rare_edges(answer, intervals)
+    doubt = _doubt_of_zero(intervals) or _doubt_of_unmoved(answer, intervals)
     if doubt:
         found = answer.found._replace(odds={})  # the likeliest model's own test denies it
         return answer._replace(verdict="undecided", reasons=[doubt], found=found)
     word = "unreached" if answer.case.unreached else answer.verdict
-    return _set_widths(answer, shown, remarks)._replace(verdict=word)
+    return _set_widths(answer, intervals, remarks)._replace(verdict=word)
 
 
-def _doubt_of_zero(shown: dict[str, Any]) -> str:
+def _doubt_of_zero(intervals: dict[str, Any]) -> str:
     """Return the remark that a width, or friction, may be 0; empty if it is not or is missing."""
     for name in ("width", "friction"):
-        one = shown.get(name)
+        one = intervals.get(name)
         if one is not None and one.low <= 0 < one.half_width:
             return f"the {name}'s interval holds 0: {one.value:.4g} [{one.low:.4g}, {one.high:.4g}]"
     return ""
 
 
-def _doubt_of_unmoved(answer: Answer, shown: Shown) -> str:
+def _doubt_of_unmoved(answer: Answer, intervals: DisplayedWidths) -> str:
     """Return the remark that an edge moves no reading; empty if each does or is known."""
     for name in ("right", "left"):
         low, high = answer.case.options.parse_bounds(name)
-        edge = shown[name]
+        edge = intervals[name]
         if edge is not None and low < high and edge.low == edge.high:
             return f"the {name} edge moves no reading: the fit never found the zone"
     return ""
 
 
-def _set_widths(answer: Answer, shown: Shown, remarks: list[str]) -> Answer:
+def _set_widths(answer: Answer, intervals: DisplayedWidths, remarks: list[str]) -> Answer:
     """Return the answer with widths and further remarks."""
-    right, left, width, centre = (shown[name] for name in DIRECTIONS)
+    right, left, width, centre = (intervals[name] for name in DIRECTIONS)
     remarks = [*answer.remarks, *remarks]
     return answer._replace(right=right, left=left, width=width, centre=centre, remarks=remarks)
 
@@ -519,12 +519,12 @@ def _reference_remarks(grid: Grid, ok: Flags, loop: Feedback) -> list[str]:
     return [f"{words} exchanged (--columns); then nothing of this holds"]
 
 
-def _edge_remarks(answer: Answer, shown: Shown, has_residual: bool) -> list[str]:
+def _edge_remarks(answer: Answer, intervals: DisplayedWidths, has_residual: bool) -> list[str]:
     """Return the remarks on the reported breakpoints.
 
     Args:
         answer: the answer.
-        shown: widths in the units of the log.
+        intervals: widths in the units of the log.
         has_residual: whether past inputs explain part of the one-step residual.
     """
     remarks = [] if answer.case.jump_edges else list(answer.widths.remarks)
@@ -547,7 +547,7 @@ def _edge_remarks(answer: Answer, shown: Shown, has_residual: bool) -> list[str]
             " zone, so both edges are half of the width; the place of the zone is not asked"
         )
     for name in ("right", "left"):
-        edge = shown[name]
+        edge = intervals[name]
         if edge is not None and edge.value < 0:
             remarks.append(
                 f"d_{name} is negative: the zone does not hold z = 0, as after an offset of the"
@@ -561,21 +561,21 @@ def _has_tied_edges(answer: Answer) -> bool:
     return answer.fit.objective.limits.tied
 
 
-def _widen_rare_edges(answer: Answer, shown: Shown) -> list[str]:
-    """Return remarks on rarely passed edges; their intervals in `shown` are widened in place."""
+def _widen_rare_edges(answer: Answer, intervals: DisplayedWidths) -> list[str]:
+    """Return remarks on rarely passed edges. Their `intervals` are widened in place."""
     remarks: list[str] = []
     if answer.case.jump_edges or _has_tied_edges(answer):
         return remarks
     for name, visits in zip(("right", "left"), answer.excitation.visits, strict=True):
-        edge = shown[name]
+        edge = intervals[name]
         if not 0 < visits < FEW_VISITS or edge is None or not edge.low < edge.high < math.inf:
             continue
         wider = widen_by_profile(answer.fit, name, edge, answer.scale)
         more = (edge.low - wider.low, wider.high - edge.high)
-        shown[name] = wider
+        intervals[name] = wider
         for sum_of_both, further in (("width", more), ("centre", [max(more) / 2] * 2)):
-            interval = shown[sum_of_both]
-            shown[sum_of_both] = None if interval is None else interval.extend_by(*further)
+            interval = intervals[sum_of_both]
+            intervals[sum_of_both] = None if interval is None else interval.extend_by(*further)
         remarks.append(
             f"the {name} edge is passed {visits} times only: hardly known; its interval is that of"
             " the profile likelihood where that is wider"
@@ -583,7 +583,7 @@ def _widen_rare_edges(answer: Answer, shown: Shown) -> list[str]:
     return remarks
 
 
-def _jump_widths(case: Case) -> Shown:
+def _jump_widths(case: Case) -> DisplayedWidths:
     """Return the widths of a jump sensor with their intervals [y]; empty for another sensor.
 
     Readings of a jump sensor bound each breakpoint from both sides. The intervals of the width
@@ -602,7 +602,7 @@ def _jump_widths(case: Case) -> Shown:
         intervals.append(Interval(bound.value * scale, low, high))
     right, left = intervals
     if absent_edges(case):
-        unknown: Shown = dict.fromkeys(DIRECTIONS)
+        unknown: DisplayedWidths = dict.fromkeys(DIRECTIONS)
         by_side = zip(("right", "left"), intervals, strict=True)
         return unknown | dict(filter(lambda side: side[0] not in absent_edges(case), by_side))
     width = Interval(right.value + left.value, right.low + left.low, right.high + left.high)
@@ -624,26 +624,26 @@ def absent_edges(case: Case) -> list[str]:
     return sides
 
 
-def _log_unit_widths(answer: Answer, wider: float) -> Shown:
+def _log_unit_widths(answer: Answer, wider: float) -> DisplayedWidths:
     """Return the widths in the units of the log; an unreached edge has only a lower bound."""
     case = answer.case
     scale = answer.scale
-    shown: Shown = {}
+    intervals: DisplayedWidths = {}
     for name in DIRECTIONS:
-        shown[name] = getattr(answer.widths, name).scale_by(scale).stretch_by(wider)
+        intervals[name] = getattr(answer.widths, name).scale_by(scale).stretch_by(wider)
     for name in ("right", "left"):
         low, high = case.options.parse_bounds(name)
         if low == high:
-            shown[name] = None if low == math.inf else Interval(low, low, high)
+            intervals[name] = None if low == math.inf else Interval(low, low, high)
         if low == math.inf:
-            shown["width"] = shown["centre"] = None
+            intervals["width"] = intervals["centre"] = None
     if _has_tied_edges(answer):
-        shown["centre"] = None
+        intervals["centre"] = None
     for name in case.unreached:
         bound = lower_width_bound(case.chosen.singles, name) * scale
-        shown[name] = Interval(bound, bound, math.inf)
-        shown["width"] = shown["centre"] = None
-    return shown
+        intervals[name] = Interval(bound, bound, math.inf)
+        intervals["width"] = intervals["centre"] = None
+    return intervals
 
 
 # --- What an observer is told
@@ -652,8 +652,8 @@ def _log_unit_widths(answer: Answer, wider: float) -> Shown:
 def prior_width_range(answer: Answer, side: str) -> tuple[float, float]:
     """Return the 99.9 % interval of a width, within the user's bounds [y].
 
-    Each half of the shown interval grows as Student's quantile does for the degrees of freedom that
-    it has, which are few where the edge is passed a few times; an edge of a jump sensor has
+    Each half of the displayed interval grows as Student's quantile does for the degrees of freedom
+    that it has, which are few if the edge is passed a few times. An edge of a jump sensor has
     quantiles of its own.
 
     Args:

@@ -64,8 +64,8 @@ def _percent(interval: Interval, grid: Grid) -> str:
     """Return an interval in the unit of the controller's output: % of OP."""
     width = max(interval.high - interval.low, 1e-12)
     digits = min(max(0, math.ceil(-math.log10(width)) + 1), 9)
-    shown = append_unit(bracket_interval(*interval, f".{digits}f"), grid.input_unit)
-    return f"{shown} of {grid.inputs[0]}"
+    text = append_unit(bracket_interval(*interval, f".{digits}f"), grid.input_unit)
+    return f"{text} of {grid.inputs[0]}"
 
 
 def _period(valve: ValveFindings, grid: Grid) -> str:

@@ -343,11 +343,11 @@ def _limit_pattern(recorded: Floats, pattern: Floats, integrates: bool) -> Float
     if integrates or low * high < 0:  # symmetric about 0
         middle = 0.0
         amplitude = min(-low, high)
-    wanted = middle + max(amplitude, 0.0) * pattern
+    unlimited = middle + max(amplitude, 0.0) * pattern
     largest_step = float(np.abs(np.diff(recorded)).max())
-    u = np.empty(wanted.size)
+    u = np.empty(unlimited.size)
     previous = middle
-    for k, value in enumerate(wanted.tolist()):
+    for k, value in enumerate(unlimited.tolist()):
         previous += min(max(value - previous, -largest_step), largest_step)
         u[k] = previous
     return u

@@ -380,9 +380,9 @@ def _run_duration(answers: Sequence[Answer], A: Floats) -> float:
 
 def _disturbance_fields(answers: Sequence[Answer]) -> dict[str, str]:
     """Return the input disturbance for the observer: the strongest of all outputs."""
-    claims = [_disturbance_prior(answer) for answer in answers]
-    known = [claim for claim in claims if claim is not None]
-    if len(known) < len(claims):
+    priors = [_disturbance_prior(answer) for answer in answers]
+    known = [prior for prior in priors if prior is not None]
+    if len(known) < len(priors):
         return {"disturbance": ""}  # something disturbs z: the observer's own default
     rms, time = max(known)
     return {"disturbance": _toml_number(rms), "correlation_time": _toml_number(time)}

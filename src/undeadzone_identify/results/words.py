@@ -157,7 +157,7 @@ SHORT = {
     "tight_tuning": "tight tuning",
 }
 LETTERS = {"play": "c", "both": "c", "input_play": "c", "input_zone": "b", "friction": "f"}
-LEAST_SHOWN = 0.005  # odds that are worth a word
+LEAST_PRINTED = 0.005  # odds that are worth a word
 AT_ZERO = "  assumes z = 0 at u = 0"
 
 
@@ -295,9 +295,9 @@ def headline(answer: Answer) -> str:
     at_input = word in ("input_zone", "friction", *VALVE)
     unit = unit_suffix(grid.input_unit if at_input else grid.output_unit)
     sides = [one for one in (answer.right, answer.left) if one is not None]
-    shown = [answer.width] if word in ("play", "both", *VALVE) or not sides else sides
-    shown = [answer.found.friction] if word == "friction" else shown
-    texts = [describe_interval(one, unit) for one in shown if one is not None]
+    intervals = [answer.width] if word in ("play", "both", *VALVE) or not sides else sides
+    intervals = [answer.found.friction] if word == "friction" else intervals
+    texts = [describe_interval(one, unit) for one in intervals if one is not None]
     return ": ".join([HEADS[word], *([" / ".join(texts)] if texts else [])])
 
 
@@ -372,11 +372,11 @@ def describe_possible(answer: Answer) -> list[str]:
     for word, one in answer.possible.items():
         unit = unit_suffix(grid.input_unit if word in OF_INPUT else grid.output_unit)
         sides = {name: one.widths[name] for name in ("right", "left")}
-        shown = sides if any(sides.values()) else {"width": one.widths["width"]}
+        widths = sides if any(sides.values()) else {"width": one.widths["width"]}
         letter = LETTERS.get(word, "d")
         numbers = [
             f"{_width_title(letter, name)} {describe_interval(interval, unit)}"
-            for name, interval in shown.items()
+            for name, interval in widths.items()
             if interval is not None
         ]
         known = f"; if you know this, use {one.option}" if one.option else ""
@@ -478,14 +478,14 @@ def _describe_plant(answer: Answer) -> str:
     """Describe order, poles, gains."""
     grid = answer.case.grid
     rate = "1/sample" if grid.counted else "1/s"
-    shown = []
+    pole_texts = []
     for pole in answer.poles:
         if abs(abs(pole.imag) * grid.step - np.pi) < 1e-9:  # negative in sampled time
-            shown.append(f"{pole.real:.4g} with a sign that alternates from sample to sample")
+            pole_texts.append(f"{pole.real:.4g} with a sign that alternates from sample to sample")
         elif pole.imag > 1e-12 * abs(pole):
-            shown.append(f"{pole.real:.4g} +- {pole.imag:.4g}i")
+            pole_texts.append(f"{pole.real:.4g} +- {pole.imag:.4g}i")
         elif abs(pole.imag) <= 1e-12 * abs(pole):
-            shown.append(f"{pole.real:.4g}")
+            pole_texts.append(f"{pole.real:.4g}")
     unit = f"{grid.output_unit}/{grid.input_unit}"
     unit = "" if unit == "1/1" else f" {unit}"
     gains = ", ".join(f"{gain:.4g}" for gain in answer.gain)
@@ -494,7 +494,7 @@ def _describe_plant(answer: Answer) -> str:
     if integrators:
         kind = "gain of the rate" if integrators == 1 else "gain of the acceleration"
         unit += " 1/s" if integrators == 1 else " 1/s^2"
-    return f"order {answer.order} (BIC), poles {', '.join(shown)} {rate}, {kind} {gains}{unit}"
+    return f"order {answer.order} (BIC), poles {', '.join(pole_texts)} {rate}, {kind} {gains}{unit}"
 
 
 def _describe_certainty(answer: Answer) -> str:
@@ -512,12 +512,12 @@ def describe_shares(odds: dict[str, float]) -> str:
     Args:
         odds: by class [1].
     """
-    shown = []
+    texts = []
     for word, share in odds.items():
-        if share >= LEAST_SHOWN:
-            percent = "> 99" if share > 1 - LEAST_SHOWN else f"{100 * share:.0f}"
-            shown.append(f"{SHORT.get(word, word)} {percent} %")
-    return ", ".join(shown)
+        if share >= LEAST_PRINTED:
+            percent = "> 99" if share > 1 - LEAST_PRINTED else f"{100 * share:.0f}"
+            texts.append(f"{SHORT.get(word, word)} {percent} %")
+    return ", ".join(texts)
 
 
 def _describe_disturbance(answer: Answer, unit: str) -> str:

@@ -47,10 +47,10 @@ def tick_loop_p_value(u: Floats, y: Floats) -> float:
     past += [dy[rows - lag] for lag in range(OWN, LAGS)]
     known = np.column_stack([np.ones(rows.size), *past])
     target = du[rows]
-    kept = _inlier_rows(known, target)
-    known = known[kept]
-    now = now[kept]
-    target = target[kept]
+    inliers = _inlier_rows(known, target)
+    known = known[inliers]
+    now = now[inliers]
+    target = target[inliers]
     before = regression_residual(known, target)
     if np.std(before) < LEAST * np.std(target):
         return 1.0
@@ -63,12 +63,12 @@ def tick_loop_p_value(u: Floats, y: Floats) -> float:
 
 def _inlier_rows(columns: Floats, target: Floats) -> Flags:
     """Return the flags of rows without outliers (n)."""
-    kept = np.ones(target.size, bool)
+    inliers = np.ones(target.size, bool)
     for _ in range(3):
-        slopes = np.linalg.lstsq(columns[kept], target[kept], rcond=1e-10)[0]
+        slopes = np.linalg.lstsq(columns[inliers], target[inliers], rcond=1e-10)[0]
         left = np.abs(target - columns @ slopes)
-        kept = left <= OUTLIER * NORMAL * float(np.median(left))
-    return kept
+        inliers = left <= OUTLIER * NORMAL * float(np.median(left))
+    return inliers
 
 
 # --- What the predictor hears
@@ -173,15 +173,15 @@ class Observations(NamedTuple):
         if self.u.size <= most:
             return self
         first = int(np.argmax(turned[most:] - turned[:-most]))
-        kept = slice(first, first + most)
+        part = slice(first, first + most)
         inside = self.start[(self.start > first) & (self.start < first + most)] - first
         return self._replace(
-            u=self.u[kept],
-            y=self.y[kept],
-            ok=self.ok[kept],
+            u=self.u[part],
+            y=self.y[part],
+            ok=self.ok[part],
             start=np.append(0, inside),
-            side=self.side[kept],
-            boundary=self.boundary[kept],
+            side=self.side[part],
+            boundary=self.boundary[part],
         )
 
 
@@ -202,32 +202,32 @@ def build_observations(
     if not (u_scale > 0 and y_scale > 0):
         return None
     level = float(y[ok][0])
-    held = hold_last_reading(np.where(ok, (y - level) / y_scale, 0.0), ok)
-    side = change_sides(held, ok, start)
+    filled = hold_last_reading(np.where(ok, (y - level) / y_scale, 0.0), ok)
+    side = change_sides(filled, ok, start)
     at = np.flatnonzero(side)
     if at.size < FEWEST:
         return None
-    spacing = common_spacing(np.unique(held[ok]))
+    spacing = common_spacing(np.unique(filled[ok]))
     none = np.zeros(y.size, int)
     log = Observations(
         step=step if USUAL[0] <= step <= USUAL[1] else math.sqrt(USUAL[0] * USUAL[1]),
         seconds=step,
         u=u / u_scale,
-        y=held,
+        y=filled,
         ok=ok,
         start=start,
         ticks=True,
         quantum=spacing,
         side=none,
-        boundary=held,
+        boundary=filled,
         u_scale=u_scale,
         y_scale=y_scale,
-        loop=tick_loop_p_value(u, held),
+        loop=tick_loop_p_value(u, filled),
     )
     turning = float(np.mean(side[at[1:]] != side[at[:-1]]))
     exact_enough = spacing > 0 or at.size < (1 - MOVING) * y.size
     if turning < TURNING and exact_enough:
-        return log._replace(side=side, boundary=held - side * spacing / 2)
+        return log._replace(side=side, boundary=filled - side * spacing / 2)
     return log._replace(ticks=False, quantum=0.0)
 
 
@@ -252,9 +252,9 @@ def to_schmitt_ticks(log: Observations) -> Observations:
     """Convert noisy readings to ticks of a Schmitt trigger; the gap grows by 2 REACH of noise."""
     reach = REACH * reading_noise_rms(log)
     half = np.array([reach])
-    held = levels(log.y[:, None], half, half, log.y[:1])[:, 0]
+    play_output = levels(log.y[:, None], half, half, log.y[:1])[:, 0]
     spacing = 2 / REACH * reach
-    steps = np.round(held / spacing) * spacing
+    steps = np.round(play_output / spacing) * spacing
     side = change_sides(steps, log.ok, log.start)
     return log._replace(
         ticks=True, quantum=spacing, side=side, boundary=steps - side * spacing / 2

@@ -141,15 +141,15 @@ def _propagate_covariance(lane: Lane, P: Any, motion: _Motion) -> Any:
     """Return the covariance of z, v, d one sample later and the transition matrix."""
     rests = motion.rests
     deviation = ca.sqrt(ca.fmax(P[1, 1], 0.0))
-    kept = ca.fmax(1 - motion.brake / ca.fmax(deviation, 1e-300), 0.0)
-    kept = ca.if_else(deviation > 0, kept, 0.0)
-    loose = ca.if_else(rests, ca.if_else(kept > 0, 1.0, 0.0), 1.0)
+    retained = ca.fmax(1 - motion.brake / ca.fmax(deviation, 1e-300), 0.0)
+    retained = ca.if_else(deviation > 0, retained, 0.0)
+    loose = ca.if_else(rests, ca.if_else(retained > 0, 1.0, 0.0), 1.0)
     F = ca.SX.zeros(3, 3)
     F[0, 0] = ca.if_else(rests, 1.0, lane.a00)
     F[0, 1] = lane.a01 * loose
     F[0, 2] = ca.if_else(rests, 0.0, lane.a02)
     F[1, 0] = ca.if_else(rests, 0.0, lane.a10)
-    F[1, 1] = ca.if_else(rests, kept, lane.a11)
+    F[1, 1] = ca.if_else(rests, retained, lane.a11)
     F[1, 2] = ca.if_else(rests, 0.0, lane.a12)
     F[2, 2] = lane.a22
     Q = ca.SX.zeros(3, 3)

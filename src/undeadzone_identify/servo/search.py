@@ -46,7 +46,7 @@ EXCHANGED = (0.95, 0.5, -0.5)  # share of a gap that may be friction's; below 0 
 FIRST = 4
 THEN = 6
 LAST = 12
-KEPT = 4  # climbs of a structure that go on
+BEAM = 4  # climbs of a structure that go on
 ROUNDS = 4  # in which parts are added or taken away
 WINDOWS = 60  # over which motion is compared
 MEMORY = 0.5  # least gap, in quanta, where climbs begin
@@ -92,7 +92,7 @@ def fit_without_gap(log: Observations) -> list[Servo]:
     begun = initial_servos(log)
     families = sorted({one.structure for one in begun}, key=repr)
     tops = likelihood.maximise_from_starts(begun, FIRST, (At.TORQUE,))
-    tops = list(itertools.chain(*(_best_of_structure(tops, family, KEPT) for family in families)))
+    tops = list(itertools.chain(*(_best_of_structure(tops, family, BEAM) for family in families)))
     weaker = [one.replace_number(At.TORQUE, math.log(TORQUES[-1])) for one in tops]
     tops += likelihood.maximise_from_starts(weaker, THEN, (At.TORQUE,))
     tops = likelihood.maximise_from_starts(tops, LAST)
@@ -207,12 +207,12 @@ def _merge_best_servos(
     fits: dict[ServoStructure, Servo], more: Sequence[Servo]
 ) -> dict[ServoStructure, Servo]:
     """Return the fits and the servos `more` together: of each structure the likeliest servo."""
-    kept = dict(fits)
+    best = dict(fits)
     for one in more:
-        own = kept.get(one.structure)
+        own = best.get(one.structure)
         if math.isfinite(one.value) and (own is None or one.value > own.value):
-            kept[one.structure] = one
-    return kept
+            best[one.structure] = one
+    return best
 
 
 def neighbour_servos(one: Servo, step: float) -> list[Servo]:
