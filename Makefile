@@ -18,7 +18,7 @@ test: .venv/tested            ## everything: format, lint, types, tests, docs
 	$(BIN)/mypy
 	$(BIN)/pytest -n 2
 
-quick: .venv/tested           ## the same without the tests that take a second or more (tests/slow.txt), three minutes
+quick: .venv/tested           ## the same without the tests that take half a second or more (tests/slow.txt), three minutes
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy

@@ -74,7 +74,8 @@ LONGEST = ("design", "test_docs", "test_exporting", "test_to_scenario", "test_od
            "test_notebook", "test_pipeline", "test_servo")  # fmt: skip
 
 
-SLOW = Path(__file__).with_name("slow.txt")  # tests that take a CPU second or more
+SLOW = Path(__file__).with_name("slow.txt")  # functions, and whole files that share a slow start
+LEAST_SLOW = 0.5  # CPU time of a slow test [s]: those below take three minutes together
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -123,7 +124,9 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
     """Write the list of slow tests; tests that did not run keep their line."""
     if session.config.getoption("--write-slow") and not hasattr(session.config, "workerinput"):
         known = {name for name in SLOW.read_text().split() if name not in CPU}
-        slow = known | {name for name, seconds in CPU.items() if seconds >= 1.0}
+        slow = known | {name for name, seconds in CPU.items() if seconds >= LEAST_SLOW}
+        files = {name for name in known if "::" not in name}
+        slow = {name for name in slow if name in files or name.partition("::")[0] not in files}
         SLOW.write_text("".join(f"{name}\n" for name in sorted(slow)))
 
 
@@ -274,7 +277,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     """Mark slow tests. Put the longest first, or shuffle files and the tests of each."""
     slow = set(SLOW.read_text().split())
     for item in items:
-        if function_of(item.nodeid) in slow:
+        function = function_of(item.nodeid)
+        if function in slow or function.partition("::")[0] in slow:
             item.add_marker(pytest.mark.slow)
     seed = config.getoption("order")
     if seed is None:
