@@ -262,8 +262,10 @@ def absolute_map(z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
 
 def cubic_map(z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
     """Return z + p_0 z^2 + p_1 z^3, with derivatives."""
-    slope = 1.0 + 2 * p[0] * z + 3 * p[1] * z**2
-    return z + p[0] * z**2 + p[1] * z**3, slope, np.column_stack([z**2, z**3])
+    square = z * z
+    cube = square * z
+    slope = 1.0 + 2 * p[0] * z + 3 * p[1] * square
+    return z + p[0] * square + p[1] * cube, slope, np.column_stack([square, cube])
 
 
 def noisy_zone_map(blur: float, z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
