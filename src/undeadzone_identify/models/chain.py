@@ -292,13 +292,13 @@ class ChainModel:
         if self.zone:
             change = self._pass_zone(z + STEP, theta) - self._pass_zone(z - STEP, theta)
             by_z = change[:, None] / (2 * STEP)
-        rows = np.empty((z.size, self.free.size))
+        rows = np.empty((z.size, self.filter.stop))
         rows[:, : self.inputs.stop] = self._filter(by_z * self._gradient_of_z(theta, z), theta)
-        for place in self.free[self.inputs.stop :]:
+        for place in range(self.inputs.stop, self.filter.stop):
             above, below, width = _points_beside(theta, place)
             change = self.noise_free_readings(z, above) - self.noise_free_readings(z, below)
             rows[:, place] = change / width
-        return self.noise_free_readings(z, theta), rows
+        return self.noise_free_readings(z, theta), rows[:, self.free]
 
     def _gradient_of_z(self, theta: Floats, z: Floats) -> Floats:
         """Return dz by the numbers of the plant and of the input element (N x both)."""
@@ -307,7 +307,7 @@ class ChainModel:
         numerator = np.append(0.0, theta[layout.numerators])
         denominator = layout.full_denominator(theta[layout.denominator])
         by_input = np.empty((z.size, self.inputs.stop - self.base))
-        for column, place in enumerate(self.free[self.inputs]):
+        for column, place in enumerate(range(self.base, self.inputs.stop)):
             above, below, width = _points_beside(theta, place)
             change = self._pass_records(above[self.inputs]) - self._pass_records(below[self.inputs])
             # The plant is linear: the change of its input passes it.
