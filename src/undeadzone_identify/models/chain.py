@@ -40,7 +40,6 @@ PLACES = 13  # edges of a scan for a zone of the input that is not about 0
 LATE = 0.05  # lag below which a filter is negligible [samples]
 NEAR_BOUND = 1e-3  # distance below which a parameter of a curve is at its bound
 STEP = 1e-5  # relative step of a parameter, for differences
-SCANNED = 6  # steps of a linear fit in a scan, half of what its maximum takes
 
 
 class InputElement(NamedTuple):
@@ -556,7 +555,7 @@ def scan_input(
         if not 1e-6 < scale < math.inf:
             continue
         passed = data._replace(u=(v / scale)[:, None], climbs=None)
-        fit = fit_linear(PlantSimulator(passed, layout.n, layout.integrators), data.ok, SCANNED)
+        fit = fit_linear(PlantSimulator(passed, layout.n, layout.integrators), data.ok)
         theta = fit.theta[: layout.right].copy()
         theta[layout.numerators] /= scale
         starts.append(ScannedStart(fit.bic, np.append(theta, numbers)))

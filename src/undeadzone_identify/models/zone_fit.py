@@ -200,14 +200,8 @@ def polish_fit(fit: ZoneFit) -> ZoneFit:
     return ZoneFit(objective, theta, value)
 
 
-def fit_linear(simulator: PlantSimulator, use: Flags | None = None, steps: int = 40) -> ZoneFit:
-    """Fit the output error without a zone, about a level: y = z - d_r.
-
-    Args:
-        simulator: linear plant with its data.
-        use: samples that are fitted (N); None: all available ones.
-        steps: most steps of the maximisation.
-    """
+def fit_linear(simulator: PlantSimulator, use: Flags | None = None) -> ZoneFit:
+    """Fit the output error without a zone, about a level: y = z - d_r."""
     level = (0.0, 0.0) if simulator.layout.integrators else (-math.inf, math.inf)
     objective = ZoneObjective(simulator, "behind", WidthLimits(right=level, zone=False), use)
     theta: Floats = np.zeros(objective.layout.parameter_count)
@@ -219,7 +213,7 @@ def fit_linear(simulator: PlantSimulator, use: Flags | None = None, steps: int =
     above = simulator.simulate_z(theta) - simulator.data.y
     theta[objective.layout.right] = np.clip(above[objective.readings.ok].mean(), *level)
     theta[objective.layout.right + 2] = math.log(0.5)
-    return ZoneFit(objective, *maximise_likelihood(objective, theta, steps))
+    return ZoneFit(objective, *maximise_likelihood(objective, theta, 40))
 
 
 def _start_with_slow_poles(objective: ZoneObjective, start: Floats) -> Floats:
