@@ -59,13 +59,14 @@ def run_firmware_chain(
     """
     from undeadzone.analysis.identifiability.linear import format_yes_no
     from undeadzone.cli.common import require_writable
+    from undeadzone.scenario.problem import resolve_scenario
     from undeadzone.scenario.reader import read
     from undeadzone.simulation.estimate import estimate
-    from undeadzone_design.synthesis.check import check
+    from undeadzone_design.synthesis.assessment import assess_problem
     from undeadzone_export.exporting import PRECISIONS, export
 
     scenario = read(path)
-    known = check(scenario).known
+    known = assess_problem(resolve_scenario(scenario)).known
     found = estimate(scenario, log, columns=columns, strict=strict)
     kept = found.save(require_writable(folder) / "estimate.npz")
     for precision in PRECISIONS:

@@ -21,6 +21,8 @@ from undeadzone.cli import group
 from undeadzone.errors import InputError
 from undeadzone.util.arrays import Floats
 from undeadzone_identify.models.chain import INPUTS
+from undeadzone_identify.models.elements import MapModel, limited_zone_map
+from undeadzone_identify.models.plant import PlantSimulator, RecordData
 from undeadzone_identify.results.assemble import ODDS_OF, withhold_poor_fit
 from undeadzone_identify.selection.adequacy import Remainder, largest_remainder
 from undeadzone_identify.selection.alternatives import Findings
@@ -345,6 +347,23 @@ def test_limits_behind_a_zone_are_no_jump() -> None:
 def test_limits_that_no_reading_reaches_are_not_told() -> None:
     reason = of_kind("limit of one side", 8301).answer.reasons[-1]
     assert re.fullmatch(r"the readings end at 0\.(79|8)\d*", reason)
+
+
+@pytest.mark.parametrize("level", [0.0, 0.3])
+def test_limits_include_the_level_of_the_readings(level: float) -> None:
+    """A zone between limits has no negative width: it would be a jump, and is not shown."""
+    u = np.random.default_rng(3).standard_normal((400, 1))
+    whole = np.ones(400, bool)
+    data = RecordData(u, 0.0 * u[:, 0], whole, np.zeros(1, int), 0 * whole, False, np.ones(1), 1.0)
+    theta = np.array([-0.5, 1.0, 0.0, -0.2, -0.1, 0.8, 0.6])  # a, b, x0, widths, limits
+    z = PlantSimulator(data, 1).simulate_z(theta[:3])
+    simulator = PlantSimulator(data._replace(y=np.clip(z, -0.6, 0.8) + level), 1)
+    model = MapModel(simulator, "saturation", limited_zone_map)
+    model.has_level = level != 0
+    theta = model.project_to_bounds(theta)
+    assert theta[3:].tolist() == [0.0, 0.0, 0.8, 0.6]
+    expected = f"the readings end at {level - 0.6:.3g} and {level + 0.8:.3g}"
+    assert model.describe_limits(theta, 1.0) == expected
 
 
 def test_an_edge_that_the_input_never_passes_has_a_lower_bound_only(tmp_path: Path) -> None:

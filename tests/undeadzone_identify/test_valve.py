@@ -237,7 +237,7 @@ def test_the_sensitivity_of_a_loop_is_that_of_its_controller_and_plant() -> None
     u = lfilter(numerator, np.convolve([1.0, -1.0], [1.0, -filtered]), e)
     loop: Any = SimpleNamespace(
         log=SimpleNamespace(period=20.0, error=e, u=u),
-        regression=SimpleNamespace(response=lambda v, lags, z, others: -0.4),
+        regression=SimpleNamespace(responses=lambda v, lags, at, others: [-0.4] * len(at)),
         structure=SimpleNamespace(lags=range(1)),
     )
     at = 2 * np.pi / 20.0 * np.linspace(0.85, 1.15, 13)

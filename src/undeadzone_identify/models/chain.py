@@ -11,12 +11,14 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from functools import partial
+from functools import cache, partial
 from typing import NamedTuple
 
+import casadi as ca
 import numpy as np
 from scipy.signal import lfilter
 
+from undeadzone.compile import lanes
 from undeadzone.nonlinearities.play import levels
 from undeadzone.util.arrays import Floats, Integers
 from undeadzone_identify.models.elements import best_of_each
@@ -66,7 +68,7 @@ def power_of_input(u: Floats, p: Floats) -> Floats:
 
 def cubic_of_input(u: Floats, p: Floats) -> Floats:
     """Return u + p_0 u^2 + p_1 u^3."""
-    return u + p[0] * u * u + p[1] * u**3
+    return u + (p[0] + p[1] * u) * u * u
 
 
 def exponential_of_input(u: Floats, p: Floats) -> Floats:
@@ -83,17 +85,26 @@ def play_of_input(u: Floats, p: Floats) -> Floats:
 
 def rate_of_input(u: Floats, p: Floats) -> Floats:
     """Return u (N) after a rate limiter of p_0 per sample (N)."""
-    return limit_rate(u, float(p[0]))
+    return limit_rates(u, p)[:, 0]
 
 
-def limit_rate(u: Floats, limit: float) -> Floats:
-    """Return a signal (N) after a rate limiter of `limit` per sample (N)."""
-    limited = np.empty(u.size)
-    value = float(u[0])
-    for k, target in enumerate(u.tolist()):
-        value = min(max(target, value - limit), value + limit)
-        limited[k] = value
-    return limited
+def limit_rates(u: Floats, limits: Floats) -> Floats:
+    """Return a signal (N) after rate limiters of several limits (K) per sample (N x K)."""
+    signal = u[:, None]
+    rows = limits[:, None]
+    limited, _ = lanes.run_lanes(
+        build_rate_kernel(), u[:1], signal, np.zeros(1), lane_params=rows, threads=1
+    )
+    return limited[:, :, 0].T
+
+
+@cache
+def build_rate_kernel() -> lanes.Kernel:
+    """Return the compiled step of a rate limiter, whose limit is the parameter of a lane."""
+    value, target, limit = (ca.SX.sym(name) for name in ("s", "u", "p"))
+    after = ca.fmin(ca.fmax(target, value - limit), value + limit)
+    step = ca.Function("rate", [value, target, limit], [after, after])
+    return lanes.build_kernel(step, params=[0])
 
 
 INPUTS = {
@@ -145,7 +156,7 @@ CURVES = ("power", "cubic", "exponential")
 
 
 class ChainModel:
-    """Model y = F(q) Dz(G(q) g(u; p)), with derivatives by central differences.
+    """Model y = F(q) Dz(G(q) g(u; p)).
 
     theta = [a, b, x0, p, d_r, d_l, slope, rounding, f_1 ...]. F has a gain of 1:
     F = 1 - f_1 - ... + f_1 q^-1 + ...
@@ -211,89 +222,97 @@ class ChainModel:
         theta[self.base :] = np.clip(theta[self.base :], self.low, self.high)
         return theta
 
-    @cache_latest
     def output(self, theta: Floats) -> Floats:
-        """Return z, the output of the plant (N)."""
-        return self._simulate(theta)
+        """Return z, the output of the plant (N); read-only."""
+        return self.driven_plant(theta).simulate_z(theta[: self.base])
 
-    def _simulate(self, theta: Floats) -> Floats:
-        """Simulate z for theta (N); read-only."""
-        return self._simulate_plant(theta[: self.inputs.stop])
-
-    @cache_latest
-    def _simulate_plant(self, theta: Floats) -> Floats:
-        """Simulate z for the parameters of the plant and of the input element (N)."""
-        layout = self.simulator.layout
-        numerator = np.append(0.0, theta[layout.numerators])
-        denominator = layout.full_denominator(theta[layout.denominator])
-        starts = theta[layout.x0].reshape(layout.records, layout.n)
-        z = np.empty(self.simulator.data.y.size)
-        passed = self._pass_records(theta[self.inputs])
-        for part, start, u in zip(self.simulator.records, starts, passed, strict=True):
-            driven = np.convolve(numerator, u)[: u.size]
-            driven[: layout.n] += start[: driven.size]
-            z[part] = lfilter([1.0], denominator, driven)
-        z.flags.writeable = False
-        return z
+    def driven_plant(self, theta: Floats) -> PlantSimulator:
+        """Return the linear plant driven by the output of the input element."""
+        return self.simulator if self.element is None else self._plant_behind(theta[self.inputs])
 
     @cache_latest
-    def _pass_records(self, p: Floats) -> list[Floats]:
-        """Return the input of each record after the element with parameters p."""
+    def _plant_behind(self, p: Floats) -> PlantSimulator:
+        """Return the linear plant behind the input element with parameters p."""
+        passed = self._pass_records(p)
+        return self.simulator.simulator_along(self.simulator.data._replace(u=passed[:, None]))
+
+    def _pass_records(self, p: Floats) -> Floats:
+        """Return the input after the element with parameters p, which each record restarts (N)."""
         u = self.simulator.data.u[:, 0]
-        return [self.input.passes(u[part], p) for part in self.simulator.records]
+        return np.concatenate([self.input.passes(u[part], p) for part in self.simulator.records])
 
     def pass_input(self, u: Floats, theta: Floats) -> Floats:
         """Return u (N) after the element of the input (N)."""
         return self.input.passes(u, theta[self.inputs])
 
-    def driven_plant(self, theta: Floats) -> PlantSimulator:
-        """Return the linear plant driven by the output of the input element."""
-        data = self.simulator.data
-        u = np.concatenate(self._pass_records(theta[self.inputs]))
-        return self.simulator.simulator_along(data._replace(u=u[:, None]))
-
     def noise_free_readings(self, z: Floats, theta: Floats) -> Floats:
         """Return the readings of z without noise (N)."""
-        y = z
-        if self.shaped:
-            (right, left) = theta[self.edges]
-            (slope, rounding) = theta[self.shape]
-            # softplus: ln(1 + e^x), a ramp with a round corner.
-            right_ramp, left_ramp = np.logaddexp(
-                0.0, [(z - right) / rounding, (-z - left) / rounding]
-            )
-            y = np.asarray(rounding * (right_ramp - slope * left_ramp))
-        elif self.zone:
-            y = dead_zone(z, *theta[self.edges])
+        return self._filter(self._pass_zone(z, theta), theta)
+
+    def _pass_zone(self, z: Floats, theta: Floats) -> Floats:
+        """Return z after the zone of the sensor (N)."""
+        if not self.zone:
+            return z
+        right, left = theta[self.edges]
+        if not self.shaped:
+            return dead_zone(z, right, left)
+        slope, rounding = theta[self.shape]
+        # softplus: ln(1 + e^x), a ramp with a round corner.
+        right_ramp, left_ramp = np.logaddexp(0.0, [(z - right) / rounding, (-z - left) / rounding])
+        return np.asarray(rounding * (right_ramp - slope * left_ramp))
+
+    def _filter(self, columns: Floats, theta: Floats) -> Floats:
+        """Return signals (N, or N x K) after the filter, which begins at rest at their first value.
+
+        The filter is linear: derivatives pass it as the signal itself does.
+        """
         if not self.taps:
-            return y
+            return columns
         f = theta[self.filter]
-        filtered = np.empty(y.size)
+        filtered = np.empty(columns.shape)
         for part in self.simulator.data.record_slices():
+            x = columns[part]
             if self.lags:
                 pole = float(f[0])
-                start = [pole * y[part][0]]
-                filtered[part] = lfilter([1 - pole], [1.0, -pole], y[part], zi=start)[0]
+                filtered[part] = lfilter([1 - pole], [1.0, -pole], x, axis=0, zi=pole * x[:1])[0]
             else:
-                padded = np.append(np.full(self.taps, y[part][0]), y[part])
-                filtered[part] = lfilter(np.append(1 - f.sum(), f), [1.0], padded)[self.taps :]
+                padded = np.concatenate([np.repeat(x[:1], self.taps, axis=0), x])
+                taps = np.append(1 - f.sum(), f)
+                filtered[part] = lfilter(taps, [1.0], padded, axis=0)[self.taps :]
         return filtered
 
     def slopes(self, theta: Floats) -> tuple[Floats, Floats]:
-        """Return the readings (N), and their derivatives by the free numbers (N x free)."""
-        y = self.noise_free_readings(self.output(theta), theta)
-        rows = np.empty((y.size, self.free.size))
-        for column, place in enumerate(self.free):
-            step = STEP * max(abs(theta[place]), 0.02)
-            change = self._readings_at(theta, place, step) - self._readings_at(theta, place, -step)
-            rows[:, column] = change / (2 * step)
-        return y, rows
+        """Return the readings (N), and their derivatives by the free numbers (N x free).
 
-    def _readings_at(self, theta: Floats, place: int, step: float) -> Floats:
-        """Return the readings (N) for theta with one parameter changed by a step."""
-        shifted = theta.copy()
-        shifted[place] += step
-        return self.noise_free_readings(self._simulate(shifted), shifted)
+        z is differentiated by the plant's numbers exactly, everything else by central differences.
+        """
+        z = self.output(theta)
+        by_z = np.ones((1, 1))
+        if self.zone:
+            change = self._pass_zone(z + STEP, theta) - self._pass_zone(z - STEP, theta)
+            by_z = change[:, None] / (2 * STEP)
+        rows = np.empty((z.size, self.filter.stop))
+        rows[:, : self.inputs.stop] = self._filter(by_z * self._gradient_of_z(theta, z), theta)
+        for place in range(self.inputs.stop, self.filter.stop):
+            above, below, width = _points_beside(theta, place)
+            change = self.noise_free_readings(z, above) - self.noise_free_readings(z, below)
+            rows[:, place] = change / width
+        return self.noise_free_readings(z, theta), rows[:, self.free]
+
+    def _gradient_of_z(self, theta: Floats, z: Floats) -> Floats:
+        """Return dz by the numbers of the plant and of the input element (N x both)."""
+        by_plant = self.driven_plant(theta).z_gradient(theta, z)[:, : self.base]
+        layout = self.simulator.layout
+        numerator = np.append(0.0, theta[layout.numerators])
+        denominator = layout.full_denominator(theta[layout.denominator])
+        by_input = np.empty((z.size, self.inputs.stop - self.base))
+        for column, place in enumerate(range(self.base, self.inputs.stop)):
+            above, below, width = _points_beside(theta, place)
+            change = self._pass_records(above[self.inputs]) - self._pass_records(below[self.inputs])
+            # The plant is linear: the change of its input passes it.
+            for part in self.simulator.records:
+                by_input[part, column] = lfilter(numerator, denominator, change[part] / width)
+        return np.hstack([by_plant, by_input])
 
     def class_word(self, theta: Floats) -> str:
         """Return the class of the verdict; negligible elements do not count.
@@ -377,6 +396,15 @@ class ChainModel:
             f"a dead zone whose left side has {slope:.3g} times the slope of its right, whose edges"
             f" are round over {rounding * y_scale:.3g}, and {late}"
         )
+
+
+def _points_beside(theta: Floats, place: int) -> tuple[Floats, Floats, float]:
+    """Return theta with one number raised and lowered by its step, and both steps together."""
+    step = STEP * max(abs(theta[place]), 0.02)
+    above, below = theta.copy(), theta.copy()
+    above[place] += step
+    below[place] -= step
+    return above, below, 2 * step
 
 
 ChainFit = FittedModel[ChainModel]

@@ -262,8 +262,10 @@ def absolute_map(z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
 
 def cubic_map(z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
     """Return z + p_0 z^2 + p_1 z^3, with derivatives."""
-    slope = 1.0 + 2 * p[0] * z + 3 * p[1] * z**2
-    return z + p[0] * z**2 + p[1] * z**3, slope, np.column_stack([z**2, z**3])
+    square = z * z
+    cube = square * z
+    slope = 1.0 + 2 * p[0] * z + 3 * p[1] * square
+    return z + p[0] * square + p[1] * cube, slope, np.column_stack([square, cube])
 
 
 def noisy_zone_map(blur: float, z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
@@ -327,9 +329,10 @@ class MapModel:
         ]
 
     def project_to_bounds(self, theta: Floats) -> Floats:
-        """Restrict the widths of the input's zone to 0 or above; theta is changed in place."""
-        widths = self.simulator.layout.input_widths
-        theta[widths] = np.maximum(theta[widths], 0.0)
+        """Restrict widths of zones, of the input or between limits, to 0 or above, in place."""
+        behind_limits = slice(self.base, self.base + 2 * (self.shape is limited_zone_map))
+        for widths in (self.simulator.layout.input_widths, behind_limits):
+            theta[widths] = np.maximum(theta[widths], 0.0)
         return theta
 
     def output(self, theta: Floats) -> Floats:
@@ -352,12 +355,15 @@ class MapModel:
         *widths, high, low = theta[self.base :] * y_scale
         z = self.output(theta) * y_scale
         passed = dead_zone(z, *widths) if widths else z
+        data = self.simulator.data
+        above = (data.y * y_scale - np.clip(passed, -low, high))[data.ok]
+        level = float(above.mean()) if self.has_level else 0.0  # of the readings, limits included
         ends = []
         for end, beyond in ((-low, passed < -low), (high, passed > high)):
             if np.count_nonzero(beyond) >= FEWEST:
-                ends.append(f"{end:.3g}")
+                ends.append(f"{end + level:.3g}")
         zone = ""
-        if widths and ends:
+        if sum(widths) > 0 and ends:
             zone = ", behind a dead zone of about {:.3g} right and {:.3g} left".format(*widths)
         return f"the readings end at {' and '.join(ends)}{zone}" if ends else ""
 

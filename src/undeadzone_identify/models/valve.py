@@ -18,6 +18,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
+from copy import copy
 from functools import cache
 from operator import itemgetter
 from typing import Any, NamedTuple
@@ -174,9 +175,18 @@ class Regression:
         averages = _averages(y[known][:, None])[self.rows - 1, 0]
         self.past = np.column_stack([*lags, averages])
         self.y = y[self.rows]
-        own = np.column_stack([np.ones(self.rows.size), self.past])
-        self._basis = np.linalg.qr(own)[0]
+        self._explain_by(np.column_stack([np.ones(self.rows.size), self.past]))
+
+    def _explain_by(self, columns: Floats) -> None:
+        """Set the regressors of every model (n x L)."""
+        self._basis = np.linalg.qr(columns)[0]
         self._target = self._project_out_past(self.y)
+
+    def with_position(self, v: Floats, lags: range) -> Regression:
+        """Return the regression with a position (N) at some lags among its own regressors."""
+        extended = copy(self)
+        extended._explain_by(self.regressors(v, lags))
+        return extended
 
     def _project_out_past(self, columns: Floats) -> Floats:
         """Return columns (n x L) without the part that the constant and the past explain.
@@ -186,15 +196,17 @@ class Regression:
         """
         return np.asarray(columns - self._basis @ (self._basis.T @ columns))
 
-    def lagged(self, v: Floats, lags: range) -> Floats:
+    def lagged(self, v: Floats, lags: range, averages: Floats | None = None) -> Floats:
         """Return lagged positions, and their averages up to the first lag (n x K x L).
 
         Args:
             v: positions (N x K).
             lags: lags [samples].
+            averages: of the positions (N x K x M); None: not known yet.
         """
         late = [v[self.rows - k][:, :, None] for k in lags]
-        return np.concatenate([*late, _averages(v)[self.rows - lags[0]]], axis=2)
+        averages = _averages(v) if averages is None else averages
+        return np.concatenate([*late, averages[self.rows - lags[0]]], axis=2)
 
     def prediction_errors(self, v: Floats, lags: range, others: Floats | None = None) -> Floats:
         """Return the one-step prediction errors of the readings for a position (n).
@@ -207,22 +219,39 @@ class Regression:
         columns = self.lagged(v[:, None], lags)[:, 0]
         if others is not None:
             columns = np.hstack([columns, others[self.rows]])
-        columns = self._project_out_past(columns)
+        return self._errors_beside(self._project_out_past(columns))
+
+    def prediction_errors_beside(self, others: Floats, counts: Sequence[int]) -> list[Floats]:
+        """Return the one-step prediction errors with the first few of further regressors (n each).
+
+        Args:
+            others: the regressors (N x M).
+            counts: numbers of these that are used together.
+        """
+        columns = self._project_out_past(others[self.rows])
+        return [self._errors_beside(columns[:, :count]) for count in counts]
+
+    def _errors_beside(self, columns: Floats) -> Floats:
+        """Return the errors (n) of a regression on columns without the past's part (n x L)."""
         return np.asarray(
             self._target - columns @ np.linalg.lstsq(columns, self._target, rcond=1e-9)[0]
         )
 
-    def prediction_errors_of_each(self, v: Floats, lags: range) -> Floats:
+    def prediction_errors_of_each(
+        self, v: Floats, lags: range, averages: Floats | None = None
+    ) -> Floats:
         """Return the one-step prediction errors for each of several positions (n x K).
 
         Args:
             v: positions (N x K).
             lags: lags of the positions [samples].
+            averages: of the positions (N x K x M); None: not known yet.
         """
+        averages = _averages(v) if averages is None else averages
         errors = np.empty((self.rows.size, v.shape[1]))
         for begin in range(0, v.shape[1], CHUNK):
-            part = v[:, begin : begin + CHUNK]
-            columns = self.lagged(part, lags)
+            chunk = slice(begin, begin + CHUNK)
+            columns = self.lagged(v[:, chunk], lags, averages[:, chunk])
             flat = self._project_out_past(columns.reshape(len(columns), -1))
             each = flat.reshape(columns.shape).transpose(1, 0, 2)  # of each position (K x n x L)
             # Normal equations of all positions at once, with a ridge against collinear columns.
@@ -231,7 +260,7 @@ class Regression:
             gram += 1e-10 * (trace + 1e-12) * np.eye(gram.shape[1])
             moments = np.matmul(each.transpose(0, 2, 1), self._target[:, None])
             explained = np.matmul(each, np.linalg.solve(gram, moments))[:, :, 0]
-            errors[:, begin : begin + CHUNK] = self._target[:, None] - explained.T
+            errors[:, chunk] = self._target[:, None] - explained.T
         return errors
 
     def regressors(self, v: Floats, lags: range) -> Floats:
@@ -244,16 +273,18 @@ class Regression:
         ones = np.ones((self.rows.size, 1))
         return np.hstack([self.past, self.lagged(v[:, None], lags)[:, 0], ones])
 
-    def response(self, v: Floats, lags: range, z: complex, others: Floats | None = None) -> complex:
-        """Return the frequency response from the position of the valve to y.
+    def responses(
+        self, v: Floats, lags: range, points: Sequence[complex], others: Floats | None = None
+    ) -> list[complex]:
+        """Return the frequency responses from the position of the valve to y.
 
         The regression is y = past(q^-1) y + through(q^-1) v, so the response is
         through / (1 - past), with z in place of q^-1.
 
         Args:
-            v: position (N).
+            v: position of the valve (N).
             lags: lags of the position [samples].
-            z: exp(-i w), with w the frequency [rad/sample].
+            points: values of z = exp(-i w), with w the frequency [rad/sample].
             others: further regressors (N x M); None: none.
         """
         columns = self.regressors(v, lags)
@@ -261,11 +292,14 @@ class Regression:
             columns = np.hstack([columns, others[self.rows]])
         coefficients = np.linalg.lstsq(columns, self.y, rcond=1e-9)[0]
         decay = np.exp(-1 / np.array(MEMORY))
-        averaged = (1 - decay) / (1 - decay * z)  # response of each exponential average
-        past = np.append(z ** np.arange(1, self.order + 1), z * averaged)
-        through = np.append(z ** np.array(lags), z ** lags[0] * averaged)
-        numerator = complex(coefficients[past.size : past.size + through.size] @ through)
-        return numerator / complex(1 - coefficients[: past.size] @ past)
+        found = []
+        for z in points:
+            averaged = (1 - decay) / (1 - decay * z)  # response of each exponential average
+            past = np.append(z ** np.arange(1, self.order + 1), z * averaged)
+            through = np.append(z ** np.array(lags), z ** lags[0] * averaged)
+            numerator = complex(coefficients[past.size : past.size + through.size] @ through)
+            found.append(numerator / complex(1 - coefficients[: past.size] @ past))
+        return found
 
 
 def _averages(x: Floats) -> Floats:
@@ -396,9 +430,11 @@ class LoopLog:
         positions = np.column_stack([self.u, valves])
         low_order = self.regress(4, first)
         valve_numbers = 4 * (np.arange(positions.shape[1]) > 0)
+        averages = _averages(positions)
         candidates = []
         for delay in range(1, latest):
-            errors = low_order.prediction_errors_of_each(positions, range(delay, delay + 3))
+            lags = range(delay, delay + 3)
+            errors = low_order.prediction_errors_of_each(positions, lags, averages)
             cost = _bic_of(errors, valve_numbers)
             candidates.append((float(cost.min()), delay, int(np.argmin(cost))))
         _, delay, best = min(candidates)
@@ -432,13 +468,16 @@ class LoopLog:
         t = np.arange(self.y.size)
         around = 1 + np.arange(-0.25, 0.25, self.period / (6 * self.y.size))
         best: tuple[float, Floats | None] = (math.inf, None)
+        beside = regression.with_position(self.u, lags)
+        counts = [2 * k for k in HARMONICS]
         for factor in around:
             phase = 2 * np.pi / self.period * factor * t
             waves = [f(k * phase) for k, f in itertools.product(HARMONICS, (np.sin, np.cos))]
-            for count in (2 * k for k in HARMONICS):
-                oscillation = np.column_stack(waves[:count])
-                cost = _bic_of(regression.prediction_errors(self.u, lags, oscillation), count)
-                best = min(best, (float(cost), oscillation), key=itemgetter(0))
+            oscillation = np.column_stack(waves)
+            errors = beside.prediction_errors_beside(oscillation, counts)
+            for count, e in zip(counts, errors, strict=True):
+                cost = float(_bic_of(e, count))
+                best = min(best, (cost, oscillation[:, :count]), key=itemgetter(0))
         return best[1]
 
     def fit_all(self, structure: Structure, thinned: int, rounds: int) -> LoopFits:
@@ -547,12 +586,13 @@ class LoopFits(NamedTuple):
         u = self.log.u
         lags = self.structure.lags
         squares = float(np.sum(self.regression.prediction_errors(u, lags) ** 2))
+        beside = self.regression.with_position(u, lags)
         plays = np.array(BESIDE)
         least_squares = squares
         for v in valve_positions(u, plays, 0 * plays, KANO).T:
             late = np.column_stack([np.roll(v, lags[0]), np.roll(v, lags[-1])])
-            with_play = float(np.sum(self.regression.prediction_errors(u, lags, late) ** 2))
-            least_squares = min(least_squares, with_play)
+            (e,) = beside.prediction_errors_beside(late, [2])
+            least_squares = min(least_squares, float(np.sum(e**2)))
         # Two regressors a play: chi squared of 2 degrees exceeds x by chance exp(-x / 2), which is
         # the likelihood ratio itself.
         ratio = (least_squares / squares) ** (0.5 * self.regression.rows.size)
@@ -603,13 +643,13 @@ class LoopFits(NamedTuple):
         t = np.arange(3, u.size)
         moves = np.column_stack([e[t], e[t - 1], e[t - 2], u[t - 1] - u[t - 2]])
         c = np.linalg.lstsq(moves, u[t] - u[t - 1], rcond=None)[0]
+        points = np.exp(-2j * np.pi / self.log.period * np.linspace(0.85, 1.15, 13)).tolist()
+        plants = self.regression.responses(v, self.structure.lags, points, oscillation)
         peak = 0.0
-        for w in 2 * np.pi / self.log.period * np.linspace(0.85, 1.15, 13):
-            z = complex(np.exp(-1j * w))
+        for z, plant in zip(points, plants, strict=True):
             controller = (c[0] + c[1] * z + c[2] * z**2) / ((1 - z) * (1 - c[3] * z))
-            plant = self.regression.response(v, self.structure.lags, z, oscillation)
             peak = max(peak, 1 / max(abs(1 - controller * plant), 1e-9))
-        return peak
+        return float(peak)
 
 
 def _pairs_around(fit: ValveFit) -> tuple[Floats, Floats]:

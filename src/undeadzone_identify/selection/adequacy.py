@@ -20,7 +20,7 @@ from scipy.signal import lfilter
 
 from undeadzone.util.arrays import Floats
 from undeadzone_identify.models import least_squares
-from undeadzone_identify.models.chain import ChainModel, limit_rate
+from undeadzone_identify.models.chain import ChainModel, limit_rates
 from undeadzone_identify.models.least_squares import (
     CHANCE,
     LEAST_ODD,
@@ -231,7 +231,7 @@ def last_turn(signal: Floats) -> Floats:
 def _late_by_rate(signal: Floats) -> Floats:
     """Return by how much limits of its rate would change a signal (N x limits)."""
     usual = float(np.std(np.diff(signal)))
-    return np.column_stack([limit_rate(signal, usual * k) - signal for k in RATES])
+    return limit_rates(signal, usual * np.array(RATES)) - signal[:, None]
 
 
 def _late(signal: Floats, lag: int) -> Floats:
