@@ -54,7 +54,7 @@ PAIRS = 300  # pairs (S, J) about the best one, for the interval
 FAR = 1.6  # largest |ln(S / best S)| of these
 SCATTER = 3.0  # safety factor of the standard deviation of differences of log likelihoods
 DRAWS = 500  # draws of the log likelihoods
-CHUNK = 48  # positions that are regressed at once
+CHUNK = 12  # positions that are regressed at once: their regressors fit into the cache
 TURN = 0.25  # least reversal of u that counts [range of u]
 BESIDE = (0.1, 0.16, 0.25, 0.4, 0.63, 1.0)  # widths of plays that are regressors beside u [range]
 
@@ -172,7 +172,7 @@ class Regression:
         self.order = order
         known = np.maximum.accumulate(np.where(ok, np.arange(y.size), int(np.argmax(ok))))
         lags = [y[self.rows - k] for k in range(1, order + 1)]
-        averages = _averages(y[known][:, None])[self.rows - 1, 0]
+        averages = _averages(y[known][None])[0][:, self.rows - 1].T
         self.past = np.column_stack([*lags, averages])
         self.y = y[self.rows]
         self._explain_by(np.column_stack([np.ones(self.rows.size), self.past]))
@@ -197,16 +197,19 @@ class Regression:
         return np.asarray(columns - self._basis @ (self._basis.T @ columns))
 
     def lagged(self, v: Floats, lags: range, averages: Floats | None = None) -> Floats:
-        """Return lagged positions, and their averages up to the first lag (n x K x L).
+        """Return lagged positions, and their averages up to the first lag (K x L x n).
 
         Args:
-            v: positions (N x K).
+            v: positions (K x N).
             lags: lags [samples].
-            averages: of the positions (N x K x M); None: not known yet.
+            averages: of the positions (K x M x N); None: not known yet.
         """
-        late = [v[self.rows - k][:, :, None] for k in lags]
         averages = _averages(v) if averages is None else averages
-        return np.concatenate([*late, averages[self.rows - lags[0]]], axis=2)
+        columns = np.empty((len(v), len(lags) + len(MEMORY), self.rows.size))
+        for place, k in enumerate(lags):
+            columns[:, place] = v[:, self.rows - k]
+        columns[:, len(lags) :] = averages[:, :, self.rows - lags[0]]
+        return columns
 
     def prediction_errors(self, v: Floats, lags: range, others: Floats | None = None) -> Floats:
         """Return the one-step prediction errors of the readings for a position (n).
@@ -216,7 +219,7 @@ class Regression:
             lags: lags of the position [samples].
             others: further regressors (N x M); None: none.
         """
-        columns = self.lagged(v[:, None], lags)[:, 0]
+        columns = self.lagged(v[None], lags)[0].T
         if others is not None:
             columns = np.hstack([columns, others[self.rows]])
         return self._errors_beside(self._project_out_past(columns))
@@ -245,21 +248,23 @@ class Regression:
         Args:
             v: positions (N x K).
             lags: lags of the positions [samples].
-            averages: of the positions (N x K x M); None: not known yet.
+            averages: of the positions (K x M x N); None: not known yet.
         """
-        averages = _averages(v) if averages is None else averages
+        # Each regressor is a row, so that products of rows run along the memory.
+        positions = np.ascontiguousarray(v.T)
+        averages = _averages(positions) if averages is None else averages
         errors = np.empty((self.rows.size, v.shape[1]))
         for begin in range(0, v.shape[1], CHUNK):
             chunk = slice(begin, begin + CHUNK)
-            columns = self.lagged(v[:, chunk], lags, averages[:, chunk])
-            flat = self._project_out_past(columns.reshape(len(columns), -1))
-            each = flat.reshape(columns.shape).transpose(1, 0, 2)  # of each position (K x n x L)
+            each = self.lagged(positions[chunk], lags, averages[chunk])
+            flat = each.reshape(-1, self.rows.size)
+            flat -= (flat @ self._basis) @ self._basis.T
             # Normal equations of all positions at once, with a ridge against collinear columns.
-            gram = np.matmul(each.transpose(0, 2, 1), each)
+            gram = np.matmul(each, each.transpose(0, 2, 1))
             trace = np.trace(gram, axis1=1, axis2=2)[:, None, None]
             gram += 1e-10 * (trace + 1e-12) * np.eye(gram.shape[1])
-            moments = np.matmul(each.transpose(0, 2, 1), self._target[:, None])
-            explained = np.matmul(each, np.linalg.solve(gram, moments))[:, :, 0]
+            coefficients = np.linalg.solve(gram, np.matmul(each, self._target)[:, :, None])
+            explained = np.matmul(coefficients.transpose(0, 2, 1), each)[:, 0]
             errors[:, chunk] = self._target[:, None] - explained.T
         return errors
 
@@ -271,7 +276,7 @@ class Regression:
             lags: lags of the position [samples].
         """
         ones = np.ones((self.rows.size, 1))
-        return np.hstack([self.past, self.lagged(v[:, None], lags)[:, 0], ones])
+        return np.hstack([self.past, self.lagged(v[None], lags)[0].T, ones])
 
     def responses(
         self, v: Floats, lags: range, points: Sequence[complex], others: Floats | None = None
@@ -303,12 +308,12 @@ class Regression:
 
 
 def _averages(x: Floats) -> Floats:
-    """Return the exponential averages of signals x (N x K) over each memory (N x K x M)."""
-    averages = np.empty((*x.shape, len(MEMORY)))
+    """Return the exponential averages of signals x (K x N) over each memory (K x M x N)."""
+    averages = np.empty((len(x), len(MEMORY), x.shape[1]))
     for k, samples in enumerate(MEMORY):
         decay = math.exp(-1 / samples)
-        at_rest = decay * x[:1]  # filter state if x was constant before
-        averages[:, :, k] = lfilter([1 - decay], [1.0, -decay], x, axis=0, zi=at_rest)[0]
+        at_rest = decay * x[:, :1]  # filter state if x was constant before
+        averages[:, k] = lfilter([1 - decay], [1.0, -decay], x, zi=at_rest)[0]
     return averages
 
 
@@ -430,7 +435,7 @@ class LoopLog:
         positions = np.column_stack([self.u, valves])
         low_order = self.regress(4, first)
         valve_numbers = 4 * (np.arange(positions.shape[1]) > 0)
-        averages = _averages(positions)
+        averages = _averages(np.ascontiguousarray(positions.T))
         candidates = []
         for delay in range(1, latest):
             lags = range(delay, delay + 3)
