@@ -302,7 +302,7 @@ class MapModel:
         shape: the map g.
     """
 
-    first = 0
+    first = 8
     last = 40
     gain = 1e-4
 
@@ -388,12 +388,17 @@ def fit_maps(fit: ZoneFit) -> dict[str, FittedModel[MapModel]]:
         Fits by class: none, dead_zone, saturation, jump, other (|z|, cubic).
     """
     fits = []
+    blurred: list[Floats] = []  # the jump with more noise ahead
     for name, shape, starts in _start_maps(fit):
         squares = LeastSquares(MapModel(fit.objective.simulator, name, shape))
         points = [_start_point(squares.model, *start) for start in starts]
+        if name == "jump":  # less noise has a narrower maximum, near that of more noise
+            points = blurred or points
         fitted = squares.fit_from_starts(points) or FittedModel(
             squares, points[0], _worst_density(squares)
         )
+        if name == "jump":
+            blurred = [fitted.theta]
         breaks = BREAKS if name in ("jump", "saturation") else 0
         numbers = fitted.density.numbers + breaks
         fits.append(fitted._replace(density=fitted.density._replace(numbers=numbers)))

@@ -177,7 +177,8 @@ def best_maximum(
     Args:
         target: the log likelihood.
         starts: start points (P each).
-        first: steps from every start point, after which the best two go on; 0: all go on.
+        first: steps from every start point, after which the best two go on; 0: all go on. Two
+            go on anyway, unless one may lead.
         last: further steps.
         lead: lead of the best over the second in log likelihood, above which it goes on alone.
 
@@ -185,7 +186,7 @@ def best_maximum(
         The maximum; None if no start is admissible.
     """
     points = list(starts)
-    if first:
+    if first and (len(points) > 2 or lead < math.inf):
         maxima = [maximise_likelihood(target, start, first) for start in starts]
         maxima.sort(key=lambda maximum: -maximum.value)
         leads = len(maxima) > 1 and maxima[0].value - maxima[1].value > lead
