@@ -114,8 +114,8 @@ def watch(options: Extended, arm: System, where: Zone) -> Watch:
     widths, truth = ca.SX.sym("d", 2 * N), ca.SX.sym("p", len(arm.params))
     assert arm.arm is not None
     q, v, a = ca.vertsplit(path, N)
-    held = a + 100 * (q - x[:N]) + 20 * (v - x[N:])
-    u = inverse_dynamics(arm.arm, truth, x[:N], x[N:], held)
+    commanded = a + 100 * (q - x[:N]) + 20 * (v - x[N:])
+    u = inverse_dynamics(arm.arm, truth, x[:N], x[N:], commanded)
     read = sensor.jump if where.kind == "jump" else sensor.deadzone
     y = read(arm.output(truth, x), widths[:N], widths[N:]) + noise * where.noise
     after, estimate = observer.step(params, state, u, Reading(y, sensor.side(y, where.threshold)))

@@ -71,10 +71,10 @@ def outcome_of(log: Recorded) -> Outcome:
     ticks = log.servo.gap / (log.servo.quantum or log.noise)
     family = "noise" if log.noise else _family(ticks)
     given = found is not None and found.is_gap_reported
-    error, half, held = math.nan, math.nan, False
+    error, half, covered = math.nan, math.nan, False
     if found is not None and given:
         error = found.gap.value / log.servo.gap - 1
-        half, held = (
+        half, covered = (
             found.gap.half_width / log.servo.gap,
             found.gap.low <= log.servo.gap <= found.gap.high,
         )
@@ -83,7 +83,7 @@ def outcome_of(log: Recorded) -> Outcome:
         closed=log.closed,
         ticks=ticks,
         error=error,
-        held=held,
+        held=covered,
         half=half,
         few=found is None or found.reversals < REVERSALS,
         reason="" if given else _reason(found),

@@ -38,7 +38,7 @@ def test_no_yes_leaves_out_another_truth(kind: str, tmp_path: Path) -> None:
         one = two_truths.pair(kind, seed, tmp_path)
         assert one.unlike < 1e-11
         for truth in (one.first, one.second):
-            assert truth is None or not two_truths.claimed(truth, one.apart, tmp_path)
+            assert truth is None or not two_truths.is_certified_apart(truth, one.apart, tmp_path)
 
 
 def readings(scenario: Scenario, moved: dict[str, Any] | None, u: Floats, t: Floats) -> Floats:

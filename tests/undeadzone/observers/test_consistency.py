@@ -264,7 +264,7 @@ def test_a_tenth_of_wrong_readings_keeps_kalman_in_size() -> None:
 
 
 @pytest.mark.parametrize(
-    ("world", "least"), [(honest_problems.World(), 0.95), (honest_problems.CLAIMED, 0.8)]
+    ("world", "least"), [(honest_problems.World(), 0.95), (honest_problems.ASSUMED, 0.8)]
 )
 def test_what_the_extended_filter_is_not_told_it_doubts(
     world: honest_problems.World, least: float

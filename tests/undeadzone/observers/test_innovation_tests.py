@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from benchmarks import claims as benchmark
-from benchmarks.honesty import CLAIMS as CLAIMED
+from benchmarks.honesty import ASSUMPTIONS as CLAIMED
 
 import undeadzone as uz
 from undeadzone.interfaces import (
@@ -236,7 +236,7 @@ def test_a_log_names_the_claim_that_is_false(
 def test_logs_that_are_glued_are_named_and_held(claims: str, least: float) -> None:
     """Their states jump: where z has gone since is hardly known, and the intervals show that."""
     glued = benchmark.ROWS["glued from 21 pieces"]
-    posed = benchmark.posed_of(glued, 1, 40, 77, benchmark.CLAIMED_WORLDS[0])
+    posed = benchmark.posed_of(glued, 1, 40, 77, benchmark.ASSUMED_WORLDS[0])
     found = benchmark.part(CLAIMED[claims], posed)
     named = found.suspects == 1 + list(ASSUMPTION_CHECKS).index("sensor")
     assert np.mean(found.suspects > 0) >= 0.7
