@@ -144,23 +144,23 @@ def variable(name: str, value: str) -> Iterator[None]:
 def formed(form: Form, work: Work, **options: Any) -> ours.Program:
     """The program in a form."""
     with variable(FIXED, form.setting_text):
-        return ours.build_arguments(work, **options)
+        return ours.build_program(work, **options)
 
 
 def assumed(work: Work, **options: Any) -> ours.Program:
     """The program in the form that is assumed, and stays so."""
     with tempfile.TemporaryDirectory() as folder, variable("UNDEADZONE_CACHE", folder):
-        form = ours.build_arguments(work, **options).kernel.form
+        form = ours.build_program(work, **options).kernel.form
     return formed(form, work, **options)
 
 
 def measured(work: Work, **options: Any) -> ours.Program:
     """The program after runs long enough for its form to be measured."""
     while True:
-        program = ours.build_arguments(work, **options)
+        program = ours.build_program(work, **options)
         trial = program.kernel.block.trial
         if trial is None or trial.is_done:
-            return ours.build_arguments(work, **options)
+            return ours.build_program(work, **options)
         run = alone(program, work)
         for _ in range(100):
             run()

@@ -73,8 +73,8 @@ def test_pictures_are_of_what_there_is_today() -> None:
     assert titles["two_link_gears.png"] == f"{gears.title}: the tip"
     assert titles["two_link.gif"] == str(zones.title.encode())
     assert titles["leaderboard.png"].startswith(f"{len(entered)} methods, 1 scenario")
-    made = {f"{name}.png" for name in script_of_docs("pictures").PICTURES}
-    assert titles.keys() == made | {"two_link.gif", "live.gif"}
+    drawn = {f"{name}.png" for name in script_of_docs("pictures").PICTURES}
+    assert titles.keys() == drawn | {"two_link.gif", "live.gif"}
 
 
 @pytest.mark.parametrize(("name", "text"), blocks("console"))

@@ -55,6 +55,6 @@ def test_a_joint_is_free_of_torque_where_its_link_stands_upright_or_hangs() -> N
     arm = build_arm(build_two_link())
     for first in (-2.0, -0.7, 0.4):
         for upright in (-0.5, 0.5):
-            wanted = upright * np.pi - first
-            found = torque_free_position(arm, arm.values, np.array([first, wanted + 0.9]), 1)
-            assert found == pytest.approx(wanted, abs=1e-5)
+            upright_angle = upright * np.pi - first
+            found = torque_free_position(arm, arm.values, np.array([first, upright_angle + 0.9]), 1)
+            assert found == pytest.approx(upright_angle, abs=1e-5)

@@ -13,9 +13,9 @@ from undeadzone.util.arrays import Floats
 TURN = np.array([[0.0, 1.0], [-4.0, -0.3]])
 
 
-def moved(A: Floats, told: Floats, x: Floats, h: float, steps: int) -> Floats:
+def moved(A: Floats, jacobian: Floats, x: Floats, h: float, steps: int) -> Floats:
     """x after steps of x' = A x - 0.2 x^3, with a matrix that the method is told."""
-    inverse = np.linalg.inv(np.eye(2) - GAMMA * h * told)
+    inverse = np.linalg.inv(np.eye(2) - GAMMA * h * jacobian)
     for _ in range(steps):
         x = x + rosenbrock_change(lambda z: A @ z - 0.2 * z**3, lambda b: inverse @ b, x, h)
     return x

@@ -65,7 +65,7 @@ def test_which_observer_is_chosen(
 
 
 def test_every_claim_is_passed_on() -> None:
-    claims = {
+    options = {
         "right": RANGE,
         "left": [0.1, 1.0],
         "noise": 0.02,
@@ -75,10 +75,10 @@ def test_every_claim_is_passed_on() -> None:
         "correlation_time": 0.3,
         "bias": 0.4,
     }
-    claims |= {"calibrated": 0.2, "tolerance": {"A[1,0]": 0.1}, "glitches": 0.1, "centre": 0.0}
-    assert set(claims) == set(Auto.__struct_fields__)
-    chosen = Auto(**claims).choose_observer(MODEL, zone())
-    assert {name: getattr(chosen, name) for name in claims} == claims
+    options |= {"calibrated": 0.2, "tolerance": {"A[1,0]": 0.1}, "glitches": 0.1, "centre": 0.0}
+    assert set(options) == set(Auto.__struct_fields__)
+    chosen = Auto(**options).choose_observer(MODEL, zone())
+    assert {name: getattr(chosen, name) for name in options} == options
 
 
 @pytest.mark.parametrize("time", ["continuous", "sampled"])

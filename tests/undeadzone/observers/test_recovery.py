@@ -238,9 +238,9 @@ def test_what_outputs_foretell_leaves_the_range_of_no_number(size: float) -> Non
     belief = Gaussian(ca.SX(1.0), ca.SX(1.0))
     one = gaussian.RobustUpdate(belief, ca.SX(0.0), ca.SX(1.0), ca.SX(1.0), ca.SX(size), ca.SX(0.0))
     both = gaussian.stack_updates([one, one])
-    heard = Corrected(belief, ca.SX(0), both.trust, both.likely)
+    corrected = Corrected(belief, ca.SX(0), both.trust, both.likely)
     setup: Any = SimpleNamespace(doubts=True)
-    (log,) = numbers(log_likelihood(setup, both, heard))
+    (log,) = numbers(log_likelihood(setup, both, corrected))
     assert log[0, 0] == pytest.approx(2 * math.log(size))
 
 

@@ -77,10 +77,10 @@ def readings() -> tuple[Floats, Floats]:
     return y, u
 
 
-def last_numbers(method: str, **told: Any) -> list[float]:
+def last_numbers(method: str, **sensor_options: Any) -> list[float]:
     """z, d_r, d_l and the deviations of x and of the width after all readings."""
     y, u = readings()
-    online = uz.Online(FILTERS[method], PLANT, uz.Sensor(**WIDTHS, **told), TS)
+    online = uz.Online(FILTERS[method], PLANT, uz.Sensor(**WIDTHS, **sensor_options), TS)
     last, _ = online.update_many(y[:, None], u[:, None])
     return [
         float(part[-1, 0]) for part in (last.z, last.right, last.left, last.x_std, last.width_std)
@@ -112,16 +112,16 @@ def test_edges_are_round_by_default_as_the_page_of_filters_says() -> None:
 @pytest.mark.parametrize("method", FILTERS)
 def test_by_default_only_what_is_shown_is_wider_and_edges_are_heard_later(method: str) -> None:
     exact = last_numbers(method, **EXACT_SENSOR)
-    told, lost = last_numbers(method, rounding=0.0), last_numbers(method)
-    assert told[:3] == pytest.approx(exact[:3], rel=1e-9)  # slope and delay move no mean
-    assert told[4] > 1.1 * exact[4]
-    assert lost[4] > told[4]
+    informed, lost = last_numbers(method, rounding=0.0), last_numbers(method)
+    assert informed[:3] == pytest.approx(exact[:3], rel=1e-9)  # slope and delay move no mean
+    assert informed[4] > 1.1 * exact[4]
+    assert lost[4] > informed[4]
     assert np.abs(np.array(lost[1:3]) - [1.0, 0.7]).max() < 3 * max(lost[4], 0.05)
 
 
-def follow(options: Any, y: Floats, u: Floats, **told: Any) -> Estimate:
+def follow(options: Any, y: Floats, u: Floats, **sensor_options: Any) -> Estimate:
     """The estimates along readings, of a sensor of which that is told, and no more is doubted."""
-    sensor = uz.Sensor(**WIDTHS, **(EXACT_SENSOR | told))
+    sensor = uz.Sensor(**WIDTHS, **(EXACT_SENSOR | sensor_options))
     estimates, _ = uz.Online(options, PLANT, sensor, TS).update_many(y[:, None], u[:, None])
     return estimates
 

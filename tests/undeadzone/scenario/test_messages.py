@@ -242,7 +242,7 @@ def test_a_state_of_another_size_is_refused_and_changes_nothing(state: Any) -> N
 
 def test_check_says_that_widths_without_gain_keep_their_error() -> None:
     """Rate and bounds are of x^ alone then; the oracle has no error to keep."""
-    told = {}
+    reasons_of = {}
     for name, observer in {
         "still": uz.Certified(gamma=0.0),
         "adapting": uz.Certified(gamma=1.0),
@@ -250,9 +250,9 @@ def test_check_says_that_widths_without_gain_keep_their_error() -> None:
         "oracle": uz.Oracle(),
     }.items():
         check = uz.check(uz.Scenario(**PARTS, observer=observer))
-        told[name] = [reason for reason in check.reasons if reason.startswith("gamma = 0")]
-        assert all(reason in str(check) for reason in told[name])
-    assert [name for name, reasons in told.items() if reasons] == ["still"]
+        reasons_of[name] = [reason for reason in check.reasons if reason.startswith("gamma = 0")]
+        assert all(reason in str(check) for reason in reasons_of[name])
+    assert [name for name, reasons in reasons_of.items() if reasons] == ["still"]
 
 
 def test_a_claim_that_excludes_the_truth_is_called_false() -> None:
@@ -274,10 +274,10 @@ def test_a_claim_about_the_actuator_that_excludes_the_truth_is_called_false() ->
     path = Path(__file__).parents[3] / "examples" / "valve_both_ends.toml"
     valve = parse(path.read_text()) | {"simulation": {"duration": 3.0}}
     assert valve.actuator.right == 1.2
-    told, short = "a false claim: model.actuator excludes", {"simulation": {"duration": 3.0}}
+    message, short = "a false claim: model.actuator excludes", {"simulation": {"duration": 3.0}}
     for width, is_false in (([0.0, 1.0], True), (1.0, True), ([0.0, 3.0], False), (1.2, False)):
         left = 0.8 if isinstance(width, float) else [0.0, 3.0]
-        claims = {"model": {"actuator": {"right": width, "left": left}}}
-        (verdict,) = uz.simulate(valve | claims | short).info.identifiable
-        assert any(reason.startswith(told) for reason in verdict["reasons"]) == is_false
+        assumptions = {"model": {"actuator": {"right": width, "left": left}}}
+        (verdict,) = uz.simulate(valve | assumptions | short).info.identifiable
+        assert any(reason.startswith(message) for reason in verdict["reasons"]) == is_false
         assert not (is_false and verdict["right"])

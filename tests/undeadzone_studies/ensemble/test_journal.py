@@ -299,14 +299,14 @@ class Interrupted(Sines):
 
 
 def test_ctrl_c_says_what_is_kept_and_how_to_go_on(tmp_path: Path) -> None:
-    path, told = tmp_path / "runs.partial", []
+    path, progress = tmp_path / "runs.partial", []
     words = r"50 of 95 runs are kept in .*runs\.partial; continue with resume=True"
     with pytest.raises(KeyboardInterrupt, match=words):
         run_blocks.compute_job(lambda: Interrupted(layout(95), wrong=5), path)
     store = run_blocks.compute_job(
-        functools.partial(sines, 95), path, resume=True, progress=told.append
+        functools.partial(sines, 95), path, resume=True, progress=progress.append
     )
-    assert told == [50, 10, 10, 10, 10, 5]
+    assert progress == [50, 10, 10, 10, 10, 5]
     assert store.done.all()
 
 
