@@ -49,14 +49,14 @@ def test_python_blocks_run(
 
 
 @pytest.mark.parametrize(
-    ("code", "shown"),
+    ("code", "displayed"),
     re.findall(r"```python\n(.*?)```\n\n```text\n(.*?)```", (ROOT / "README.md").read_text(), re.S),
 )
 def test_what_the_front_page_prints_is_what_it_shows(
-    code: str, shown: str, capsys: pytest.CaptureFixture[str]
+    code: str, displayed: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     exec(compile(code, "README.md", "exec"), {"__name__": "__main__"})
-    same(capsys.readouterr().out.rstrip("\n").split("\n"), shown.rstrip("\n").split("\n"))
+    same(capsys.readouterr().out.rstrip("\n").split("\n"), displayed.rstrip("\n").split("\n"))
 
 
 def test_pictures_are_of_what_there_is_today() -> None:

@@ -500,17 +500,17 @@ def test_init_writes_examples_with_their_files(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "expected"),
     [
         (["--example", "two_lnk"], "Did you mean 'two_link'?"),
         (["--example", "../secret"], "--list shows all"),
         (["--example", ""], "--list shows all"),
     ],
 )
-def test_init_knows_no_other_example(words: list[str], told: str, tmp_path: Path) -> None:
+def test_init_knows_no_other_example(words: list[str], expected: str, tmp_path: Path) -> None:
     done = undeadzone("init", *words, cwd=tmp_path)
     assert done.returncode == 2
-    assert told in done.stderr
+    assert expected in done.stderr
     assert not list(tmp_path.iterdir())
 
 

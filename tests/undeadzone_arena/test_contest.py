@@ -714,7 +714,7 @@ def test_mistakes_are_named(mine: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "expected"),
     [
         (["--methods", ","], "expected names with commas between them, found ','"),
         (["--methods", ""], "expected names with commas between them"),
@@ -723,10 +723,10 @@ def test_mistakes_are_named(mine: Path, tmp_path: Path) -> None:
         (["--tune", "--html"], "--html has no effect with --tune"),
     ],
 )
-def test_options_that_would_do_nothing_are_refused(options: list[str], told: str) -> None:
+def test_options_that_would_do_nothing_are_refused(options: list[str], expected: str) -> None:
     done = run(*options)
     assert done.exit_code == 2
-    assert told in done.output
+    assert expected in done.output
 
 
 def test_gears_are_refused_by_their_name() -> None:

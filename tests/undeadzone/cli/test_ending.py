@@ -279,7 +279,7 @@ def test_dollars_in_a_title_lose_no_report(scenario: Path, text: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("message", "shown"),
+    ("message", "expected"),
     [
         ("kept; continue with resume=True", "kept; continue with --resume"),
         ('by columns="y=NAME,u=NAME"', "by --columns y=NAME,u=NAME"),
@@ -287,5 +287,5 @@ def test_dollars_in_a_title_lose_no_report(scenario: Path, text: str) -> None:
         ("columns: y is named twice", "columns: y is named twice"),
     ],
 )
-def test_messages_name_options_for_arguments(message: str, shown: str) -> None:
-    assert name_options(message) == shown
+def test_messages_name_options_for_arguments(message: str, expected: str) -> None:
+    assert name_options(message) == expected

@@ -82,7 +82,7 @@ EARLIER_CACHE = os.environ["UNDEADZONE_CACHE"]  # kernels of earlier runs, of th
 
 
 @pytest.fixture
-def kept_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
+def earlier_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
     """For tests of what code does, not of how it is made."""
     monkeypatch.setenv("UNDEADZONE_CACHE", EARLIER_CACHE)
 
@@ -114,7 +114,7 @@ def of_params(step: ca.Function, shared: bool) -> ca.Function:
     return ca.Function("step", [s, w, p], [following, mixed])
 
 
-@pytest.mark.usefixtures("kept_kernels")
+@pytest.mark.usefixtures("earlier_kernels")
 @pytest.mark.parametrize("form", FORMS.values(), ids=FORMS.keys())
 def test_every_instruction_means_the_same_in_every_form(form: Form) -> None:
     step = every_instruction()
@@ -128,7 +128,7 @@ def test_every_instruction_means_the_same_in_every_form(form: Form) -> None:
     )
 
 
-@pytest.mark.usefixtures("kept_kernels")
+@pytest.mark.usefixtures("earlier_kernels")
 @pytest.mark.parametrize("shared", [False, True], ids=["params", "inputs"])
 @pytest.mark.parametrize("fused", [False, True])
 def test_what_all_lanes_share_means_the_same_as_what_each_has(shared: bool, fused: bool) -> None:
@@ -154,7 +154,7 @@ def test_what_all_lanes_share_means_the_same_as_what_each_has(shared: bool, fuse
             assert all(map(identical, found, expected)), form
 
 
-@pytest.mark.usefixtures("kept_kernels")
+@pytest.mark.usefixtures("earlier_kernels")
 @settings(max_examples=8)
 @given(
     graphs(),
@@ -173,7 +173,7 @@ def test_random_graphs_mean_the_same_in_every_form(
     assert all(map(identical, found, lanes.run_lanes(usual, np.array(states), *nothing)))
 
 
-@pytest.mark.usefixtures("kept_kernels")
+@pytest.mark.usefixtures("earlier_kernels")
 @pytest.mark.parametrize(("name", "fused"), [*zip(FORMS, itertools.cycle([False, True]))])
 def test_a_loop_with_rare_parts_has_the_same_bits_in_every_form(name: str, fused: bool) -> None:
     """19 lanes, of which some change sides alone, some together, and some never."""

@@ -39,7 +39,7 @@ def zone(kind: Any = "deadzone", right: float = 1.0, left: float = 0.6) -> Zone:
 
 
 @pytest.mark.parametrize(
-    ("claims", "model", "kind", "expected"),
+    ("options", "model", "kind", "expected"),
     [
         ({}, MODEL, "deadzone", Censored),
         ({}, MODEL, "jump", Censored),
@@ -57,9 +57,9 @@ def zone(kind: Any = "deadzone", right: float = 1.0, left: float = 0.6) -> Zone:
     ],
 )
 def test_which_observer_is_chosen(
-    claims: dict[str, Any], model: System, kind: str, expected: type
+    options: dict[str, Any], model: System, kind: str, expected: type
 ) -> None:
-    chosen = Auto(right=RANGE, **claims).choose_observer(model, zone(kind))
+    chosen = Auto(right=RANGE, **options).choose_observer(model, zone(kind))
     assert type(chosen) is expected
     chosen.build(model, zone(kind))
 

@@ -355,8 +355,8 @@ def test_a_joint_has_up_to_three_filters() -> None:
         resolve_scenario(servo(observer={"starts": 4}))
 
 
-@pytest.mark.parametrize(("speed", "heard"), [(0.0, 0.0), (2.0, 1.0)])
-def test_joint_by_joint_a_gap_is_not_told_by_a_link_that_rests(speed: float, heard: float) -> None:
+@pytest.mark.parametrize(("speed", "share"), [(0.0, 0.0), (2.0, 1.0)])
+def test_joint_by_joint_a_gap_is_not_told_by_a_link_that_rests(speed: float, share: float) -> None:
     """A link that comes upon a flank, 10 mrad later than foretold; the motor has a speed."""
     gears = build_geared_arm(build_two_link(), Gears(half=0.05, inertia=[0.08, 0.03]))
     of, mean = Layout(2).slice_of, ca.DM.zeros(Layout(2).entry_count)
@@ -370,7 +370,7 @@ def test_joint_by_joint_a_gap_is_not_told_by_a_link_that_rests(speed: float, hea
         return float(condition_on_impact(drive, q, 0, -1, belief).mean[place]) - 0.05
 
     assert abs(gap_shift(False)) > 1e-3
-    assert gap_shift(True) == pytest.approx(heard * gap_shift(False), abs=1e-9)
+    assert gap_shift(True) == pytest.approx(share * gap_shift(False), abs=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -210,7 +210,7 @@ def scenario(**options: Any) -> uz.Scenario:
 
 
 @pytest.mark.parametrize(
-    ("name", "wrong", "claims"),
+    ("name", "wrong", "options"),
     [
         ("", {}, {}),
         ("noise", {"noise": 4.0}, {}),
@@ -220,10 +220,10 @@ def scenario(**options: Any) -> uz.Scenario:
     ],
 )
 def test_a_log_names_the_claim_that_is_false(
-    name: str, wrong: dict[str, float], claims: dict[str, Any]
+    name: str, wrong: dict[str, float], options: dict[str, Any]
 ) -> None:
     y, u = log(**wrong)
-    result = uz.estimate(scenario(**claims), y=y, u=u, smoothing=False)
+    result = uz.estimate(scenario(**options), y=y, u=u, smoothing=False)
     assert result.info.claims[:1] == [name][: bool(name)]
     assert result.consistent is not bool(name)
     if name:
@@ -232,12 +232,12 @@ def test_a_log_names_the_claim_that_is_false(
         assert result.summary()["claims"][0] == name
 
 
-@pytest.mark.parametrize(("claims", "least"), [("told", 0.75), ("ranges alone", 0.85)])
-def test_logs_that_are_glued_are_named_and_held(claims: str, least: float) -> None:
+@pytest.mark.parametrize(("assumptions", "least"), [("told", 0.75), ("ranges alone", 0.85)])
+def test_logs_that_are_glued_are_named_and_held(assumptions: str, least: float) -> None:
     """Their states jump: where z has gone since is hardly known, and the intervals show that."""
     glued = benchmark.ROWS["glued from 21 pieces"]
     posed = benchmark.posed_of(glued, 1, 40, 77, benchmark.ASSUMED_WORLDS[0])
-    found = benchmark.part(CLAIMED[claims], posed)
+    found = benchmark.part(CLAIMED[assumptions], posed)
     named = found.suspects == 1 + list(ASSUMPTION_CHECKS).index("sensor")
     assert np.mean(found.suspects > 0) >= 0.7
     assert named.mean() >= 0.7
@@ -274,9 +274,9 @@ def test_where_readings_stay_is_told_in_units_of_z() -> None:
     assert float(of_scores(8.0, 8.0, 4.0).rest) == pytest.approx(0.5 * 2.0)
 
 
-@pytest.mark.parametrize(("y", "held"), [(8.0, 0.5), (0.0, 0.0)])
-def test_a_silent_sensor_is_not_held_for_a_stuck_one(y: float, held: float) -> None:
-    assert float(of_scores(y, y, 1.0).held) == held
+@pytest.mark.parametrize(("y", "expected"), [(8.0, 0.5), (0.0, 0.0)])
+def test_a_silent_sensor_is_not_held_for_a_stuck_one(y: float, expected: float) -> None:
+    assert float(of_scores(y, y, 1.0).held) == expected
 
 
 def test_scores_of_small_inputs_are_normal_numbers_too() -> None:

@@ -65,14 +65,14 @@ def known(run: Run) -> tuple[bool, bool]:
     return verdict["width"], verdict["right"] and verdict["left"] and verdict["centre"]
 
 
-@pytest.mark.parametrize("claimed", [0.0, [-0.1, 0.1], [[0.05, 0.2]]])
-def test_the_prior_is_that_of_ranges_given_the_centre(claimed: Any) -> None:
+@pytest.mark.parametrize("centre", [0.0, [-0.1, 0.1], [[0.05, 0.2]]])
+def test_the_prior_is_that_of_ranges_given_the_centre(centre: Any) -> None:
     """Of many draws from the ranges as Gaussians, weighed by the claim on (d_r - d_l)/2."""
     where = resolve(Sensor(right=0.1, left=0.1, noise=0.01), 1, 0.01)
     ranges = {"right": [0.2, 1.0], "left": [0.0, 0.6]}
-    prior = build_prior(Assumptions(**ranges, x_std=1.0, drift=0.0), MODEL, where, centre=claimed)
+    prior = build_prior(Assumptions(**ranges, x_std=1.0, drift=0.0), MODEL, where, centre=centre)
     mean, cov = prior.width_moments()
-    low, high = np.broadcast_to(np.ravel(claimed), 2)
+    low, high = np.broadcast_to(np.ravel(centre), 2)
     spread = max((high - low) / np.sqrt(12), 0.01)
     rng = np.random.default_rng(0)
     drawn = rng.normal([0.6, 0.3], np.array([0.8, 0.6]) / np.sqrt(12), (400_000, 2))
@@ -120,16 +120,16 @@ def test_homing_tells_the_centre_of_a_linear_plant(x_std: list[float], tells: bo
 
 
 @pytest.mark.parametrize(
-    ("claimed", "error", "words"),
+    ("centre", "error", "words"),
     [
         ([0.2, 0.1], InputError, "lo <= hi"),
         (0.35, InputError, "overlap the range of those of d_r and d_l"),
         ([0.0, 0.1, 0.2], ShapeError, r"the range .lo, hi. of \(d_r - d_l\)/2"),
     ],
 )
-def test_impossible_centres_are_refused(claimed: Any, error: type[Exception], words: str) -> None:
+def test_impossible_centres_are_refused(centre: Any, error: type[Exception], words: str) -> None:
     with pytest.raises(error, match=f"observer.centre: .*{words}"):
-        simulate(motor(centre=claimed))
+        simulate(motor(centre=centre))
 
 
 # --- One word, one meaning

@@ -144,13 +144,13 @@ def test_what_is_shown_is_how_far_a_mean_would_move(name: str, std: float, units
 
 
 @pytest.mark.parametrize("name", ["honest", "edges rounded 0.1", "slope 1.1", "mean of 3"])
-@pytest.mark.parametrize("claims", ["told", "ranges alone"])
-def test_intervals_hold_whatever_the_shape_is(name: str, claims: str) -> None:
+@pytest.mark.parametrize("assumptions", ["told", "ranges alone"])
+def test_intervals_hold_whatever_the_shape_is(name: str, assumptions: str) -> None:
     """Of those that take the sensor for exact few do, but where it is."""
     posed = problems(KINDS["both edges"], 1, 50, 5, ratios=(0.8, 1.25))
     y = shape.SENSORS[name](np.random.default_rng(3), posed.z, posed.d, posed.noise)
-    wide = shape.solve(claims, posed._replace(y=y), {})
-    sharp = shape.solve(claims, posed._replace(y=y), shape.EXACT)
+    wide = shape.solve(assumptions, posed._replace(y=y), {})
+    sharp = shape.solve(assumptions, posed._replace(y=y), shape.EXACT)
     assert wide.verdict.covered().min() >= 0.84
     assert np.median(wide.rms / sharp.rms) < 1.03
     if name in ("edges rounded 0.1", "slope 1.1"):
@@ -195,7 +195,7 @@ def test_a_log_says_that_its_readings_repeat() -> None:
 
 
 @pytest.mark.parametrize(
-    ("told", "kind", "words"),
+    ("options", "kind", "words"),
     [
         ({"rounding": -0.1}, InputError, "sensor.rounding"),
         ({"slope_std": [0.1, 0.1]}, ShapeError, "one per output"),
@@ -204,6 +204,6 @@ def test_a_log_says_that_its_readings_repeat() -> None:
         ({"rounding": 0.1, "kind": "jump"}, InputError, "leave it out"),
     ],
 )
-def test_what_cannot_be_is_refused(told: dict[str, Any], kind: type, words: str) -> None:
+def test_what_cannot_be_is_refused(options: dict[str, Any], kind: type, words: str) -> None:
     with pytest.raises(kind, match=words):
-        resolve(Sensor(right=1.0, left=1.0, **told), 1, TS)
+        resolve(Sensor(right=1.0, left=1.0, **options), 1, TS)

@@ -168,10 +168,11 @@ def test_the_command_smooths_unless_told_not_to(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("claims", "kind", "seed"), [(doubting, "both edges", 11), (from_ranges, "30 % missing", 13)]
+    ("assumptions", "kind", "seed"),
+    [(doubting, "both edges", 11), (from_ranges, "30 % missing", 13)],
 )
-def test_it_is_better_than_the_filter_and_as_honest(claims: Any, kind: str, seed: int) -> None:
-    rms, covered = part(claims, kind, 2, seed)[::-1]
+def test_it_is_better_than_the_filter_and_as_honest(assumptions: Any, kind: str, seed: int) -> None:
+    rms, covered = part(assumptions, kind, 2, seed)[::-1]
     assert (rms[:, 1] <= 1.02 * rms[:, 0]).all()
     z, widths = covered[:, :, 0].mean(axis=0), covered[:, :, 1:].mean(axis=(0, 2))
     assert z[2] > 0.93

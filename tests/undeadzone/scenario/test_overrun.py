@@ -110,16 +110,18 @@ def test_a_load_that_cannot_be_is_refused(sensor: dict[str, Any], words: str) ->
 
 
 @pytest.mark.parametrize(
-    ("told", "observer", "words"),
+    ("friction", "observer", "words"),
     [
         ([0.2, 0.1], "kalman", "load_friction: expected a number or"),
         ([0.0, 0.1], "adaptive_inverse", "cannot estimate it"),
     ],
 )
-def test_a_friction_that_cannot_be_told_is_refused(told: Any, observer: str, words: str) -> None:
+def test_a_friction_that_cannot_be_told_is_refused(
+    friction: Any, observer: str, words: str
+) -> None:
     options = {"method": observer} | ({"right": [0.0, 0.2]} if observer == "kalman" else {})
     with pytest.raises(InputError, match=words):
-        resolve_scenario(motor({}, observer=options, model={"load_friction": told}))
+        resolve_scenario(motor({}, observer=options, model={"load_friction": friction}))
 
 
 # Friction

@@ -95,13 +95,13 @@ def test_rows_in_the_wrong_block_are_not_believed(tmp_path: Path) -> None:
     assert again(store.path, 100) == [1]
 
 
-@pytest.mark.parametrize("kept", [100, 3000, 5000, 6300])
-def test_a_file_cut_short_is_completed(tmp_path: Path, kept: int) -> None:
+@pytest.mark.parametrize("length", [100, 3000, 5000, 6300])
+def test_a_file_cut_short_is_completed(tmp_path: Path, length: int) -> None:
     whole = run_blocks.compute_job(functools.partial(sines, 95), tmp_path / "whole.partial")
     store = stored(tmp_path / "runs.partial")
     store.close()
-    os.truncate(store.path, kept)
-    if kept < 200:  # the header itself is torn
+    os.truncate(store.path, length)
+    if length < 200:  # the header itself is torn
         words = "is not an unfinished ensemble. Choose another name or delete it"
         with pytest.raises(FileError, match=words):
             again(store.path)
