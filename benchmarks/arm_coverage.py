@@ -62,7 +62,7 @@ class Case(NamedTuple):
         amplitude: of the joints' sines [rad]
     """
 
-    claimed: str
+    assumed: str
     true: str
     options: dict[str, Any]
     disturbance: float = 0.0
@@ -216,7 +216,7 @@ def table(count: int = 400, seed: int = 0) -> str:
         shares = [f"{share:.3f}" for share in judged.covered()]
         width, centre = 1e3 * np.sqrt(np.mean(judged.errors[:, 2:4] ** 2, axis=0))
         ratios = (f"{judged.nees():.3g}", f"{judged.nis:.3g}")
-        lines.append(row(case.claimed, case.true, *shares, *ratios, f"{width:.2g}, {centre:.2g}"))
+        lines.append(row(case.assumed, case.true, *shares, *ratios, f"{width:.2g}, {centre:.2g}"))
     note = f"{count} arms a row; {DURATION:g} s at {1 / STEP:g} Hz."
     return "\n".join([*lines, "", note, "", *closed_loop(), ""])
 

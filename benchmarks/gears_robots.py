@@ -84,7 +84,7 @@ class Outcome(NamedTuple):
         known: verdicts (joints).
         crossed: whether each gap was crossed in truth (joints).
         score: error of each gap over the deviation that is shown (joints).
-        held: whether the interval that is shown holds each gap (joints).
+        covered: whether the interval that is shown holds each gap (joints).
         tip: rms distance of the tip from its path, over that of the true state.
     """
 
@@ -92,7 +92,7 @@ class Outcome(NamedTuple):
     known: NDArray[np.bool_]
     crossed: NDArray[np.bool_]
     score: Floats
-    held: NDArray[np.bool_]
+    covered: NDArray[np.bool_]
     tip: float
 
 

@@ -28,17 +28,17 @@ class Outcome(NamedTuple):
     Attributes:
         word: right, withheld or wrong.
         is_sure: whether the odds of the name are above `SURE`.
-        held: whether the interval of what is lost held it; None where none is given.
+        covered: whether the interval of what is lost held it; None where none is given.
         half: half the interval over that of least squares with white residuals; nan likewise.
-        gap_held: the same of the gap alone, where a current tells it apart.
+        gap_covered: the same of the gap alone, where a current tells it apart.
         seconds: CPU.
     """
 
     word: str
     is_sure: bool
-    held: bool | None
+    covered: bool | None
     half: float
-    gap_held: bool | None
+    gap_covered: bool | None
     seconds: float
 
 
@@ -80,8 +80,8 @@ def table() -> str:
         every = [ask(make(np.random.default_rng([k, begin + seed]))) for seed in range(count)]
         words = [one.word for one in every]
         wrong = [one for one in every if one.word == "wrong"]
-        covered = [one.held for one in every if one.held is not None]
-        gaps = [one.gap_held for one in every if one.gap_held is not None]
+        covered = [one.covered for one in every if one.covered is not None]
+        gaps = [one.gap_covered for one in every if one.gap_covered is not None]
         halves = [one.half for one in every if np.isfinite(one.half) and one.half < 1e6]
         lines.append(
             row(

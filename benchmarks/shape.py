@@ -204,7 +204,7 @@ def solve(assumptions: str, posed: Problems, shape: dict[str, Any]) -> Outcome:
 class Pooled(NamedTuple):
     """Outcomes of several orders: shares held (5), flagged, errors of z and deviations (K)."""
 
-    held: Floats
+    covered: Floats
     flagged: float
     rms: Floats
     std: Floats
@@ -246,10 +246,10 @@ def table(
                 row(
                     name,
                     assumed,
-                    f"{sharp.held.min():.2f}",
+                    f"{sharp.covered.min():.2f}",
                     f"{sharp.flagged:.2f}",
-                    *(f"{share:.2f}" for share in wide.held),
-                    f"{wide.held.min():.2f}",
+                    *(f"{share:.2f}" for share in wide.covered),
+                    f"{wide.covered.min():.2f}",
                     f"{wide.flagged:.2f}",
                     f"{np.median(wide.rms / sharp.rms):.2f}",
                     f"{of_all:.2f}",

@@ -33,12 +33,12 @@ class Part(NamedTuple):
     """What filter and smoother make of the problems of one kind.
 
     Attributes:
-        held: share of the samples at which intervals of z, d_r, d_l hold, of the filter, of the
+        covered: share of the samples at which intervals of z, d_r, d_l hold, of the filter, of the
             filter at the end, of the smoother (K x 3 x 3)
         rms: of z - z^, of both, over the mean width (K x 2)
     """
 
-    held: Floats
+    covered: Floats
     rms: Floats
 
 
@@ -49,7 +49,7 @@ def part(assumed: Callable[[Problems, int], Any], kind: str, count: int, seed: i
         posed = problems(KINDS[kind], order, count, seed)
         for k in range(count):
             one = of_problem(assumed, posed, k)
-            covered.append(one.held)
+            covered.append(one.covered)
             rms.append(one.rms)
     return Part(np.array(covered), np.array(rms))
 
@@ -132,7 +132,7 @@ def _row(assumptions: str, kind: str, one: Part) -> str:
     """A line of the table."""
     cells = []
     for k in range(3):
-        filtered, last, smoothed = one.held[:, :, k].mean(axis=0)
+        filtered, last, smoothed = one.covered[:, :, k].mean(axis=0)
         cells.append(f"{filtered:.3f}, {last:.3f} / {smoothed:.3f}")
     return row(kind, assumptions, *cells, *_shares(one.rms).split(", "))
 

@@ -91,11 +91,11 @@ def compared(command: str, expected: list[str], folder: Path) -> None:
     same(done.stdout.rstrip("\n").split("\n"), expected, done.stderr)
 
 
-def same(shown: list[str], expected: list[str], why: str = "") -> None:
+def same(printed: list[str], expected: list[str], why: str = "") -> None:
     """Compare what is shown with what was expected: words exactly, numbers to 2 %."""
-    words = [NUMBER.sub("#", line) for line in shown]
+    words = [NUMBER.sub("#", line) for line in printed]
     assert words == [NUMBER.sub("#", line) for line in expected], why
-    for a, b in zip(numbers(shown), numbers(expected), strict=True):
+    for a, b in zip(numbers(printed), numbers(expected), strict=True):
         # an integration error is known to its order of magnitude
         tolerance = 0.02 if abs(b) > 1e-7 else 10.0
         assert abs(a - b) <= tolerance * abs(b) + 1e-12

@@ -529,7 +529,7 @@ class Terminal(io.StringIO):
         return True
 
 
-def shown(terminal: Terminal, word: str) -> bool:
+def wait_for_text(terminal: Terminal, word: str) -> bool:
     """Whether a terminal shows a word within seconds."""
     for _ in range(200):
         if word in terminal.getvalue():
@@ -543,10 +543,10 @@ def test_a_long_set_up_is_shown_before_the_first_step(monkeypatch: pytest.Monkey
     monkeypatch.setattr(sys, "stderr", terminal)
     monkeypatch.setattr(progress, "PATIENCE", 0.01)
     with progress.terminal_progress("simulating", 10) as advance:
-        assert shown(terminal, "setting up")
+        assert wait_for_text(terminal, "setting up")
         advance(4)
         advance(3)
-        assert shown(terminal, "7/10")
+        assert wait_for_text(terminal, "7/10")
         assert "simulating" in terminal.getvalue()
 
 
@@ -557,7 +557,7 @@ def test_a_step_that_came_early_is_shown_all_the_same(monkeypatch: pytest.Monkey
     monkeypatch.setattr(progress, "PATIENCE", 0.2)
     with progress.terminal_progress("simulating", 10) as advance:
         advance(4)
-        assert shown(terminal, "4/10")
+        assert wait_for_text(terminal, "4/10")
 
 
 def test_a_short_command_shows_no_bar(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -157,7 +157,7 @@ def test_its_signals_are_those_of_a_run(name: str, page: Browser, tmp_path: Path
     open_page(page, scenario, tmp_path)
     bar = 1e-10 if name == "a filter" else CLOSE  # a covariance magnifies rounding
     assert largest_gap(page, uz.simulate(scenario, check_step=False)) < bar
-    assert not page.said
+    assert not page.console
 
 
 def test_a_wrong_sign_in_the_code_shows(
@@ -223,8 +223,8 @@ def test_it_asks_for_nothing_and_says_nothing(page: Browser) -> None:
     page.sized(390, 844, dark=True)
     page.value("$('learn').click(); $('again').click(); $('share').click(); 0")
     page.value("new Promise(r => setTimeout(r, 700))")
-    assert page.asked == [SHIPPED.as_uri()]
-    assert page.said == []
+    assert page.requests == [SHIPPED.as_uri()]
+    assert page.console == []
     assert page.value("document.documentElement.scrollWidth <= innerWidth")
     assert page.value("[...document.querySelectorAll('input')].every(i => i.labels.length)")
 
@@ -271,7 +271,7 @@ def test_hostile_links_do_nothing(link: str, page: Browser) -> None:
     for slider in sliders:
         assert slider["least"] <= values[slider["key"]] <= slider["most"]
     assert page.value("[typeof bad, shown, learn]") == ["undefined", 0, True]
-    assert page.said == []
+    assert page.console == []
     assert "Silent" in page.value("$('say').textContent")
 
 
@@ -281,7 +281,7 @@ def test_titles_and_units_of_strangers_are_text(page: Browser, tmp_path: Path) -
     open_page(page, scenario, tmp_path)
     assert page.value("[typeof bad, document.images.length]") == ["undefined", 0]
     assert "onerror" in page.value("document.title")
-    assert page.said == []
+    assert page.console == []
 
 
 def test_elementary_functions_have_the_bits_of_the_replica(page: Browser) -> None:

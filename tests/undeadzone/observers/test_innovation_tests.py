@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from benchmarks import claims as benchmark
-from benchmarks.honesty import ASSUMPTIONS as CLAIMED
+from benchmarks.honesty import ASSUMPTIONS
 
 import undeadzone as uz
 from undeadzone.interfaces import (
@@ -237,7 +237,7 @@ def test_logs_that_are_glued_are_named_and_held(assumptions: str, least: float) 
     """Their states jump: where z has gone since is hardly known, and the intervals show that."""
     glued = benchmark.ROWS["glued from 21 pieces"]
     posed = benchmark.posed_of(glued, 1, 40, 77, benchmark.ASSUMED_WORLDS[0])
-    found = benchmark.part(CLAIMED[assumptions], posed)
+    found = benchmark.part(ASSUMPTIONS[assumptions], posed)
     named = found.suspects == 1 + list(ASSUMPTION_CHECKS).index("sensor")
     assert np.mean(found.suspects > 0) >= 0.7
     assert named.mean() >= 0.7

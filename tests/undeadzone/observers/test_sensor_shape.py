@@ -186,11 +186,11 @@ def test_a_log_says_that_its_readings_repeat() -> None:
         reference=uz.Sine(amplitude=1.0, frequency=0.3),
         simulation=uz.Simulation(duration=1.0, time="sampled", step=TS),
     )
-    said, quiet = (
+    remarks, quiet = (
         " ".join(uz.estimate(scenario, y=seen, u=u, smoothing=False).info.remarks)
         for seen in (repeats, y)
     )
-    assert "10 % of the readings of output 0 repeat the one before" in said
+    assert "10 % of the readings of output 0 repeat the one before" in remarks
     assert "polls faster" not in quiet
 
 
