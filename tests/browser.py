@@ -22,7 +22,7 @@ def browser() -> str | None:
 
 
 class Browser:
-    """A browser with one page: `console` has its messages, `requests` the addresses it requested."""
+    """A browser with one page, its `console` messages and the addresses of its `requests`."""
 
     def __init__(self, profile: Path) -> None:
         path = browser()

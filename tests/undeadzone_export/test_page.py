@@ -534,11 +534,13 @@ def test_no_table_beside_a_picture_is_cut(page: Browser, tmp_path: Path) -> None
         )
 
 
-@pytest.mark.parametrize(("gamma", "shown"), [([6.0, 6.0], (6.0, "1/s")), ([3.0, 6.0], (1.0, "×"))])
+@pytest.mark.parametrize(
+    ("gamma", "expected"), [([6.0, 6.0], (6.0, "1/s")), ([3.0, 6.0], (1.0, "×"))]
+)
 def test_gains_of_learning_that_differ_have_one_factor(
-    gamma: list[float], open_page: tuple[float, str]
+    gamma: list[float], expected: tuple[float, str]
 ) -> None:
     two = small("sampled", plant=TWO_OUTPUTS, observer={"method": "certified", "gamma": gamma})
     sliders = parts(build_live_page(two).text)[1]["sliders"]
     [slider] = [one for one in sliders if one["key"] == "gamma"]
-    assert (slider["value"], slider["unit"]) == open_page
+    assert (slider["value"], slider["unit"]) == expected
