@@ -52,10 +52,10 @@ COLUMNS = (
 
 
 class Case(NamedTuple):
-    """What the filter claims and what is true besides.
+    """What the filter assumes and what is true besides.
 
     Attributes:
-        claimed, true: both in words
+        assumed, true: both in words
         options: of the filter
         disturbance: its rms [N m]
         payload: rms of its error [kg]

@@ -130,7 +130,7 @@ def along(
     Args:
         options: of the observer for a problem
         posed: the problems
-        select: what is kept
+        select: the numbers of an estimate that are returned
     """
     built = built_of(options, posed)
     numbers = np.stack([tree.pack_tree(one.params) for one in built])
