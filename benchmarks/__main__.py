@@ -96,13 +96,13 @@ def main() -> None:
     results = Path(__file__).with_name("RESULTS.md")
     for name in names or NAMES:
         print(f"{name} ...", file=sys.stderr, flush=True)
-        made = f"At commit {commit()} (`{command(name)}`).\n"
+        origin = f"At commit {commit()} (`{command(name)}`).\n"
         table = importlib.import_module(f"benchmarks.{name}").table()
-        tables = {title: f"{text.strip()}\n\n{made}" for title, text in parted(table).items()}
+        tables = {title: f"{text.strip()}\n\n{origin}" for title, text in parted(table).items()}
         print("\n".join(tables.values()), flush=True)
         if writes:
-            kept = parted(results.read_text(encoding="utf-8"))
-            every = [f"{text.strip()}\n" for text in (kept | tables).values()]
+            stored = parted(results.read_text(encoding="utf-8"))
+            every = [f"{text.strip()}\n" for text in (stored | tables).values()]
             results.write_text("\n".join([HEAD, *every]), encoding="utf-8")
 
 

@@ -169,9 +169,9 @@ def _median(values: Floats, form: str) -> str:
     return _interval(quantile_interval(np.sort(values), 0.5), form)
 
 
-def _share(held: Any) -> str:
+def _share(covered: Any) -> str:
     """The share of runs in which something held, with its interval [%]."""
-    percent = [100 * value for value in proportion(int(held.sum()), held.size)]
+    percent = [100 * value for value in proportion(int(covered.sum()), covered.size)]
     return f"{_interval(Interval(*percent), '{:.3g}')} %"
 
 

@@ -52,17 +52,17 @@ COLUMNS = (
 
 
 class Case(NamedTuple):
-    """What the filter claims and what is true besides.
+    """What the filter assumes and what is true besides.
 
     Attributes:
-        claimed, true: both in words
+        assumed, true: both in words
         options: of the filter
         disturbance: its rms [N m]
         payload: rms of its error [kg]
         amplitude: of the joints' sines [rad]
     """
 
-    claimed: str
+    assumed: str
     true: str
     options: dict[str, Any]
     disturbance: float = 0.0
@@ -114,8 +114,8 @@ def watch(options: Extended, arm: System, where: Zone) -> Watch:
     widths, truth = ca.SX.sym("d", 2 * N), ca.SX.sym("p", len(arm.params))
     assert arm.arm is not None
     q, v, a = ca.vertsplit(path, N)
-    held = a + 100 * (q - x[:N]) + 20 * (v - x[N:])
-    u = inverse_dynamics(arm.arm, truth, x[:N], x[N:], held)
+    commanded = a + 100 * (q - x[:N]) + 20 * (v - x[N:])
+    u = inverse_dynamics(arm.arm, truth, x[:N], x[N:], commanded)
     read = sensor.jump if where.kind == "jump" else sensor.deadzone
     y = read(arm.output(truth, x), widths[:N], widths[N:]) + noise * where.noise
     after, estimate = observer.step(params, state, u, Reading(y, sensor.side(y, where.threshold)))
@@ -216,7 +216,7 @@ def table(count: int = 400, seed: int = 0) -> str:
         shares = [f"{share:.3f}" for share in judged.covered()]
         width, centre = 1e3 * np.sqrt(np.mean(judged.errors[:, 2:4] ** 2, axis=0))
         ratios = (f"{judged.nees():.3g}", f"{judged.nis:.3g}")
-        lines.append(row(case.claimed, case.true, *shares, *ratios, f"{width:.2g}, {centre:.2g}"))
+        lines.append(row(case.assumed, case.true, *shares, *ratios, f"{width:.2g}, {centre:.2g}"))
     note = f"{count} arms a row; {DURATION:g} s at {1 / STEP:g} Hz."
     return "\n".join([*lines, "", note, "", *closed_loop(), ""])
 

@@ -48,8 +48,8 @@ def table() -> str:
         row("forward dynamics of the links", str(dynamics(arm))),
     ]
     for label, options in FILTERS.items():
-        claimed = Extended(right=[0.02, 0.15], x_std=0.02, disturbance=0.5, **options)
-        lines.append(row(label, str(watching(arm, claimed))))
+        configured = Extended(right=[0.02, 0.15], x_std=0.02, disturbance=0.5, **options)
+        lines.append(row(label, str(watching(arm, configured))))
     for label, options in CONTROLLERS.items():
         lines.append(row(label, str(driving(arm, options))))
     return "\n".join([*lines, ""])

@@ -112,13 +112,13 @@ def _graph(work: Work) -> tuple[ca.Function, Floats, tuple[int, ...]]:
         v = s[N:] + work.step * rate(s, u)[N:]
         following = ca.vertcat(s[:N] + work.step * v, v)
     else:
-        held = u
+        torque = u
         if work.move == "follow":
             q, v, a = ca.vertsplit(w, N)
             k_p, k_d = work.gains
-            wanted = a + k_p * (q - s[:N]) + k_d * (v - s[N:])
-            held = inverse_dynamics(body, params, s[:N], s[N:], wanted)
-        following = rk4(lambda x, _: rate(x, held), s, work.step)
+            acceleration = a + k_p * (q - s[:N]) + k_d * (v - s[N:])
+            torque = inverse_dynamics(body, params, s[:N], s[N:], acceleration)
+        following = rk4(lambda x, _: rate(x, torque), s, work.step)
     names = (["s", "w", "p"], ["next", "out"])
     step = ca.Function("arm", [s, w, p], [following, ca.SX(0, 1)], *names, {"cse": True})
     return step, np.concatenate([body.values, np.zeros(N)]), tuple(range(first, first + N))

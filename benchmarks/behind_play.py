@@ -81,8 +81,8 @@ def _loads() -> list[str]:
     for number in OVERRUNS:
         logs = [two_masses(number * FRICTION / TURN, FRICTION, seed) for seed in range(LOGS)]
         cells = []
-        for told in (0.0, FRICTION, [0.0, 5 * FRICTION]):
-            error = [gap_error(log, told) for log in logs]
+        for friction in (0.0, FRICTION, [0.0, 5 * FRICTION]):
+            error = [gap_error(log, friction) for log in logs]
             cells.append(f"{100 * np.median(error):+.1f}")
         lines.append(row(f"{number:g}", *cells))
     about = (

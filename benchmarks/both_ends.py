@@ -121,7 +121,7 @@ class Method(NamedTuple):
 
 KNOWN = functools.partial(filter_of, known=True)
 UNKNOWN = functools.partial(filter_of, known=False)
-TOLD = functools.partial(actuator_of, known=True)
+KNOWN_ACTUATOR = functools.partial(actuator_of, known=True)
 UNTOLD = functools.partial(actuator_of, known=False)
 COAST: dict[str, Any] = {"every": 2.0, "until": DURATION / 2}
 
@@ -137,7 +137,7 @@ def naive(world: World) -> Luenberger:
 
 
 METHODS = {
-    "both known": Method(KNOWN, TOLD, ZoneInverse()),
+    "both known": Method(KNOWN, KNOWN_ACTUATOR, ZoneInverse()),
     "both unknown, no coasts": Method(UNKNOWN, UNTOLD, ZoneInverse()),
     "both unknown, smooth inverse, no coasts": Method(UNKNOWN, UNTOLD, SmoothZoneInverse(soft=0.3)),
     "both unknown, coasts of 0.4 s": Method(UNKNOWN, UNTOLD, ZoneInverse(coast=0.4, **COAST)),

@@ -151,9 +151,9 @@ def raise_until_it_turns(rng: np.random.Generator) -> Measured:
 
 def turn_at_work(_: np.random.Generator, correct: Correct) -> float:
     """Return the rms error of the static speed at commanded speeds of 60 rpm and less [rpm]."""
-    wanted = 60.0 * np.sin(0.05 * np.arange(1000))
-    pulses = np.array([correct(float(one)) for one in wanted / 0.4])
-    return rms(0.4 * pass_zone(pulses, *BAND) - wanted)
+    reference = 60.0 * np.sin(0.05 * np.arange(1000))
+    pulses = np.array([correct(float(one)) for one in reference / 0.4])
+    return rms(0.4 * pass_zone(pulses, *BAND) - reference)
 
 
 # --- Two positions
@@ -214,10 +214,10 @@ def move_at_work(
 
     def use(_: np.random.Generator, correct: Correct) -> float:
         """Return the rms of position less command, the constant offset of one flank apart."""
-        wanted = size * np.sin(0.02 * np.arange(1500))
-        wanted = wanted + 0.4 * size * np.sin(0.071 * np.arange(1500))
-        driver = np.array([correct(float(one)) for one in wanted])
-        error = (follow_with_gap(driver, gap) - wanted)[300:]
+        reference = size * np.sin(0.02 * np.arange(1500))
+        reference = reference + 0.4 * size * np.sin(0.071 * np.arange(1500))
+        driver = np.array([correct(float(one)) for one in reference])
+        error = (follow_with_gap(driver, gap) - reference)[300:]
         return unit * rms(error - np.mean(error))
 
     return use
@@ -233,16 +233,18 @@ class Valve:
         self.correct, self.position = correct, 50.0
 
     def __call__(self, op: float) -> float:
-        told = self.correct(op)
-        self.position = min(max(self.position, told - DEAD_BAND / 2), told + DEAD_BAND / 2)
+        corrected = self.correct(op)
+        self.position = min(
+            max(self.position, corrected - DEAD_BAND / 2), corrected + DEAD_BAND / 2
+        )
         return self.position
 
 
 def record_valve(rng: np.random.Generator) -> Floats:
     """Return 100 minutes of a flow loop, one sample a second: OP, PV, SP [%]."""
-    wanted = 50.0 + hold_levels(rng, 6000, 300, 8.0)
-    op, pv = run_loop(LOOP, Valve(float), wanted, 0.02, 0.05, np.zeros(6000), rng)
-    return np.column_stack([np.arange(6000), op, pv, wanted])
+    set_point = 50.0 + hold_levels(rng, 6000, 300, 8.0)
+    op, pv = run_loop(LOOP, Valve(float), set_point, 0.02, 0.05, np.zeros(6000), rng)
+    return np.column_stack([np.arange(6000), op, pv, set_point])
 
 
 def stroke(rng: np.random.Generator) -> Measured:
@@ -261,9 +263,9 @@ def stroke(rng: np.random.Generator) -> Measured:
 
 def control_at_work(rng: np.random.Generator, correct: Correct) -> float:
     """Return the rms of SP - PV at one set point, 40 minutes [%]."""
-    wanted = np.full(3000, 50.0)
-    _, pv = run_loop(LOOP, Valve(correct), wanted, 0.02, 0.05, np.zeros(3000), rng)
-    return rms((pv - wanted)[600:])
+    set_point = np.full(3000, 50.0)
+    _, pv = run_loop(LOOP, Valve(correct), set_point, 0.02, 0.05, np.zeros(3000), rng)
+    return rms((pv - set_point)[600:])
 
 
 CASES = {

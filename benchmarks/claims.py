@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks import coverage
-from benchmarks.honest_problems import CLAIMED, KINDS, ORDERS, SAMPLES, Kind, problems
-from benchmarks.honesty import CLAIMS
+from benchmarks.honest_problems import ASSUMED, KINDS, ORDERS, SAMPLES, Kind, problems
+from benchmarks.honesty import ASSUMPTIONS
 from benchmarks.markdown import head, row
 from benchmarks.random_problems import Problems, World
 from undeadzone.interfaces import ASSUMPTION_CHECKS as TABLE
@@ -37,7 +37,7 @@ STUCK = slice(SAMPLES // 2, SAMPLES // 2 + SAMPLES // 10)
 PIECES = 21  # of a log that is glued, in another order
 NOISY = slice(SAMPLES // 2, SAMPLES // 2 + 2 * SAMPLES // 5)
 
-CLAIMED_WORLDS = (World(disturbance=0.02, bias=0.02, tolerance=0.005), CLAIMED)
+ASSUMED_WORLDS = (World(disturbance=0.02, bias=0.02, tolerance=0.005), ASSUMED)
 
 Change = Callable[[np.random.Generator, Problems], Problems]
 """(generator, honest problems) -> the same with a claim that is false."""
@@ -144,9 +144,9 @@ def lagging(rng: np.random.Generator, posed: Problems) -> Problems:
     for model in posed.models:
         slowest.append(1 / np.abs(np.linalg.eigvals(model.A)).min())
     lag = rng.uniform(*LAGS, len(slowest)) * np.array(slowest)
-    kept = np.exp(-posed.step / lag)
+    decay = np.exp(-posed.step / lag)
     after = np.concatenate([posed.u[1:], posed.u[-1:]])
-    return posed._replace(u=(after - kept * posed.u) / (1 - kept))
+    return posed._replace(u=(after - decay * posed.u) / (1 - decay))
 
 
 def stuck(rng: np.random.Generator, posed: Problems) -> Problems:
@@ -235,20 +235,20 @@ def rows() -> dict[str, Row]:
     return ROWS | honest_ones
 
 
-def posed_of(row: Row, order: int, count: int, seed: int, claimed: World) -> Problems:
+def posed_of(row: Row, order: int, count: int, seed: int, assumed: World) -> Problems:
     """The problems of a row, an order, and a world of honest claims."""
-    posed = problems(row.kind, order, count, seed, claimed)
+    posed = problems(row.kind, order, count, seed, assumed)
     return row.change(np.random.default_rng([seed, order, 1]), posed)
 
 
 def part(options: Callable[[Problems, int], Any], posed: Problems) -> Part:
     """What a filter makes of problems."""
-    out = coverage.along(options, posed, _kept)[:, -1]
-    held = np.abs(out[:, :3] - coverage.truth(posed)) <= 1.96 * out[:, 3:6] + coverage.ROUNDING
-    return Part(1.0 * ~held, out[:, 6])
+    out = coverage.along(options, posed, _select_outputs)[:, -1]
+    covered = np.abs(out[:, :3] - coverage.truth(posed)) <= 1.96 * out[:, 3:6] + coverage.ROUNDING
+    return Part(1.0 * ~covered, out[:, 6])
 
 
-def _kept(estimate: Estimate) -> list[Any]:
+def _select_outputs(estimate: Estimate) -> list[Any]:
     """Widths, z, their deviations, the claim that is likeliest false."""
     stds = (estimate.right_std, estimate.left_std, estimate.x_std[0])
     return [estimate.right, estimate.left, estimate.z, *stds, estimate.suspect]
@@ -264,7 +264,7 @@ def joined(each: Sequence[Problems]) -> Problems:
 
 
 def parts_of(
-    poses: dict[str, Row], claims: str, count: int, seed: int, orders: Sequence[int]
+    poses: dict[str, Row], assumptions: str, count: int, seed: int, orders: Sequence[int]
 ) -> dict[str, list[Part]]:
     """The parts of each row, whose problems are solved together where one graph serves them."""
     found: dict[str, list[Part]] = {name: [] for name in poses}
@@ -273,18 +273,18 @@ def parts_of(
         for name, each in poses.items():
             if order in each.orders and each.kind.poles == poles:
                 mine[name] = each
-        for k, claimed in enumerate(CLAIMED_WORLDS):
+        for k, assumed in enumerate(ASSUMED_WORLDS):
             lots = []
             for each in mine.values():
-                some = -(-count // (len(set(each.orders) & set(orders)) * len(CLAIMED_WORLDS)))
-                lots.append(posed_of(each, order, some, seed + k, claimed))
+                some = -(-count // (len(set(each.orders) & set(orders)) * len(ASSUMED_WORLDS)))
+                lots.append(posed_of(each, order, some, seed + k, assumed))
             if not lots:
                 continue
-            whole = part(CLAIMS[claims], joined(lots))
+            whole = part(ASSUMPTIONS[assumptions], joined(lots))
             ends = np.cumsum([len(lot.d) for lot in lots])[:-1]
             for name, *one in zip(mine, *[np.split(array, ends) for array in whole], strict=True):
                 found[name].append(Part(*one))
-            print(claims, order, poles, k, file=sys.stderr, flush=True)
+            print(assumptions, order, poles, k, file=sys.stderr, flush=True)
     return found
 
 
@@ -295,12 +295,15 @@ def table(
     lines = ["## False claims, and true ones\n", *head(*COLUMNS)]
     poses = {name: each for name, each in rows().items() if set(each.orders) & set(orders)}
     poses = {name: poses[name] for name in poses if only in name}
-    found = {claims: parts_of(poses, claims, count, seed, orders) for claims in CLAIMS}
+    found = {
+        assumptions: parts_of(poses, assumptions, count, seed, orders)
+        for assumptions in ASSUMPTIONS
+    }
     for name, each in poses.items():
-        for claims, parts in found.items():
+        for assumptions, parts in found.items():
             misses = np.concatenate([one.misses for one in parts[name]])
             suspects = np.concatenate([one.suspects for one in parts[name]]).astype(int)
-            lines.append(row(name, claims, *_cells(misses, suspects, each.names)))
+            lines.append(row(name, assumptions, *_cells(misses, suspects, each.names)))
     note = (
         f"{count} problems of orders {tuple(orders)} a row, half of them with a tenth of the "
         "disturbance, bias and error of the model; drawn as in `honesty`, from other seeds. "

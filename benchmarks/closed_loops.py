@@ -88,25 +88,25 @@ def with_known_gust(scenario: Scenario) -> Scenario:
     """The loop with known widths, the true rms of the gust, and no bias."""
     known = with_known_widths(scenario)
     gust: Any = scenario.disturbance
-    claims = msgspec.structs.replace(known.declared, disturbance=gust.rms, bias=0.0)
-    return msgspec.structs.replace(known, declared=claims)
+    assumptions = msgspec.structs.replace(known.declared, disturbance=gust.rms, bias=0.0)
+    return msgspec.structs.replace(known, declared=assumptions)
 
 
 def without_zone(scenario: Scenario) -> Scenario:
     """The loop behind a sensor that has next to no zone."""
     sensor = msgspec.structs.replace(scenario.sensor, right=KNOWN, left=KNOWN)
-    claims: Any = scenario.declared
-    narrow = msgspec.structs.replace(claims, right=[0.0, 2 * KNOWN], left=[0.0, 2 * KNOWN])
+    assumptions: Any = scenario.declared
+    narrow = msgspec.structs.replace(assumptions, right=[0.0, 2 * KNOWN], left=[0.0, 2 * KNOWN])
     return msgspec.structs.replace(scenario, sensor=sensor, declared=narrow)
 
 
 def with_known_widths(scenario: Scenario) -> Scenario:
     """The loop with widths that are as good as known."""
-    claims: Any = scenario.declared
+    assumptions: Any = scenario.declared
     known = {}
     for name, width in (("right", scenario.sensor.right), ("left", scenario.sensor.left)):
         known[name] = [float(width) - KNOWN, float(width) + KNOWN]
-    return msgspec.structs.replace(scenario, declared=msgspec.structs.replace(claims, **known))
+    return msgspec.structs.replace(scenario, declared=msgspec.structs.replace(assumptions, **known))
 
 
 def shaken(scenario: Scenario) -> float:
@@ -143,7 +143,7 @@ def loop(rng: np.random.Generator) -> Scenario:
     wrong_A, wrong_B = A.copy(), B.copy()
     wrong_A[-1] *= errors[0]
     wrong_B[-1] *= errors[1, 0]
-    claimed = float(np.exp(rng.uniform(np.log(0.3), np.log(3.0)))) / _gain(A, B)
+    assumed_rms = float(np.exp(rng.uniform(np.log(0.3), np.log(3.0)))) / _gain(A, B)
     share = float(np.exp(rng.uniform(*np.log(SHAKEN))))
     right, left = map(float, rng.uniform(*RANGE, 2))
     tones = [Tone(amplitude=float(a), frequency=float(f)) for a, f in _tones(rng)]
@@ -153,9 +153,9 @@ def loop(rng: np.random.Generator) -> Scenario:
         model=Model(A=wrong_A.tolist(), B=wrong_B.tolist()),
         sensor=Sensor(right=right, left=left, noise=float(rng.uniform(0.005, 0.1))),
         reference=Sines(components=tones),
-        disturbance=Random(rms=share * claimed, correlation_time=0.3),
+        disturbance=Random(rms=share * assumed_rms, correlation_time=0.3),
         declared=Assumptions(
-            right=list(RANGE), disturbance=claimed, correlation_time=0.3, tolerance=TOLERANCE
+            right=list(RANGE), disturbance=assumed_rms, correlation_time=0.3, tolerance=TOLERANCE
         ),
         controller=StateFeedback(),
         simulation=Simulation(time="sampled", step=STEP, duration=DURATION),

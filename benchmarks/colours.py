@@ -86,20 +86,20 @@ def slow_loop(rng: np.random.Generator) -> Scenario:
     B = np.array([[0.0], [rate**2]])
     wrong = np.hstack([A, B])
     wrong[-1] *= 1 + TOLERANCE * rng.normal(size=3)
-    claimed = float(np.exp(rng.uniform(np.log(0.3), np.log(1.5))))
+    assumed_rms = float(np.exp(rng.uniform(np.log(0.3), np.log(1.5))))
     right, left = map(float, rng.uniform(*RANGE, 2))
     size, slow = rng.uniform(2.5, 6.0), rng.uniform(0.1, 0.3)
     tones = [(0.8 * size, slow), (0.2 * size, 2.3 * slow)]
     gust = float(np.exp(rng.uniform(np.log(0.05), np.log(0.3))))
-    constant = claimed * float(rng.choice([-1, 1]) * rng.uniform(0.2, 0.8))
+    constant = assumed_rms * float(rng.choice([-1, 1]) * rng.uniform(0.2, 0.8))
     return Scenario(
         plant=Plant(A=A.tolist(), B=B.tolist(), C=[[1.0, 0.0]]),
         model=Model(A=wrong[:, :2].tolist(), B=wrong[:, 2:].tolist()),
         sensor=Sensor(right=right, left=left, noise=float(rng.uniform(0.005, 0.1))),
         reference=_sum(tones),
-        disturbance=_sum([(claimed, gust), (0.6 * claimed, 1.7 * gust)], constant),
+        disturbance=_sum([(assumed_rms, gust), (0.6 * assumed_rms, 1.7 * gust)], constant),
         declared=Assumptions(
-            right=list(RANGE), disturbance=claimed, correlation_time=SLOW, tolerance=TOLERANCE
+            right=list(RANGE), disturbance=assumed_rms, correlation_time=SLOW, tolerance=TOLERANCE
         ),
         controller=StateFeedback(),
         simulation=Simulation(time="sampled", step=1e-3, duration=25.0),
@@ -114,7 +114,7 @@ def _sum(tones: Sequence[tuple[float, float]], offset: float = 0.0) -> Sines:
 
 def grounds() -> dict[str, Scenario]:
     """Random loops under gusts as claimed, of two tones, and constant ones."""
-    made = {}
+    scenarios = {}
     for seed in range(COUNT):
         rng = np.random.default_rng(seed)
         scenario = loop(rng)
@@ -127,8 +127,8 @@ def grounds() -> dict[str, Scenario]:
         if GUSTS[seed % 3] == "constant":
             step = Step(amplitude=rms * float(rng.choice([-1, 1])))
             scenario = msgspec.structs.replace(scenario, disturbance=step)
-        made[str(seed)] = scenario
-    return made
+        scenarios[str(seed)] = scenario
+    return scenarios
 
 
 @contextmanager

@@ -82,8 +82,8 @@ class Verdict(NamedTuple):
 def kalman(known: Problems, k: int) -> Kalman:
     """`Kalman` told the truth about problem k, a coloured disturbance taken for white."""
     right, left = known.ranges[k]
-    claims = {"right": right, "left": left, "x_std": known.x_std[k]}
-    return Kalman(**claims, disturbance=known.disturbance[k])
+    options = {"right": right, "left": left, "x_std": known.x_std[k]}
+    return Kalman(**options, disturbance=known.disturbance[k])
 
 
 def censored(known: Problems, k: int) -> Censored:
@@ -108,7 +108,7 @@ def observe(options: Callable[[Problems, int], Any], posed: Problems) -> Verdict
         options: of the observer for a problem
         posed: the problems
     """
-    out = along(options, posed, _kept)
+    out = along(options, posed, _select_outputs)
     right, left, z, right_std, left_std, width_std, z_std = out[:, -1, :7].T
     used = out[:, :, 7] != 0
     return verdict(
@@ -123,20 +123,20 @@ def observe(options: Callable[[Problems, int], Any], posed: Problems) -> Verdict
 def along(
     options: Callable[[Problems, int], Any],
     posed: Problems,
-    kept: Callable[[Estimate], list[Any]],
+    select: Callable[[Estimate], list[Any]],
 ) -> Floats:
     """What is kept of the estimates of every problem, one lane each (K x samples x numbers).
 
     Args:
         options: of the observer for a problem
         posed: the problems
-        kept: what is kept
+        select: the numbers of an estimate that are returned
     """
     built = built_of(options, posed)
     numbers = np.stack([tree.pack_tree(one.params) for one in built])
     states = np.stack([tree.pack_tree(one.init(one.params)) for one in built])
     kernel = lanes.build_kernel(
-        step_of(built[0], kept), exogenous=range(2), params=range(numbers.shape[1])
+        step_of(built[0], select), exogenous=range(2), params=range(numbers.shape[1])
     )
     own = np.stack([posed.y, posed.u], axis=1)
     shared = np.zeros((len(posed.y), 2))
@@ -148,16 +148,18 @@ def built_of(options: Callable[[Problems, int], Any], posed: Problems) -> list[O
     """The observers of the problems, as the product builds them."""
     built = []
     for k, model in enumerate(posed.models):
-        (right, left), told = posed.ranges[k, :, 1], options(posed, k)
-        sensor = Sensor(right=right, left=left, noise=posed.noise[k], **exact_shape_if_known(told))
-        built.append(built_for(told, model, sensor, posed.step[k]))
+        (right, left), observer = posed.ranges[k, :, 1], options(posed, k)
+        sensor = Sensor(
+            right=right, left=left, noise=posed.noise[k], **exact_shape_if_known(observer)
+        )
+        built.append(built_for(observer, model, sensor, posed.step[k]))
     return built
 
 
 def exact_shape_if_known(options: Any) -> dict[str, float]:
     """Return the keys of an exact sensor for an observer that knows all numbers, else none."""
-    told = getattr(options, "x_std", None) is not None
-    return dict.fromkeys(SHAPE, 0.0) if told else {}
+    is_known = getattr(options, "x_std", None) is not None
+    return dict.fromkeys(SHAPE, 0.0) if is_known else {}
 
 
 def built_for(options: Any, model: Matrices, sensor: Sensor, step: float) -> Observer:
@@ -174,21 +176,21 @@ def built_for(options: Any, model: Matrices, sensor: Sensor, step: float) -> Obs
     return built
 
 
-def _kept(estimate: Estimate) -> list[Any]:
+def _select_outputs(estimate: Estimate) -> list[Any]:
     """Widths, z, their deviations, the innovation and its."""
     stds = (estimate.right_std, estimate.left_std, estimate.width_std, estimate.x_std[0])
     means = (estimate.right, estimate.left, estimate.z)
     return [*means, *stds, estimate.innovation, estimate.innovation_std]
 
 
-def step_of(observer: Observer, kept: Callable[[Estimate], list[Any]]) -> ca.Function:
+def step_of(observer: Observer, select: Callable[[Estimate], list[Any]]) -> ca.Function:
     """next, out = step(s, [y, u], p); kept: gives what is in out."""
     p, params = tree.create_symbols(observer.params, "p")
     s, state = tree.create_symbols(observer.init(observer.params), "s")
     w = ca.SX.sym("w", 2)
     after, estimate = observer.step(params, state, w[1], Reading(w[0], side(w[0])))
     names = (["s", "w", "p"], ["next", "out"])
-    out = [tree.stack_leaves(after), ca.vertcat(*kept(estimate))]
+    out = [tree.stack_leaves(after), ca.vertcat(*select(estimate))]
     return ca.Function("observe", [s, w, p], out, *names, {"cse": True})
 
 

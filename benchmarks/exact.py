@@ -64,7 +64,7 @@ class Score(NamedTuple):
     covered: Floats
 
 
-def told(posed: Problem, levels: int = 1) -> Censored:
+def informed(posed: Problem, levels: int = 1) -> Censored:
     """`Censored` told all; a constant disturbance is a bias."""
     constant = np.isinf(posed.correlation)
     return Censored(
@@ -82,7 +82,7 @@ def told(posed: Problem, levels: int = 1) -> Censored:
 
 def weighing(posed: Problem) -> Censored:
     """`Censored` that weighs levels of the disturbance."""
-    return told(posed, len(LEVELS))
+    return informed(posed, len(LEVELS))
 
 
 def ranges_alone(posed: Problem) -> Auto:
@@ -97,26 +97,28 @@ def by_graph(options: Callable[[Problem], Any]) -> Callable[[list[Problem]], lis
         built = []
         for one in posed:
             place = "noise_before" if one.ahead else "noise"
-            said = options(one)
-            known = {place: one.noise} | coverage.exact_shape_if_known(said)
+            configured = options(one)
+            known = {place: one.noise} | coverage.exact_shape_if_known(configured)
             sensor = Sensor(right=RANGE[1], left=RANGE[1], **known)
-            built.append(coverage.built_for(said, one.model, sensor, STEP))
+            built.append(coverage.built_for(configured, one.model, sensor, STEP))
         numbers = np.stack([tree.pack_tree(one.params) for one in built])
         states = np.stack([tree.pack_tree(one.init(one.params)) for one in built])
         kernel = lanes.build_kernel(
-            coverage.step_of(built[0], _kept), exogenous=range(2), params=range(numbers.shape[1])
+            coverage.step_of(built[0], _select_outputs),
+            exogenous=range(2),
+            params=range(numbers.shape[1]),
         )
         own = np.stack([np.stack([one.y, one.u], axis=1) for one in posed], axis=2)
         out, _ = lanes.run_lanes(
             kernel, states, np.zeros((SAMPLES, 2)), numbers[0], own, numbers, threads=1
         )
-        kept = out[:, EVERY - 1 :: EVERY]
-        return [Track(one[:, :3], one[:, 3:]) for one in kept]
+        sampled = out[:, EVERY - 1 :: EVERY]
+        return [Track(one[:, :3], one[:, 3:]) for one in sampled]
 
     return track
 
 
-def _kept(estimate: Estimate) -> list[Any]:
+def _select_outputs(estimate: Estimate) -> list[Any]:
     """z, d_r, d_l and their deviations."""
     means = (estimate.z, estimate.right, estimate.left)
     return [*means, estimate.x_std[0], estimate.right_std, estimate.left_std]
@@ -135,7 +137,7 @@ PLAIN = {
     "Tobit Kalman filter": one_by_one(lambda posed: tracked(posed, tobit(posed))),
     "FilterPy's UKF": one_by_one(filterpy_unscented),
 }
-TOLD = {"`censored`": by_graph(told), **PLAIN}
+INFORMED = {"`censored`": by_graph(informed), **PLAIN}
 ALONE = {"`auto`, ranges alone": by_graph(ranges_alone)}
 LEVELLED = {"`censored`": by_graph(weighing)}
 
@@ -143,12 +145,12 @@ LEVELLED = {"`censored`": by_graph(weighing)}
 def worlds() -> dict[tuple[str, str], World]:
     """The worlds by where the noise stands and what is claimed."""
     return {
-        ("ahead", "all"): World(True, ("coloured", "white", "constant"), (1.0,), TOLD | ALONE),
-        ("behind", "all"): World(False, ("coloured", "white"), (1.0,), TOLD | ALONE),
+        ("ahead", "all"): World(True, ("coloured", "white", "constant"), (1.0,), INFORMED | ALONE),
+        ("behind", "all"): World(False, ("coloured", "white"), (1.0,), INFORMED | ALONE),
         ("ahead", "level unknown"): World(True, ("coloured",), LEVELS, LEVELLED),
         ("behind", "level unknown"): World(False, ("coloured",), LEVELS, LEVELLED),
         ("behind, loud", "all"): World(
-            False, ("coloured", "white"), (1.0,), {"`censored`": TOLD["`censored`"]}, LOUD
+            False, ("coloured", "white"), (1.0,), {"`censored`": INFORMED["`censored`"]}, LOUD
         ),
     }
 
@@ -200,9 +202,9 @@ def cells(each: list[Score]) -> list[str]:
 def table(count: int = 3, seed: int = 0) -> str:
     """The table, from `count` problems of each order and kind of disturbance."""
     lines = ["## Filters beside the exact posterior\n", *head(*COLUMNS)]
-    for (noise, claims), world in worlds().items():
+    for (noise, assumptions), world in worlds().items():
         for name, each in scores(world, count, seed).items():
-            lines.append(row(noise, claims, name, *cells(each)))
+            lines.append(row(noise, assumptions, name, *cells(each)))
     note = (
         "Rms of errors over that of the exact posterior: root of 1 + (squared distance of the "
         "means) / (exact variance), each a mean over snapshots and problems. Coverage: the exact "

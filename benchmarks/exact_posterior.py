@@ -77,7 +77,7 @@ class Cloud(NamedTuple):
     cov: Floats
 
 
-class Taken(NamedTuple):
+class ParticleUpdate(NamedTuple):
     """What a reading does: z of each particle is drawn, or read with noise, or left alone.
 
     Attributes:
@@ -141,7 +141,7 @@ def _at_level(
         cov=cov,
     )
     for i in range(SAMPLES):
-        cloud = _heard(rng, posed, cloud, posed.y[i])
+        cloud = _update_cloud(rng, posed, cloud, posed.y[i])
         if i % EVERY == EVERY - 1:
             yield _snapshot(cloud)
         cloud = cloud._replace(
@@ -173,17 +173,17 @@ def _drawn_widths(
     return d, -np.log(density)
 
 
-def _heard(rng: np.random.Generator, posed: Problem, cloud: Cloud, y: float) -> Cloud:
+def _update_cloud(rng: np.random.Generator, posed: Problem, cloud: Cloud, y: float) -> Cloud:
     """The cloud after a reading."""
-    taken = (_ahead if posed.ahead else _behind)(rng, posed.noise, cloud, y)
-    weight = cloud.weight * taken.chance
+    update = (_ahead if posed.ahead else _behind)(rng, posed.noise, cloud, y)
+    weight = cloud.weight * update.chance
     total = np.maximum(weight.sum(axis=1), LEAST)
     log = cloud.log + np.log(total)
     weight, mean, cov = weight / total[:, None], cloud.mean, cloud.cov
-    if taken.e is not None:
-        S = cov[0, 0] + taken.R
+    if update.e is not None:
+        S = cov[0, 0] + update.R
         K = cov[:, 0] / S
-        mean = mean + taken.e[:, :, None] * K
+        mean = mean + update.e[:, :, None] * K
         cov = cov - S * np.outer(K, K)
     alive = log > log.max() - DEAD
     return _resampled(
@@ -191,22 +191,22 @@ def _heard(rng: np.random.Generator, posed: Problem, cloud: Cloud, y: float) -> 
     )
 
 
-def _ahead(rng: np.random.Generator, noise: float, cloud: Cloud, y: float) -> Taken:
+def _ahead(rng: np.random.Generator, noise: float, cloud: Cloud, y: float) -> ParticleUpdate:
     """A reading with noise ahead of the zone: on a branch it is linear, and silence is a cut."""
     m, R = cloud.mean[:, :, 0], noise**2
     std = np.sqrt(cloud.cov[0, 0] + R)
     right, left = cloud.d[:, :1], cloud.d[:, 1:]
     if y != 0:
         e = y + (right if y > 0 else -left) - m
-        return Taken(_density(e, std), e, R)
+        return ParticleUpdate(_density(e, std), e, R)
     low, high = (-left - m) / std, (right - m) / std
     chance = _between(low, high)
     if _sure(cloud, chance, np.ones_like(chance)):
-        return Taken(chance, None, R)
-    return Taken(chance, std * _cut(rng, low, high), R)
+        return ParticleUpdate(chance, None, R)
+    return ParticleUpdate(chance, std * _cut(rng, low, high), R)
 
 
-def _behind(rng: np.random.Generator, noise: float, cloud: Cloud, y: float) -> Taken:
+def _behind(rng: np.random.Generator, noise: float, cloud: Cloud, y: float) -> ParticleUpdate:
     """A reading with noise behind the zone: z is on one of three branches."""
     m, R, V = cloud.mean[:, :, 0], noise**2, max(cloud.cov[0, 0], 1e-18)
     right, left = cloud.d[:, :1], cloud.d[:, 1:]
@@ -221,10 +221,10 @@ def _behind(rng: np.random.Generator, noise: float, cloud: Cloud, y: float) -> T
     ]
     chance = np.maximum(sum(chances), LEAST)
     if _sure(cloud, chances[1], chance):
-        return Taken(chance, None, R)
+        return ParticleUpdate(chance, None, R)
     for branch, e in ((0, e_right), (2, e_left)):
         if _sure(cloud, chances[branch], chance):
-            return Taken(chance, e, R)
+            return ParticleUpdate(chance, e, R)
     at = rng.uniform(size=m.shape) * chance
     on_right, on_left = at < chances[0], at >= chances[0] + chances[1]
     middle = np.where(on_right, at_right, np.where(on_left, at_left, 0.0))
@@ -232,7 +232,7 @@ def _behind(rng: np.random.Generator, noise: float, cloud: Cloud, y: float) -> T
     low = np.where(on_right, cuts[0], np.where(on_left, -np.inf, cuts[1]))
     high = np.where(on_right, np.inf, np.where(on_left, cuts[1], cuts[0]))
     e = middle + spread * _cut(rng, (low - middle) / spread, (high - middle) / spread)
-    return Taken(chance, e, 0.0)
+    return ParticleUpdate(chance, e, 0.0)
 
 
 def _sure(cloud: Cloud, branch: Floats, total: Floats) -> bool:
@@ -271,8 +271,10 @@ def _resampled(rng: np.random.Generator, cloud: Cloud) -> Cloud:
     rows = np.arange(few.sum())[:, None]
     summed = np.cumsum(cloud.weight[few], axis=1)
     summed = summed / summed[:, -1:] + rows
-    wanted = (np.arange(count) + rng.uniform(size=(len(rows), 1))) / count + rows
-    places = np.searchsorted(summed.ravel(), wanted.ravel()).reshape(wanted.shape) - rows * count
+    positions = (np.arange(count) + rng.uniform(size=(len(rows), 1))) / count + rows
+    places = (
+        np.searchsorted(summed.ravel(), positions.ravel()).reshape(positions.shape) - rows * count
+    )
     mean, weight = cloud.mean.copy(), cloud.weight.copy()
     mean[few] = np.take_along_axis(mean[few], np.clip(places, 0, count - 1)[:, :, None], axis=1)
     weight[few] = 1 / count

@@ -139,9 +139,9 @@ def _problem(
 def _sampled(model: Matrices, fade: float) -> tuple[Floats, Floats]:
     """F and G with the disturbance at the input, which keeps the share `fade` of itself."""
     n = len(model.A)
-    held = expm(np.block([[model.A, model.B], [np.zeros((1, n + 1))]]) * STEP)
-    F = np.block([[held[:n]], [np.zeros((1, n)), np.full((1, 1), fade)]])
-    return F, np.append(held[:n, n], 0.0)
+    transition = expm(np.block([[model.A, model.B], [np.zeros((1, n + 1))]]) * STEP)
+    F = np.block([[transition[:n]], [np.zeros((1, n)), np.full((1, 1), fade)]])
+    return F, np.append(transition[:n, n], 0.0)
 
 
 def _disturbance(

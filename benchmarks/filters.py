@@ -57,8 +57,8 @@ def _row(name: str, scenario: Scenario, rounds: int) -> str:
         seconds = least(ways, rounds)
     each = {way: 1e6 * value / RUNS / STEPS for way, value in seconds.items()}
     count = f"{sum(count_operations(build_code(step, False).results).values()):,}"
-    shown = (f"{each['gcc']:.3g}", f"{each['lanes']:.3g}", f"{each['lanes'] / each['gcc']:.2f}")
-    return row(name, count, *shown)
+    ratios = (f"{each['gcc']:.3g}", f"{each['lanes']:.3g}", f"{each['lanes'] / each['gcc']:.2f}")
+    return row(name, count, *ratios)
 
 
 def by_gcc(step: ExportedStep, readings: Floats, folder: Path) -> Callable[[], Floats]:

@@ -194,9 +194,9 @@ def tested(name: str, single: bool) -> list[str]:
     return [_verdict(part) for part in (compiler.run_selftest(files)[1], board)]
 
 
-def _verdict(said: str) -> str:
+def _verdict(output: str) -> str:
     """What a self-test says, without its name."""
-    return said.splitlines()[0].split(": ", 1)[1] if said else "did not run"
+    return output.splitlines()[0].split(": ", 1)[1] if output else "did not run"
 
 
 def _output(command: list[str], folder: Path) -> str:

@@ -63,8 +63,8 @@ def _rows(name: str) -> list[str]:
     rows = []
     cells = zip(("ensemble", "one run"), (many, one), counts, rare, strict=True)
     for what, spent, count, more in cells:
-        shown = f"{count}" + (f", rare {more}" if more else "")
-        rows.append(row(name, what, shown, f"{spent.first:.2f}", f"{spent.best:.2f}"))
+        counts_text = f"{count}" + (f", rare {more}" if more else "")
+        rows.append(row(name, what, counts_text, f"{spent.first:.2f}", f"{spent.best:.2f}"))
     return rows
 
 

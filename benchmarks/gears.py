@@ -177,14 +177,14 @@ def rows() -> list[Row]:
     level = {**SERVO, "reference": turning(0.0, 0.5, 2.0, 7.0)}
     flat = changed(level, plant={"parameters": {**SERVO["plant"]["parameters"], "g": 0.0}})
     flat = changed(flat, plant={"x0": [0.0, 0.0]})
-    held = {**SERVO, "reference": turning(-0.6, 0.4, 2.5, 7.0)}
-    held = changed(held, plant={"x0": [-0.6, 0.0]})
+    resting = {**SERVO, "reference": turning(-0.6, 0.4, 2.5, 7.0)}
+    resting = changed(resting, plant={"x0": [-0.6, 0.0]})
     slow = changed(hanging, simulation={"step": 5e-3, "substeps": 3})
     coarse = changed(hanging, sensor={"noise": 0.0, "quantum": 0.001534})
     swung = changed(ARM, reference={"swing": SWING})
     ignored = changed(swung, observer={"half": [0.0, 1e-4]})
     heavy = {"m1": 3.3, "m2": 2.2, "I1": 0.044, "I2": 0.0165}
-    told = {**ARM["plant"]["parameters"], **heavy}
+    parameters = {**ARM["plant"]["parameters"], **heavy}
     rubbing = {"friction": [0.15, 0.05]}
     six_ignored = geared(changed(SIX, observer={"half": [0.0, 1e-4]}), half=1e-5)
     apart = changed(swung, observer={"joints": "separate"})
@@ -199,14 +199,14 @@ def rows() -> list[Row]:
         Row("two links, friction told at half", geared(swung, **rubbing), two_link),
         Row(
             "two links, masses told 10 % too large",
-            changed(swung, plant={"parameters": told}),
+            changed(swung, plant={"parameters": parameters}),
             two_link,
         ),
         Row("servo, motor encoder", hanging, servo),
         Row("servo, 12-bit motor encoder", coarse, servo),
         Row("servo, horizontal", flat, lambda rng: servo(rng, gravity=0.0)),
         Row("servo, 200 Hz", slow, servo),
-        Row("servo, held on a flank", held, servo),
+        Row("servo, held on a flank", resting, servo),
         Row("servo, both encoders", geared(hanging, measured="both"), servo),
         Row("servo, link encoder", geared(hanging, measured="link"), servo),
     ]
@@ -263,15 +263,15 @@ class Outcome(NamedTuple):
     warned: bool = False
 
 
-def driven(made: Bench, arm: Arm, seed: int) -> Floats:
+def driven(setup: Bench, arm: Arm, seed: int) -> Floats:
     """The outputs of a loop around MuJoCo's arm, to the first that are no numbers."""
-    problem, stepper = made.problem, made.stepper
+    problem, stepper = setup.problem, setup.stepper
     N, Ts = len(arm.half), problem.scenario.simulation.step
-    where = tree.leaf_slices(made.loop.outputs)
+    where = tree.leaf_slices(setup.loop.outputs)
     inputs = exogenous(problem, seed=seed)
     rng = np.random.default_rng(seed)
     twin = Twin(arm, problem.x0[N : 2 * N], rng.choice([-1.0, 1.0], N))
-    stepper.state[:] = made.start
+    stepper.state[:] = setup.start
     outputs = np.empty((len(inputs), stepper.out.size))
     for k, instant in enumerate(inputs):
         stepper.state[: 4 * N] = twin.state()
@@ -284,21 +284,21 @@ def driven(made: Bench, arm: Arm, seed: int) -> Floats:
     return outputs
 
 
-def outcome(made: Bench, arm: Arm, seed: int) -> Outcome:
+def outcome(setup: Bench, arm: Arm, seed: int) -> Outcome:
     """What becomes of one loop around MuJoCo's arm."""
-    outputs = driven(made, arm, seed)
-    return judged(made, arm, outputs) if np.isfinite(outputs[-1]).all() else Outcome(True)
+    outputs = driven(setup, arm, seed)
+    return judged(setup, arm, outputs) if np.isfinite(outputs[-1]).all() else Outcome(True)
 
 
-def judged(made: Bench, arm: Arm, outputs: Floats) -> Outcome:
+def judged(setup: Bench, arm: Arm, outputs: Floats) -> Outcome:
     """What the outputs of a loop come to."""
-    problem, where = made.problem, tree.leaf_slices(made.loop.outputs)
+    problem, where = setup.problem, tree.leaf_slices(setup.loop.outputs)
     N, Ts = len(arm.half), problem.scenario.simulation.step
     assert problem.path is not None
     last = outputs[-round(LAST / Ts) :]
     t = np.arange(len(outputs)) * Ts
-    wanted = problem.path.output_at(t, 0)[-len(last) :]
-    link, shown = last[:, where.x][:, N : 2 * N], last[:, where.estimate.x][:, N : 2 * N]
+    reference = problem.path.output_at(t, 0)[-len(last) :]
+    link, estimate = last[:, where.x][:, N : 2 * N], last[:, where.estimate.x][:, N : 2 * N]
     if np.abs(outputs[:, where.x][:, N : 2 * N] - problem.path.output_at(t, 0)).max() > AWAY:
         return Outcome(True)
     std = last[:, where.estimate.x_std][:, N : 2 * N]
@@ -316,47 +316,47 @@ def judged(made: Bench, arm: Arm, outputs: Floats) -> Outcome:
 
     return Outcome(
         diverged=False,
-        path=rms(link, wanted),
-        estimated=rms(link, shown),
+        path=rms(link, reference),
+        estimated=rms(link, estimate),
         half=half / arm.half,
         score=(half - arm.half) / deviation,
         width=deviation / (first[where.estimate.width_std][:N] / 2),
-        covered=float(np.mean(np.abs(link - shown) <= 1.96 * std)),
+        covered=float(np.mean(np.abs(link - estimate) <= 1.96 * std)),
         warned=bool((outputs[-200:, where.estimate.consistent] == 0).any()),
     )
 
 
-def effort(one: Row, made: Bench) -> str:
+def effort(one: Row, setup: Bench) -> str:
     """What a sample of the whole loop takes, plant and controller included."""
     steps = 200
 
     def run() -> None:
         for _ in range(steps):
-            made.stepper()
+            setup.stepper()
 
-    made.stepper.state[:] = made.start
+    setup.stepper.state[:] = setup.start
     each = least({"step": run}, 10)["step"] / steps
-    count = made.loop.step.n_instructions()
+    count = setup.loop.step.n_instructions()
     return f"{one.label}: {count} operations a sample, {1e6 * each:.0f} us."
 
 
-def line(one: Row, made: Bench, seconds: float, first: int) -> str:
+def line(one: Row, setup: Bench, seconds: float, first: int) -> str:
     """The row of the table; loops are run as long as their time allows."""
     began, results = time.process_time(), []
     while len(results) < LOOPS and time.process_time() - began < seconds:
         seed = first + len(results)
-        results.append(outcome(made, one.draw(np.random.default_rng(seed)), seed))
-    return told(one.label, results, len(np.atleast_1d(results[0].half)))
+        results.append(outcome(setup, one.draw(np.random.default_rng(seed)), seed))
+    return format_outcomes(one.label, results, len(np.atleast_1d(results[0].half)))
 
 
-def told(label: str, results: list[Outcome], N: int) -> str:
+def format_outcomes(label: str, results: list[Outcome], N: int) -> str:
     """A row in numbers."""
     fine = [each for each in results if not each.diverged]
     diverged = len(results) - len(fine)
     if not fine:
         return row(label, str(len(results)), str(diverged), *[""] * 9)
     path = 1e3 * np.array([each.path for each in fine])
-    shown = 1e3 * np.array([each.estimated for each in fine])
+    link_errors = 1e3 * np.array([each.estimated for each in fine])
     error = np.abs(np.array([each.half for each in fine]) - 1)
     score = np.abs(np.array([each.score for each in fine]))
     lost = [each for each in fine if (np.abs(each.score) > 5).any() or each.covered < 0.5]
@@ -367,7 +367,7 @@ def told(label: str, results: list[Outcome], N: int) -> str:
         str(len(results)),
         str(diverged),
         f"{np.median(path):.2f} ({np.quantile(path, 0.95):.2f}, {path.max():.2f})",
-        f"{np.median(shown):.2f} ({np.quantile(shown, 0.95):.2f})",
+        f"{np.median(link_errors):.2f} ({np.quantile(link_errors, 0.95):.2f})",
         f"{np.mean(error <= 0.05):.2f}, {np.mean(error <= 0.1):.2f}",
         f"{100 * np.median(error):.1f} %",
         f"{np.mean(score <= 1.96):.3f}",
@@ -409,8 +409,8 @@ def table() -> str:
     lines = ["## Gears as they are\n", f"At {commit()}. {NOTE}", *HEAD]
     efforts = []
     for one in chosen:
-        made = bench(one.scenario)
-        lines.append(line(one, made, seconds, first))
-        efforts.append(effort(one, made))
+        setup = bench(one.scenario)
+        lines.append(line(one, setup, seconds, first))
+        efforts.append(effort(one, setup))
         print(lines[-1], efforts[-1], sep="\n", flush=True)
     return "\n".join([*lines, "", *efforts, ""])

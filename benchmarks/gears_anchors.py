@@ -38,7 +38,7 @@ shows as z is the motor. Flagged: `consistent` is 0 in the end.
 """
 
 
-class Heard(NamedTuple):
+class Estimated(NamedTuple):
     """What a filter shows along a record.
 
     Attributes:
@@ -54,31 +54,31 @@ class Heard(NamedTuple):
     fits: bool = True
 
 
-Filter = Callable[[Floats, Floats], Heard]  # readings and inputs (samples) -> what it shows
+Filter = Callable[[Floats, Floats], Estimated]  # readings and inputs (samples) -> what it shows
 
 
 def smoothed(scenario: Mapping[str, Any]) -> Filter:
     """The two-mass filter with the mean torque through the gap."""
-    told = resolve_scenario(convert({"title": "smoothed", **scenario}))
-    first, variance = _prior(told.model, scenario)
-    step = _extended_step(told.model, scenario)
+    resolved = resolve_scenario(convert({"title": "smoothed", **scenario}))
+    first, variance = _prior(resolved.model, scenario)
+    step = _extended_step(resolved.model, scenario)
 
-    def along(y: Floats, u: Floats) -> Heard:
+    def along(y: Floats, u: Floats) -> Estimated:
         mean = np.concatenate([[y[0], y[0], 0.0, 0.0], first])
         start = np.concatenate([mean, np.diag(variance).ravel()])
-        shown = CompiledStepper(step, start, np.empty(0)).run(np.column_stack([y, u]))
-        return Heard(shown[:, 0], shown[-1, 1], np.sqrt(max(shown[-1, 2], 0.0)))
+        estimates = CompiledStepper(step, start, np.empty(0)).run(np.column_stack([y, u]))
+        return Estimated(estimates[:, 0], estimates[-1, 1], np.sqrt(max(estimates[-1, 2], 0.0)))
 
     return along
 
 
 def _prior(model: System, scenario: Mapping[str, Any]) -> tuple[Floats, Floats]:
     """Means of half gap, payload and torque, and variances of the whole state (7)."""
-    claims = np.array([scenario["observer"]["half"], scenario["observer"]["payload"]])
-    widths = (claims[:, 1] - claims[:, 0]) / np.sqrt(12)
-    motors, _, _ = unknown_torques(model, model.gears, float(claims[1].mean()))
-    stds = [0.02, claims[0, 1], 0.05, 0.05, *widths, motors[0]]
-    return np.append(claims.mean(axis=1), 0.0), np.square(stds)
+    ranges = np.array([scenario["observer"]["half"], scenario["observer"]["payload"]])
+    widths = (ranges[:, 1] - ranges[:, 0]) / np.sqrt(12)
+    motors, _, _ = unknown_torques(model, model.gears, float(ranges[1].mean()))
+    stds = [0.02, ranges[0, 1], 0.05, 0.05, *widths, motors[0]]
+    return np.append(ranges.mean(axis=1), 0.0), np.square(stds)
 
 
 def _extended_step(model: System, scenario: Mapping[str, Any]) -> ca.Function:
@@ -138,13 +138,13 @@ def zone(scenario: Mapping[str, Any]) -> Filter:
     rigid = {"I": gears["inertia"], "f1": gears["friction"], "b1": gears["viscous"]}
     added = {name: own[name] + more for name, more in rigid.items()}
     arm = {name: value for name, value in plant["arm"].items() if name != "gears"}
-    claims = dict.fromkeys(("right", "left"), scenario["observer"]["half"])
+    widths = dict.fromkeys(("right", "left"), scenario["observer"]["half"])
     tables = {
         **scenario,
         "title": "zone",
         "plant": {**plant, "arm": arm, "parameters": {**own, **added}},
         "sensor": {**scenario["sensor"], "right": 0.03, "left": 0.03},
-        "observer": {"method": "extended", **claims},
+        "observer": {"method": "extended", **widths},
         "controller": {"method": "computed_torque", "bandwidth": 15.0},
     }
     return _online(tables)
@@ -168,37 +168,45 @@ def play(scenario: Mapping[str, Any]) -> Filter:
 
 def _online(tables: Mapping[str, Any]) -> Filter:
     """The observer of a scenario along readings."""
-    told = convert(tables)
-    online = uz.Online(told.observer, told.plant, told.sensor, told.simulation.step, compiled=True)
+    converted = convert(tables)
+    online = uz.Online(
+        converted.observer,
+        converted.plant,
+        converted.sensor,
+        converted.simulation.step,
+        compiled=True,
+    )
 
-    def along(y: Floats, u: Floats) -> Heard:
+    def along(y: Floats, u: Floats) -> Estimated:
         online.restart()
-        shown, _ = online.update_many(y[:, None], u[:, None])
-        half = (shown.right[-1, 0] + shown.left[-1, 0]) / 2
-        fits = bool(shown.consistent[-1].all())
-        return Heard(shown.z[:, 0], half, shown.width_std[-1, 0] / 2, fits)
+        estimates, _ = online.update_many(y[:, None], u[:, None])
+        half = (estimates.right[-1, 0] + estimates.left[-1, 0]) / 2
+        fits = bool(estimates.consistent[-1].all())
+        return Estimated(estimates.z[:, 0], half, estimates.width_std[-1, 0] / 2, fits)
 
     return along
 
 
-def _rows(made: Bench, filters: Mapping[str, Filter], arms: Sequence[tuple[int, Arm]]) -> Any:
+def _rows(setup: Bench, filters: Mapping[str, Filter], arms: Sequence[tuple[int, Arm]]) -> Any:
     """What each filter makes of the same loops, that of the loop first: errors and scores."""
-    where, last = tree.leaf_slices(made.loop.outputs), round(LAST / 1e-3)
+    where, last = tree.leaf_slices(setup.loop.outputs), round(LAST / 1e-3)
     found: dict[str, list[tuple[float, float, float, bool]]] = {}
     for seed, arm in arms:
-        outputs = driven(made, arm, seed)
+        outputs = driven(setup, arm, seed)
         end, shows = outputs[-1], where.estimate
         half_gap = (end[shows.right][0] + end[shows.left][0]) / 2
         fits = bool(end[shows.consistent].all())
         own = outputs[:, shows.x][:, 1]
-        shown = {"`contact`": Heard(own, half_gap, end[shows.width_std][0] / 2, fits)}
+        estimates = {"`contact`": Estimated(own, half_gap, end[shows.width_std][0] / 2, fits)}
         for label, along in filters.items():
-            shown[label] = along(outputs[:, where.y][:, 0], outputs[:, where.u][:, 0])
+            estimates[label] = along(outputs[:, where.y][:, 0], outputs[:, where.u][:, 0])
         link, half = outputs[-last:, where.x][:, 1], arm.half[0]
-        for label, heard in shown.items():
-            off = float(np.sqrt(np.mean((heard.link[-last:] - link) ** 2)))
-            score = abs(heard.half - half) / max(heard.std, 1e-12)
-            found.setdefault(label, []).append((off, abs(heard.half / half - 1), score, heard.fits))
+        for label, estimate in estimates.items():
+            off = float(np.sqrt(np.mean((estimate.link[-last:] - link) ** 2)))
+            score = abs(estimate.half - half) / max(estimate.std, 1e-12)
+            found.setdefault(label, []).append(
+                (off, abs(estimate.half / half - 1), score, estimate.fits)
+            )
     return found
 
 

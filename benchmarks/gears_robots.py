@@ -84,7 +84,7 @@ class Outcome(NamedTuple):
         known: verdicts (joints).
         crossed: whether each gap was crossed in truth (joints).
         score: error of each gap over the deviation that is shown (joints).
-        held: whether the interval that is shown holds each gap (joints).
+        covered: whether the interval that is shown holds each gap (joints).
         tip: rms distance of the tip from its path, over that of the true state.
     """
 
@@ -92,7 +92,7 @@ class Outcome(NamedTuple):
     known: NDArray[np.bool_]
     crossed: NDArray[np.bool_]
     score: Floats
-    held: NDArray[np.bool_]
+    covered: NDArray[np.bool_]
     tip: float
 
 
@@ -136,14 +136,14 @@ def draw_scenario(robot: Robot, seed: int) -> uz.Scenario:
     }
     for name, numbers in drawn_.items():
         true |= {f"{name}{k + 1}": float(value) for k, value in enumerate(numbers)}
-    told = {f"friction{k + 1}": float(value) for k, value in enumerate(friction)}
-    told |= {f"contact{k + 1}": 400.0 for k in range(N)}
+    parameters = {f"friction{k + 1}": float(value) for k, value in enumerate(friction)}
+    parameters |= {f"contact{k + 1}": 400.0 for k in range(N)}
     began = rng.bit_generator.state
     for part in SMALLER ** np.arange(10):
         rng.bit_generator.state = began
         scenario = (
             started.replace("plant.parameters", {**started.plant.parameters, **true})
-            .replace("model", {"parameters": told})
+            .replace("model", {"parameters": parameters})
             .replace("sensor.noise", NOISE)
             .replace("reference", motion(found, rng, span, float(part)))
             .replace("simulation.substeps", 400)
@@ -189,7 +189,7 @@ def outcome(robot: Robot, seed: int) -> Outcome:
 def line(label: str, results: list[Outcome]) -> str:
     """The row of a robot."""
     fine = [each for each in results if not each.diverged]
-    known, crossed, score, held = (
+    known, crossed, score, covered = (
         np.concatenate([getattr(each, name) for each in fine])
         for name in ("known", "crossed", "score", "held")
     )
@@ -200,7 +200,7 @@ def line(label: str, results: list[Outcome]) -> str:
         f"{known.sum()}, {(crossed & ~known).sum()}, {(~crossed).sum()} of {known.size}",
         f"{(known & ~crossed).sum()}",
         f"{np.max(score[known], initial=0.0):.1f}; {(score[known] > 4).sum()}",
-        f"{np.mean(held[known]) if known.any() else np.nan:.2f}, {np.mean(held):.2f}",
+        f"{np.mean(covered[known]) if known.any() else np.nan:.2f}, {np.mean(covered):.2f}",
         f"{np.median([each.tip for each in fine]):.1f} ({max(each.tip for each in fine):.1f})",
         f"{max(whole):.1f} of {len(whole)}" if whole else "",
     )

@@ -87,15 +87,15 @@ def draw(world: World, rng: np.random.Generator) -> Machine:
     )
 
 
-def driven(made: Bench, machine: Machine, seed: int) -> Floats:
+def driven(setup: Bench, machine: Machine, seed: int) -> Floats:
     """The outputs of a loop around a servo that MuJoCo moves."""
-    problem, stepper, Ts = made.problem, made.stepper, made.problem.scenario.simulation.step
-    where = tree.leaf_slices(made.loop.outputs)
+    problem, stepper, Ts = setup.problem, setup.stepper, setup.problem.scenario.simulation.step
+    where = tree.leaf_slices(setup.loop.outputs)
     inputs = exogenous(problem, seed=seed)
     flank = np.random.default_rng(seed).choice([-1.0, 1.0], 1)
     twin = Twin(machine.arm, problem.x0[1:2], flank)
     moving = float(machine.arm.motor_friction[0])
-    stepper.state[:] = made.start
+    stepper.state[:] = setup.start
     outputs = np.empty((len(inputs), stepper.out.size))
     for k, instant in enumerate(inputs):
         if 2 * k == len(inputs) - len(inputs) % 2 and machine.added:
@@ -115,11 +115,11 @@ def driven(made: Bench, machine: Machine, seed: int) -> Floats:
     return outputs
 
 
-def outcome(made: Bench, world: World, seed: int) -> Outcome:
+def outcome(setup: Bench, world: World, seed: int) -> Outcome:
     """Run one loop and return its result."""
     machine = draw(world, np.random.default_rng(seed))
-    outputs = driven(made, machine, seed)
-    return judged(made, machine.arm, outputs) if np.isfinite(outputs[-1]).all() else Outcome(True)
+    outputs = driven(setup, machine, seed)
+    return judged(setup, machine.arm, outputs) if np.isfinite(outputs[-1]).all() else Outcome(True)
 
 
 def scenario() -> Mapping[str, Any]:
@@ -130,11 +130,11 @@ def scenario() -> Mapping[str, Any]:
     return changed(hanging, observer={"centre": float(centre)}) if centre else hanging
 
 
-def line(label: str, made: Bench, world: World, count: int, first: int) -> str:
+def line(label: str, setup: Bench, world: World, count: int, first: int) -> str:
     """The row of a world."""
-    results = [outcome(made, world, first + k) for k in range(count)]
+    results = [outcome(setup, world, first + k) for k in range(count)]
     fine = [each for each in results if not each.diverged]
-    held = np.array([each.covered for each in fine])
+    covered = np.array([each.covered for each in fine])
     error = np.abs(np.array([each.half for each in fine]) - 1)
     score = np.abs(np.array([each.score for each in fine]))
     silent = sum(
@@ -143,7 +143,7 @@ def line(label: str, made: Bench, world: World, count: int, first: int) -> str:
     return row(
         label,
         f"{len(results)} ({len(results) - len(fine)})",
-        f"{held.mean():.2f} ({held.min():.2f})",
+        f"{covered.mean():.2f} ({covered.min():.2f})",
         f"{1e3 * np.median([each.estimated for each in fine]):.2f}",
         f"{100 * np.median(error):.1f} %, {np.mean(error <= 0.05):.2f}",
         f"{np.mean(score <= 1.96):.2f}",
@@ -170,8 +170,8 @@ def table() -> str:
     """The table."""
     count = int(os.environ.get("GEARS_WORLDS", "20"))
     first = int(os.environ.get("GEARS_FIRST", str(FRESH)))
-    made, lines = bench(scenario()), ["## Encoders as they are\n", NOTE, *HEAD]
+    setup, lines = bench(scenario()), ["## Encoders as they are\n", NOTE, *HEAD]
     for label, world in WORLDS.items():
-        lines.append(line(label, made, world, count, first))
+        lines.append(line(label, setup, world, count, first))
         print(lines[-1], flush=True)
     return "\n".join([*lines, ""])

@@ -23,7 +23,7 @@ RATES = (50.0, 50e3)  # readings in 1 s
 STEPS = (0.005, 0.02)  # between readings, in seconds of the plant's own
 RATIOS = (0.05, 20.0)  # of the declared range of d_r over that of d_l
 SPAN = (0.3, 2.0)  # declared range over its scale
-CLAIMED = World(disturbance=0.2, bias=0.2, tolerance=0.05)  # what constants move z, in mean widths
+ASSUMED = World(disturbance=0.2, bias=0.2, tolerance=0.05)  # what constants move z, in mean widths
 
 
 class Kind(NamedTuple):
@@ -89,7 +89,7 @@ def problems(
     order: int,
     count: int,
     seed: int,
-    claimed: World = CLAIMED,
+    assumed: World = ASSUMED,
     ratios: tuple[float, float] = RATIOS,
 ) -> Problems:
     """Problems of a kind.
@@ -99,7 +99,7 @@ def problems(
         order: of the plants
         count: how many
         seed: of everything random
-        claimed: what constants move z, in mean widths, and the model's error
+        assumed: what constants move z, in mean widths, and the model's error
         ratios: of the declared range of d_r over that of d_l
     """
     rng = np.random.default_rng([seed, order])
@@ -112,15 +112,15 @@ def problems(
     lead = _drives(rng, kind.reach, plants.led, d, step)
     static = np.array([response(led, 0.0).real for led in plants.led])
     width = d.mean(axis=1)
-    w_rms = claimed.disturbance * width / np.abs(static)
-    bias_rms = claimed.bias * width / np.abs(static)
+    w_rms = assumed.disturbance * width / np.abs(static)
+    bias_rms = assumed.bias * width / np.abs(static)
     x_std = width * (1.0 if kind.reach in ("both edges", "grazing") else 0.1)
     posed = Problems(
         models=plants.models,
         noise=noise,
         disturbance=w_rms,
         bias=bias_rms,
-        world=claimed,
+        world=assumed,
         x_std=np.repeat(x_std[:, None], order, axis=1),
         u=lead,
         y=np.empty_like(lead),
@@ -147,13 +147,13 @@ def _plants(rng: np.random.Generator, poles: str, order: int, count: int) -> Pla
         frequency, damping = rng.uniform(1.0, 6.0), rng.uniform(0.2, 1.5)
         pair = list(np.roots([1.0, 2 * damping * frequency, frequency**2]))
         others = list(-rng.uniform(0.5, 5.0, 2))
-        wanted = {1: [-frequency], 2: pair, 3: [*pair, others[0]], 4: [*pair, *others]}[order]
-        own = list(wanted)
+        chosen_poles = {1: [-frequency], 2: pair, 3: [*pair, others[0]], 4: [*pair, *others]}[order]
+        own = list(chosen_poles)
         if poles != "stable":
             own = [-frequency, *others, -1.0][: order - 1]
             own.append(rng.uniform(0.2, 1.0) if poles == "unstable" else 0.0)
-        size = abs(np.prod(wanted)) * rng.uniform(0.5, 2.0)
-        a, a_led = _rows(own), _rows(wanted)
+        size = abs(np.prod(chosen_poles)) * rng.uniform(0.5, 2.0)
+        a, a_led = _rows(own), _rows(chosen_poles)
         models.append(_companion(a, size))
         led.append(_companion(a_led, size))
         feedback.append((a_led - a) / size)

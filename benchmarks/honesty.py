@@ -23,8 +23,8 @@ from undeadzone.observers import Extended
 from undeadzone.util.arrays import Floats
 from undeadzone_studies.statistics.intervals import proportion
 
-CLAIMS = {"told": doubting, "ranges alone": from_ranges}
-FILTERS = CLAIMS | {
+ASSUMPTIONS = {"told": doubting, "ranges alone": from_ranges}
+FILTERS = ASSUMPTIONS | {
     "`extended`": lambda known, k: Extended(right=known.ranges[k, 0], left=known.ranges[k, 1])
 }
 COLUMNS = (
@@ -56,24 +56,26 @@ class Part(NamedTuple):
     rms: Floats
 
 
-def part(claims: str, kind: str, order: int, count: int, seed: int) -> Part:
+def part(assumptions: str, kind: str, order: int, count: int, seed: int) -> Part:
     """Solve the problems of one kind and order."""
     posed = problems(KINDS[kind], order, count, seed)
-    outcome = observe(FILTERS[claims], posed)
+    outcome = observe(FILTERS[assumptions], posed)
     errors, stds = outcome.verdict.errors, outcome.verdict.stds
-    held = np.abs(errors) <= 1.96 * stds + ROUNDING  # a number that is none holds nothing
-    return Part(1.0 * ~held, outcome.consistent, outcome.rms / posed.d.mean(axis=1))
+    covered = np.abs(errors) <= 1.96 * stds + ROUNDING  # a number that is none holds nothing
+    return Part(1.0 * ~covered, outcome.consistent, outcome.rms / posed.d.mean(axis=1))
 
 
-def kept(folder: Path | None, claims: str, kind: str, order: int, count: int, seed: int) -> Part:
+def load_or_compute(
+    folder: Path | None, assumptions: str, kind: str, order: int, count: int, seed: int
+) -> Part:
     """`part`, from the folder if it is there already."""
     if folder is None:
-        return part(claims, kind, order, count, seed)
-    name = f"{claims}, {kind}, order {order}, {count} of seed {seed}.npz".replace(" ", "_")
+        return part(assumptions, kind, order, count, seed)
+    name = f"{assumptions}, {kind}, order {order}, {count} of seed {seed}.npz".replace(" ", "_")
     path = folder / name
     if not path.exists():
         folder.mkdir(parents=True, exist_ok=True)
-        np.savez(path, *part(claims, kind, order, count, seed))
+        np.savez(path, *part(assumptions, kind, order, count, seed))
         print(name, file=sys.stderr, flush=True)
     with np.load(path) as arrays:
         return Part(*arrays.values())
@@ -88,17 +90,19 @@ def table(
 ) -> str:
     """The table, from `count` problems of each order a row."""
     parts = {}
-    for claims in filters:
+    for assumptions in filters:
         for order in orders:
             for kind in KINDS:
-                parts[claims, kind, order] = kept(folder, claims, kind, order, count, seed)
+                parts[assumptions, kind, order] = load_or_compute(
+                    folder, assumptions, kind, order, count, seed
+                )
     lines = ["## Honesty: intervals where the world is as declared, and where it is not\n"]
     lines += head(*COLUMNS)
     for kind in KINDS:
-        for claims in filters:
-            each = [parts[claims, kind, order] for order in orders]
+        for assumptions in filters:
+            each = [parts[assumptions, kind, order] for order in orders]
             pooled = Part(*(np.concatenate(values) for values in zip(*each, strict=True)))
-            lines.append(row(kind, claims, *_cells(pooled)))
+            lines.append(row(kind, assumptions, *_cells(pooled)))
     rates = f"{RATES[0]:g} Hz to {RATES[1] / 1000:g} kHz"
     note = (
         f"{count * len(orders)} problems of orders {tuple(orders)} a row, "

@@ -20,12 +20,12 @@ from typing import Any
 import numpy as np
 
 import undeadzone as uz
-from benchmarks.identify_logs import FAMILIES, MAPS, OPTIONS, SAMPLES, Made, make, mapped
+from benchmarks.identify_logs import FAMILIES, MAPS, OPTIONS, SAMPLES, Log, make, mapped
 from undeadzone_identify.models.estimates import Interval
 from undeadzone_identify.models.zone_fit import refit_likelihood
 from undeadzone_studies.statistics.intervals import proportion
 
-KEPT = Path("build/identify.jsonl")
+STORED = Path("build/identify.jsonl")
 Outcome = dict[str, Any]
 
 
@@ -37,39 +37,39 @@ def families() -> list[str]:
 
 def outcomes() -> list[Outcome]:
     """Every answer that there is, after as many new ones as the time allows."""
-    KEPT.parent.mkdir(exist_ok=True)
-    KEPT.touch()
+    STORED.parent.mkdir(exist_ok=True)
+    STORED.touch()
     ends = time.monotonic() + 60 * float(os.environ.get("IDENTIFY_MINUTES", "inf"))
     first = int(os.environ.get("IDENTIFY_FIRST", "100"))
     for seed in range(first, first + int(os.environ.get("IDENTIFY_SEEDS", "10"))):
-        wanted = list(families())
-        random.shuffle(wanted)  # so that two processes seldom take the same one
-        for family in wanted:
+        pending = list(families())
+        random.shuffle(pending)  # so that two processes seldom take the same one
+        for family in pending:
             if (family, seed) in answers() or time.monotonic() > ends:
                 continue
             outcome = outcome_of(family, seed)
-            with KEPT.open("a") as file:
+            with STORED.open("a") as file:
                 file.write(json.dumps(outcome) + "\n")
     return list(answers().values())
 
 
 def answers() -> dict[tuple[str, int], Outcome]:
     """The answers that are kept, by family and seed; a torn line is none."""
-    kept = {}
-    for line in KEPT.read_text().splitlines():
+    stored = {}
+    for line in STORED.read_text().splitlines():
         try:
             one = json.loads(line)
         except ValueError:
             continue
-        kept[one["family"], one["seed"]] = one
-    return kept
+        stored[one["family"], one["seed"]] = one
+    return stored
 
 
 def outcome_of(family: str, seed: int) -> Outcome:
     """What `identify` makes of a log, beside its truth."""
-    made = mapped(seed, family) if family in MAPS else make(seed, family)
+    log = mapped(seed, family) if family in MAPS else make(seed, family)
     began = time.process_time()
-    answer = uz.identify(t=made.step, u=made.u, y=made.y, **OPTIONS.get(family, {}))
+    answer = uz.identify(t=log.step, u=log.u, y=log.y, **OPTIONS.get(family, {}))
     assert isinstance(answer, uz.Identified)
     spent = time.process_time() - began
     whole = answer.answer
@@ -78,14 +78,14 @@ def outcome_of(family: str, seed: int) -> Outcome:
         "seed": seed,
         "seconds": round(spent, 2),
         "verdict": answer.verdict,
-        "true_order": made.n,
+        "true_order": log.n,
         "order": answer.order,
-        "true": [made.right, made.left],
+        "true": [log.right, log.left],
         "delay": whole.found.delay,
         "right": None if family == "motor" else triple(answer.right),
         "left": None if family == "motor" else triple(answer.left),
         "width": triple(answer.width),
-        "least_squares": least_squares(answer, made) if answer.zone else None,
+        "least_squares": least_squares(answer, log) if answer.zone else None,
         "remarks": whole.remarks,
     }
 
@@ -97,7 +97,7 @@ def triple(interval: Interval | None) -> list[float] | None:
     return [interval.value, interval.low, interval.high]
 
 
-def least_squares(answer: uz.Identified, made: Made) -> list[float]:
+def least_squares(answer: uz.Identified, log: Log) -> list[float]:
     """The edges by least squares through the zone, from where the likelihood ended."""
     fit = refit_likelihood(answer.answer.fit, "behind")
     scale = answer.answer.scale
@@ -115,12 +115,12 @@ def edges(rows: list[Outcome]) -> list[tuple[list[float], float, float | None]]:
     return every
 
 
-def covered(held: list[bool]) -> str:
+def covered(inside: list[bool]) -> str:
     """A share with its 95 % interval."""
-    if not held:
+    if not inside:
         return "-"
-    _, low, high = proportion(sum(held), len(held))
-    return f"{np.mean(held):.3f} [{low:.2f}, {high:.2f}]"
+    _, low, high = proportion(sum(inside), len(inside))
+    return f"{np.mean(inside):.3f} [{low:.2f}, {high:.2f}]"
 
 
 def middle(values: list[float]) -> str:
@@ -138,7 +138,7 @@ def family_row(family: str, rows: list[Outcome]) -> str:
     if family == "motor":  # whose edges are not known, only the width
         errors = [abs(one["width"][0] - sum(one["true"])) for one in zones]
     squares = [abs(ls - truth) for _, truth, ls in every if ls is not None]
-    held = [interval[1] <= truth <= interval[2] for interval, truth, _ in every]
+    covers = [interval[1] <= truth <= interval[2] for interval, truth, _ in every]
     widths = [
         one["width"][1] <= sum(one["true"]) <= one["width"][2] for one in zones if one["width"]
     ]
@@ -148,7 +148,7 @@ def family_row(family: str, rows: list[Outcome]) -> str:
     half = f"{np.median(halves):.4f}" if halves else "-"
     return (
         f"| {family} | {len(zones)} of {len(rows)} | {middle(errors)} | {middle(squares)}"
-        f" | {covered(held)} | {covered(widths)} | {half} | {right_order} | {seconds:.1f} |"
+        f" | {covered(covers)} | {covered(widths)} | {half} | {right_order} | {seconds:.1f} |"
     )
 
 
@@ -157,16 +157,16 @@ def verdict_row(family: str, rows: list[Outcome]) -> str:
     words: dict[str, int] = {}
     for one in rows:
         words[one["verdict"]] = words.get(one["verdict"], 0) + 1
-    told = ", ".join(f"{word} {count}" for word, count in sorted(words.items()))
-    return f"| {family} | {told} |"
+    counts = ", ".join(f"{word} {count}" for word, count in sorted(words.items()))
+    return f"| {family} | {counts} |"
 
 
 def table() -> str:
     """The section of RESULTS.md."""
     every = outcomes()
     rows = {name: [one for one in every if one["family"] == name] for name in families()}
-    shown = {name: some for name, some in rows.items() if some}
-    zones = {name: some for name, some in shown.items() if name not in (*MAPS, "none")}
+    present = {name: some for name, some in rows.items() if some}
+    zones = {name: some for name, some in present.items() if name not in (*MAPS, "none")}
     together = [one for some in zones.values() for one in some]
     lines = [
         "## Identification from logs",
@@ -183,7 +183,7 @@ def table() -> str:
         "",
         "| truth | verdicts |",
         "|---|---|",
-        *[verdict_row(name, some) for name, some in shown.items()],
+        *[verdict_row(name, some) for name, some in present.items()],
         "",
     ]
     return "\n".join(lines)

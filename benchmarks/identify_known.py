@@ -33,7 +33,7 @@ LENGTH, SAMPLES = 15, 1500  # of a passage, of a regression
 REPEATED = 1000
 
 
-class Held(NamedTuple):
+class Coverage(NamedTuple):
     """Whether the edges, then the width, lie in intervals (3): naive, uncorrected, as printed."""
 
     naive: Floats
@@ -41,19 +41,19 @@ class Held(NamedTuple):
     own: Floats
 
 
-def stages(family: str, seed: int) -> tuple[list[Held], Floats]:
+def stages(family: str, seed: int) -> tuple[list[Coverage], Floats]:
     """Whether intervals of (L1) and of (L2) hold, and (L2)'s errors of the edges (2)."""
-    made = make(seed, family)
-    prepared = prepare_log(to_grid([log_from_arrays(made.step, made.u, made.y)]), Options())
+    log = make(seed, family)
+    prepared = prepare_log(to_grid([log_from_arrays(log.step, log.u, log.y)]), Options())
     data = prepared.data
     if family == "late":
         data = delay_inputs(data, lateness(seed))
-    singles = fit_zone(PlantSimulator(data, made.n), "singles", prepared.limits)
+    singles = fit_zone(PlantSimulator(data, log.n), "singles", prepared.limits)
     pairs = refit_likelihood(singles, "pairs")
-    truth = np.array([made.right, made.left, made.right + made.left]) / data.y_scale
-    held = [of_fit(polish_fit(fit), truth) for fit in (singles, pairs)]
+    truth = np.array([log.right, log.left, log.right + log.left]) / data.y_scale
+    coverages = [of_fit(polish_fit(fit), truth) for fit in (singles, pairs)]
     error = np.array([pairs.right, pairs.left]) - truth[:2]
-    return held, np.abs(error) * data.y_scale
+    return coverages, np.abs(error) * data.y_scale
 
 
 def lateness(seed: int) -> int:
@@ -64,27 +64,27 @@ def lateness(seed: int) -> int:
     return int(rng.integers(1, 9))
 
 
-def of_fit(fit: ZoneFit, truth: Floats) -> Held:
+def of_fit(fit: ZoneFit, truth: Floats) -> Coverage:
     """Whether the truth (3) lies in the intervals of a fit."""
     spread = fit.objective.robust_covariance(fit.theta)
     values = np.array([fit.right, fit.left, fit.right + fit.left])
     rows = [fit.objective.width_weights(right=r, left=le) for r, le in ((1, 0), (0, 1), (1, 1))]
-    return held_by(spread, np.array(rows), np.abs(values - truth))
+    return coverage_of(spread, np.array(rows), np.abs(values - truth))
 
 
-def held_by(spread: EstimateCovariance, rows: Floats, errors: Floats) -> Held:
+def coverage_of(spread: EstimateCovariance, rows: Floats, errors: Floats) -> Coverage:
     """Whether errors (M) of the estimates in these directions (M x P) lie in the intervals."""
     naive = np.einsum("ij,jk,ik->i", rows, spread.naive, rows)
     plain = np.einsum("ij,jk,ik->i", rows, spread.V, rows)
     own = [spread.half_width(one) for one in rows]
-    return Held(
+    return Coverage(
         1.0 * (errors <= 1.96 * np.sqrt(naive)),
         1.0 * (errors <= student_quantile(spread.degrees) * np.sqrt(plain)),
         1.0 * (errors <= own),
     )
 
 
-def regression(rng: np.random.Generator, passages: int) -> Held:
+def regression(rng: np.random.Generator, passages: int) -> Coverage:
     """Whether intervals hold of a coefficient whose regressor is on in a few stretches."""
     rows = lfilter([1.0], [1.0, -0.8], rng.standard_normal((SAMPLES, 6)), axis=0)
     rows[:, 0] = 0.0
@@ -95,7 +95,7 @@ def regression(rng: np.random.Generator, passages: int) -> Held:
     e = e - rows @ fitted
     variance = float(np.mean(e**2))
     spread = sandwich_covariance(rows * e[:, None] / variance, rows.T @ rows / variance)
-    return held_by(spread, np.eye(6)[:1], np.abs(fitted[:1]))
+    return coverage_of(spread, np.eye(6)[:1], np.abs(fitted[:1]))
 
 
 def share(values: Floats) -> str:
@@ -110,10 +110,11 @@ def family_row(family: str, count: int) -> str:
     cells = []
     for stage in (0, 1):
         naive, plain, own = (
-            np.array([held[stage][k] for held, _ in done]) for k in range(len(Held._fields))
+            np.array([coverages[stage][k] for coverages, _ in done])
+            for k in range(len(Coverage._fields))
         )
         cells += [f"{naive[:, :2].mean():.3f}", f"{plain[:, :2].mean():.3f}", share(own[:, :2])]
-    cells.append(share(np.array([held[1].own[2] for held, _ in done])))
+    cells.append(share(np.array([coverages[1].own[2] for coverages, _ in done])))
     error = np.concatenate([one for _, one in done])
     return row(family, str(count), *cells, f"{np.median(error):.4f}")
 

@@ -30,7 +30,7 @@ OPTIONS = {"jumps": {"kind": "jump"}, "motor": {"integrators": 1}}
 MAPS = ("saturation", "jump", "cubic", "play")
 
 
-class Made(NamedTuple):
+class Log(NamedTuple):
     """A log and its truth: step [s], u, y, order, d_r, d_l; z is scaled to rms 1."""
 
     step: float
@@ -82,7 +82,7 @@ def excitation(
     return np.repeat(rng.standard_normal(samples // hold + 1), hold)[:samples]
 
 
-def make(seed: int, family: str, samples: int = SAMPLES) -> Made:
+def make(seed: int, family: str, samples: int = SAMPLES) -> Log:
     """A log of a family; a motor's has `SAMPLES`."""
     rng = np.random.default_rng(90_000 + seed)
     if family == "motor":
@@ -103,22 +103,22 @@ def make(seed: int, family: str, samples: int = SAMPLES) -> Made:
         e = 0.08 / math.sqrt(3) * rng.standard_t(3, samples)
     w = disturbance(rng, family, (b, a), step, omega, samples)
     if family == "none":
-        return Made(step, u, z + e, n, 0.0, 0.0)
+        return Log(step, u, z + e, n, 0.0, 0.0)
     if family == "behind":
-        return Made(step, u, dead_zone(z + w, right, left) + e, n, right, left)
+        return Log(step, u, dead_zone(z + w, right, left) + e, n, right, left)
     if family == "jumps":
         z = z + e
-        return Made(step, u, z * ((z > right) | (z < -left)), n, right, left)
-    return Made(step, u, dead_zone(z + w + e, right, left), n, right, left)
+        return Log(step, u, z * ((z > right) | (z < -left)), n, right, left)
+    return Log(step, u, dead_zone(z + w + e, right, left), n, right, left)
 
 
-def motor(rng: np.random.Generator) -> Made:
+def motor(rng: np.random.Generator) -> Log:
     """The position of a motor in a loop that keeps it near 0, in its own rms, disturbed."""
     step, lag = 0.02, rng.uniform(0.1, 0.4)
     num, den, _ = cont2discrete(([1.0], [lag, 1.0, 0.0]), step)
     b, a = num.ravel(), den
     hold = int(rng.uniform(10, 40))
-    wanted = np.repeat(rng.standard_normal(SAMPLES // hold + 1), hold)[:SAMPLES]
+    set_points = np.repeat(rng.standard_normal(SAMPLES // hold + 1), hold)[:SAMPLES]
     w = rng.uniform(0.0, 0.1) * lfilter([0.3], [1, -0.95], rng.standard_normal(SAMPLES))
     u, z = np.zeros(SAMPLES), np.zeros(SAMPLES)
     z[:2] = rng.uniform(-0.5, 0.5)
@@ -126,11 +126,11 @@ def motor(rng: np.random.Generator) -> Made:
         if k > 1:
             driven = u[[k - 1, k - 2]] + w[[k - 1, k - 2]]
             z[k] = -a[1] * z[k - 1] - a[2] * z[k - 2] + b[1:] @ driven
-        u[k] = 3 * wanted[k] - 2 * z[k]
+        u[k] = 3 * set_points[k] - 2 * z[k]
     u, z = u / z.std(), z / z.std()
     right, left = rng.uniform(0.1, 0.8, 2)
     e = float(rng.choice([0.02, 0.05])) * rng.standard_normal(SAMPLES)
-    return Made(step, u, dead_zone(z + e, right, left), 2, right, left)
+    return Log(step, u, dead_zone(z + e, right, left), 2, right, left)
 
 
 def disturbance(
@@ -153,11 +153,11 @@ def disturbance(
     return np.zeros(samples)
 
 
-def mapped(seed: int, kind: str) -> Made:
+def mapped(seed: int, kind: str) -> Log:
     """A log of another map than a dead zone."""
-    made = make(seed, "none")
+    log = make(seed, "none")
     rng = np.random.default_rng(seed)
-    z = made.y
+    z = log.y
     if kind == "saturation":
         y = np.clip(z, -0.8, 1.0)
     elif kind == "jump":
@@ -170,4 +170,4 @@ def mapped(seed: int, kind: str) -> Made:
             now = min(max(now, value - 0.4), value + 0.4)
             y[k] = now
         y += 0.03 * rng.standard_normal(z.size)
-    return made._replace(y=y)
+    return log._replace(y=y)

@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 
 import undeadzone as uz
-from benchmarks.identify_logs import Made, make
+from benchmarks.identify_logs import Log, make
 from benchmarks.markdown import head, row
 from undeadzone.errors import InputError
 from undeadzone_identify.page import write_identified
@@ -18,10 +18,10 @@ SIZES = (2_000, 10_000, 30_000, 100_000)
 FAMILY, SEED = "coloured", 3
 
 
-def seconds(made: Made, folder: Path) -> tuple[float, float, uz.Identified]:
+def seconds(log: Log, folder: Path) -> tuple[float, float, uz.Identified]:
     """CPU time [s] of the answer, and of figures, page and scenario; the answer."""
     began = time.process_time()
-    answer = uz.identify(t=made.step, u=made.u, y=made.y)
+    answer = uz.identify(t=log.step, u=log.u, y=log.y)
     assert isinstance(answer, uz.Identified)
     found = time.process_time()
     write_identified(answer, folder, "log.csv")
@@ -37,12 +37,12 @@ def table() -> str:
     with tempfile.TemporaryDirectory() as folder:
         seconds(make(SEED, FAMILY, 500), Path(folder))  # compiles and imports
         for size in [size for size in SIZES if size <= longest]:
-            made = make(SEED, FAMILY, size)
-            found, shown, answer = seconds(made, Path(folder))
+            log = make(SEED, FAMILY, size)
+            found, with_plots, answer = seconds(log, Path(folder))
             assert answer.right is not None
             half = f"{answer.right.half_width:.4f}"
-            off = f"{answer.right.value - made.right:+.4f}"
-            rows.append(row(str(size), f"{found:.1f}", f"{shown:.1f}", half, off))
+            off = f"{answer.right.value - log.right:+.4f}"
+            rows.append(row(str(size), f"{found:.1f}", f"{with_plots:.1f}", half, off))
     lines = [
         "## Time of an identification",
         "",

@@ -104,7 +104,7 @@ def _forms(loops: Sequence[Loop], forms: Sequence[Form], rounds: int) -> list[st
     """The forms of loops, as shares of the one that is assumed."""
     titles, columns = [], []
     for loop in loops:
-        work, options = _asked(loop)
+        work, options = _work_of(loop)
         own = assumed(work, **options)
         titles.append(f"{loop.name} ({own.kernel.form.setting_text})")
         programs = {"assumed": alone(own, work)}
@@ -122,7 +122,7 @@ def _forms(loops: Sequence[Loop], forms: Sequence[Form], rounds: int) -> list[st
     return [*lines, ""]
 
 
-def _asked(loop: Loop) -> tuple[Work, dict[str, Any]]:
+def _work_of(loop: Loop) -> tuple[Work, dict[str, Any]]:
     """The work of a loop, and how it is computed."""
     work = draw(RUNS, STEPS * 1e-3, **loop.options)
     return work, {"step": loop.step, "known": loop.known}
@@ -144,23 +144,23 @@ def variable(name: str, value: str) -> Iterator[None]:
 def formed(form: Form, work: Work, **options: Any) -> ours.Program:
     """The program in a form."""
     with variable(FIXED, form.setting_text):
-        return ours.made(work, **options)
+        return ours.build_program(work, **options)
 
 
 def assumed(work: Work, **options: Any) -> ours.Program:
     """The program in the form that is assumed, and stays so."""
     with tempfile.TemporaryDirectory() as folder, variable("UNDEADZONE_CACHE", folder):
-        form = ours.made(work, **options).kernel.form
+        form = ours.build_program(work, **options).kernel.form
     return formed(form, work, **options)
 
 
 def measured(work: Work, **options: Any) -> ours.Program:
     """The program after runs long enough for its form to be measured."""
     while True:
-        program = ours.made(work, **options)
+        program = ours.build_program(work, **options)
         trial = program.kernel.block.trial
         if trial is None or trial.is_done:
-            return ours.made(work, **options)
+            return ours.build_program(work, **options)
         run = alone(program, work)
         for _ in range(100):
             run()
@@ -168,7 +168,7 @@ def measured(work: Work, **options: Any) -> ours.Program:
 
 def _row(loop: Loop, rounds: int) -> str:
     """One loop."""
-    work, options = _asked(loop)
+    work, options = _work_of(loop)
     few = draw(1000, STEPS * 1e-3, **loop.options)
     before, after = assumed(work, **options), measured(work, **options)
     programs = {
@@ -181,13 +181,13 @@ def _row(loop: Loop, rounds: int) -> str:
     seconds = least({name: one for name, one in programs.items() if one is not None}, rounds)
     each = {name: 1e9 * value / STEPS / RUNS for name, value in seconds.items()}
     each["run"] *= RUNS / 1000
-    shown = [f"{each['C']:.3g}" if "C" in each else "not installed"]
+    cells = [f"{each['C']:.3g}" if "C" in each else "not installed"]
     for name in ("grouped", "assumed", "measured"):
         share = f" ({each[name] / each['C']:.2f})" if "C" in each and name in each else ""
-        shown.append(f"{each[name]:.3g}{share}" if name in each else "not installed")
-    shown[2:2] = [before.kernel.form.setting_text]
-    shown[4:4] = [after.kernel.form.setting_text]
-    return row(loop.name, *shown, f"{each['run'] / each['measured']:.2f}")
+        cells.append(f"{each[name]:.3g}{share}" if name in each else "not installed")
+    cells[2:2] = [before.kernel.form.setting_text]
+    cells[4:4] = [after.kernel.form.setting_text]
+    return row(loop.name, *cells, f"{each['run'] / each['measured']:.2f}")
 
 
 def alone(program: ours.Program, work: Work) -> Callable[[], None]:

@@ -75,9 +75,9 @@ def _ways(
         f"Online.update_many, {fast.engine}": (many, block),
     }
     for precision in ("double", "single"):
-        made = folder / f"{precision}-{count}"
-        made.mkdir()
-        exported = accuracy.CompiledStep(build_code(step, precision == "single"), made)
+        subfolder = folder / f"{precision}-{count}"
+        subfolder.mkdir()
+        exported = accuracy.CompiledStep(build_code(step, precision == "single"), subfolder)
         ways[f"exported C, {precision}"] = (many, partial(exported, rows))
     return ways
 

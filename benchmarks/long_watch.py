@@ -39,8 +39,8 @@ def table(lines: int = 10_000_000) -> str:
             memory = _feed(running, running.stdin, lines)
             reader.join()
         seconds = time.perf_counter() - began
-    shown = ", ".join(f"{size:.0f}" for size in memory)
-    cells = (f"{lines:,}", f"{sum(counted) - 1:,}", f"{lines / seconds:,.0f}", shown)
+    sizes = ", ".join(f"{size:.0f}" for size in memory)
+    cells = (f"{lines:,}", f"{sum(counted) - 1:,}", f"{lines / seconds:,.0f}", sizes)
     title = "## A long watch\n"
     words = head("lines in", "estimates out", "lines/s", "resident memory at tenths [MB]")
     return "\n".join([title, *words, row(*cells), ""])

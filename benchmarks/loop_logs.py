@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import lfilter
 
-from benchmarks.names_logs import random_plant, through_zone, wanted
+from benchmarks.names_logs import draw_reference, random_plant, through_zone
 from undeadzone.util.arrays import Floats
 
 KINDS = ("input zone", "play", "both ends")
@@ -60,7 +60,7 @@ def _drawn(rng: np.random.Generator, kind: str, disturbance: float, closed: bool
     """A log, which may run away."""
     plant = random_plant(rng)
     size = int(math.exp(rng.uniform(math.log(SHORTEST), math.log(LONGEST))))
-    r = wanted(rng, plant, size)
+    r = draw_reference(rng, plant, size)
     zone = rng.uniform(0.15, 0.6, 2) * (kind != "play")
     sensor = rng.uniform(0.15, 0.6, 2) * (kind == "both ends")
     gaps = rng.uniform(0.1, 0.5, 2) * (kind == "play")

@@ -23,25 +23,25 @@ from benchmarks.names import commit
 from undeadzone.util.progress import terminal_progress
 from undeadzone_studies.statistics.intervals import proportion
 
-KEPT = Path("build/loops.jsonl")
+STORED = Path("build/loops.jsonl")
 WORDS = {"input zone": "input_zone", "play": "play", "both ends": "two_zones"}
 Outcome = dict[str, Any]
 
 
 def outcomes(of: str) -> list[Outcome]:
     """Every answer of a commit, after as many new ones as the time allows."""
-    KEPT.parent.mkdir(exist_ok=True)
-    KEPT.touch()
+    STORED.parent.mkdir(exist_ok=True)
+    STORED.touch()
     first, count = int(os.environ.get("LOOPS_FIRST", 0)), int(os.environ.get("LOOPS_LOGS", 7))
     ends = time.monotonic() + 60 * float(os.environ.get("LOOPS_MINUTES", "inf"))
     seeds = [] if "LOOPS_COMMIT" in os.environ else range(first, first + count)
-    wanted = list(itertools.product(seeds, KINDS, DISTURBANCES, (True, False)))
-    with terminal_progress("logs", len(wanted), "log") as advance:
-        for key in wanted:
+    pending = list(itertools.product(seeds, KINDS, DISTURBANCES, (True, False)))
+    with terminal_progress("logs", len(pending), "log") as advance:
+        for key in pending:
             if time.monotonic() < ends and key not in answers(of):
-                told = dict(zip(("seed", "kind", "disturbance", "closed"), key, strict=True))
-                answer = told | outcome_of(make(*key), key[1]) | {"commit": of}
-                with KEPT.open("a") as file:
+                settings = dict(zip(("seed", "kind", "disturbance", "closed"), key, strict=True))
+                answer = settings | outcome_of(make(*key), key[1]) | {"commit": of}
+                with STORED.open("a") as file:
                     file.write(json.dumps(answer) + "\n")
             advance(1)
     return list(answers(of).values())
@@ -49,7 +49,7 @@ def outcomes(of: str) -> list[Outcome]:
 
 def answers(of: str) -> dict[tuple[Any, ...], Outcome]:
     """The answers of a commit that are kept."""
-    rows = [json.loads(line) for line in KEPT.read_text().splitlines()]
+    rows = [json.loads(line) for line in STORED.read_text().splitlines()]
     keys = ("seed", "kind", "disturbance", "closed")
     return {tuple(one[key] for key in keys): one for one in rows if one["commit"] == of}
 
@@ -73,8 +73,13 @@ def outcome_of(log: LoopLog, kind: str) -> Outcome:
                 widths[f"input {side}"] = [at_input.get(side), float(log.input[k])]
                 widths[f"sensor {side}"] = [numbers[side], float(log.sensor[k])]
     given = {name: pair for name, pair in widths.items() if pair[0] is not None}
-    told = {"loop": numbers["closed_loop"], "answered": numbers["answered"]}
-    return {"verdict": numbers["verdict"], "widths": given, "order": numbers["order"], **told}
+    loop_numbers = {"loop": numbers["closed_loop"], "answered": numbers["answered"]}
+    return {
+        "verdict": numbers["verdict"],
+        "widths": given,
+        "order": numbers["order"],
+        **loop_numbers,
+    }
 
 
 def cells(rows: list[Outcome], part: str) -> list[str]:
@@ -91,8 +96,8 @@ def cells(rows: list[Outcome], part: str) -> list[str]:
     hits = sum(low <= truth <= high for (_, low, high), truth in pairs)
     value, low, high = proportion(hits, len(pairs))
     spread = f"{np.median(errors):.3f}", f"{np.quantile(errors, 0.9):.3f}"
-    held = f"{value:.3f} [{low:.3f}, {high:.3f}]"
-    return [str(len(pairs)), *spread, f"{np.median(halves):.3f}", held]
+    share_text = f"{value:.3f} [{low:.3f}, {high:.3f}]"
+    return [str(len(pairs)), *spread, f"{np.median(halves):.3f}", share_text]
 
 
 def table() -> str:
@@ -115,7 +120,7 @@ def table() -> str:
     shares = {True: [], False: []}
     for one in every:
         shares[one["closed"]].append((one["answered"], one["loop"]))
-    heard = {
+    detected = {
         closed: sum(1 for share, _ in pairs if share is not None and share > 0.5)
         for closed, pairs in shares.items()
     }
@@ -124,8 +129,8 @@ def table() -> str:
     }
     lines += [
         "",
-        f"A loop is heard with its reference in {heard[True]} of {len(shares[True])} closed and"
-        f" {heard[False]} of {len(shares[False])} open ones, without it in {guessed[True]} and"
+        f"A loop is heard with its reference in {detected[True]} of {len(shares[True])} closed and"
+        f" {detected[False]} of {len(shares[False])} open ones, without it in {guessed[True]} and"
         f" {guessed[False]}.",
     ]
     return "\n".join(

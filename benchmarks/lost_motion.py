@@ -28,17 +28,17 @@ class Outcome(NamedTuple):
     Attributes:
         word: right, withheld or wrong.
         is_sure: whether the odds of the name are above `SURE`.
-        held: whether the interval of what is lost held it; None where none is given.
+        covered: whether the interval of what is lost held it; None where none is given.
         half: half the interval over that of least squares with white residuals; nan likewise.
-        gap_held: the same of the gap alone, where a current tells it apart.
+        gap_covered: the same of the gap alone, where a current tells it apart.
         seconds: CPU.
     """
 
     word: str
     is_sure: bool
-    held: bool | None
+    covered: bool | None
     half: float
-    gap_held: bool | None
+    gap_covered: bool | None
     seconds: float
 
 
@@ -58,21 +58,21 @@ def ask(log: MotionLog) -> Outcome:
     answer, parts = found.answer, found.answer.parts
     fit = MotionFit(answer.data, answer.found.structure)
     white = NORMAL * answer.found.rms / np.sqrt(fit.information(answer.found))
-    half, held = (
+    half, covered = (
         answer.gap.half_width / max(white, 1e-300),
         answer.gap.low <= log.lost <= answer.gap.high,
     )
     of_gap = None
     if log.gap is not None and parts is not None:
         of_gap = parts.gap.low <= log.gap <= parts.gap.high
-    return Outcome(word, is_sure, bool(held), float(half), of_gap, seconds)
+    return Outcome(word, is_sure, bool(covered), float(half), of_gap, seconds)
 
 
 def table() -> str:
     """Return the section of RESULTS.md."""
     count, begin = int(os.environ.get("LOST_LOGS", "4")), int(os.environ.get("LOST_FIRST", "1000"))
-    wanted = os.environ.get("LOST_KINDS", ",".join(name.replace(",", ";") for name in KINDS))
-    kinds = {name: KINDS[name] for name in (one.replace(";", ",") for one in wanted.split(","))}
+    requested = os.environ.get("LOST_KINDS", ",".join(name.replace(",", ";") for name in KINDS))
+    kinds = {name: KINDS[name] for name in (one.replace(";", ",") for one in requested.split(","))}
     lines = ["## Lost motion", ""]
     lines += head("log", "right", "withheld", "wrong (> .9)", "lost motion held",
                   "half over least squares", "gap held", "CPU s")  # fmt: skip
@@ -80,8 +80,8 @@ def table() -> str:
         every = [ask(make(np.random.default_rng([k, begin + seed]))) for seed in range(count)]
         words = [one.word for one in every]
         wrong = [one for one in every if one.word == "wrong"]
-        held = [one.held for one in every if one.held is not None]
-        gaps = [one.gap_held for one in every if one.gap_held is not None]
+        covered = [one.covered for one in every if one.covered is not None]
+        gaps = [one.gap_covered for one in every if one.gap_covered is not None]
         halves = [one.half for one in every if np.isfinite(one.half) and one.half < 1e6]
         lines.append(
             row(
@@ -89,7 +89,7 @@ def table() -> str:
                 str(words.count("right")),
                 str(words.count("withheld")),
                 f"{len(wrong)} ({sum(one.is_sure for one in wrong)})",
-                f"{sum(held)} of {len(held)}" if held else "-",
+                f"{sum(covered)} of {len(covered)}" if covered else "-",
                 f"{np.median(halves):.2f}" if halves else "-",
                 f"{sum(gaps)} of {len(gaps)}" if gaps else "-",
                 f"{np.median([one.seconds for one in every]):.1f}",

@@ -32,7 +32,7 @@ FALSE = 1e-3  # gap [rad] from which a fit that knows no names says that there i
 STARTS = (0.005, 0.04)  # gaps [rad]
 STEPS = 12  # of a fit in MuJoCo
 NO_NAME = ("undecided", "unclear")
-TOLD = "mujoco.sysid, told the model"
+SYSID_KNOWING_MODEL = "mujoco.sysid, told the model"
 # First value and limits of ln inertia [of the true one], ln damping, ln load by rotor, friction.
 SYSID = {
     "inertia": (0.0, -3.0, 3.0),
@@ -209,7 +209,7 @@ def _row(kind: str, method: str, motors: Sequence[Motor], answers: Sequence[Answ
         for one, truth in zip(answers, truths, strict=True)
     ]
     gaps = [(one.gap, motor.gap) for one, motor in zip(answers, motors, strict=True) if one.gap]
-    held = [gap[1] <= truth <= gap[2] for gap, truth in gaps if math.isfinite(gap[1])]
+    covered = [gap[1] <= truth <= gap[2] for gap, truth in gaps if math.isfinite(gap[1])]
     values = [math.nan if one.gap is None else one.gap[0] for one in answers]
     return row(
         kind,
@@ -219,7 +219,7 @@ def _row(kind: str, method: str, motors: Sequence[Motor], answers: Sequence[Answ
         f"{sum(other)}" if method != "output error" else "-",
         f"{sum(withheld)}",
         _median_error(values, [motor.gap for motor in motors]) if has_gap else "-",
-        f"{sum(held)} of {len(held)}" if held else "-",
+        f"{sum(covered)} of {len(covered)}" if covered else "-",
         _median_error([one.friction for one in answers], [motor.friction for motor in motors]),
         _median_error([one.samples for one in answers], [motor.samples for motor in motors]),
         f"{np.median([one.seconds for one in answers]):.1f}",
@@ -238,7 +238,7 @@ METHODS: dict[str, Callable[[Floats, Floats, Motor, int], Answer]] = {
     "identify": lambda u, y, motor, seed: identified(u, y),
     "identify, both encoders": lambda u, y, motor, seed: by_both_encoders(motor, seed),
     "output error": lambda u, y, motor, seed: output_error(u, y),
-    TOLD: lambda u, y, motor, seed: by_sysid(u, y, motor),
+    SYSID_KNOWING_MODEL: lambda u, y, motor, seed: by_sysid(u, y, motor),
 }
 
 
@@ -246,9 +246,9 @@ def table() -> str:
     """Return the section of RESULTS.md."""
     count = int(os.environ.get("MOTORS_LOGS", "4"))
     first = int(os.environ.get("MOTORS_FIRST", "100"))
-    wanted = os.environ.get("MOTORS_METHODS", ";".join(METHODS)).split(";")
+    requested = os.environ.get("MOTORS_METHODS", ";".join(METHODS)).split(";")
     if os.environ.get("MOTORS_RIVALS", "1") == "0":
-        wanted = [one for one in wanted if one != TOLD]
+        requested = [one for one in requested if one != SYSID_KNOWING_MODEL]
     lines = [
         "## Motors",
         "",
@@ -269,7 +269,7 @@ def table() -> str:
             motors = list(own.values())
             name = f"{'gap' if with_gap else 'rigid'}, {kind}"
             for method, ask in METHODS.items():
-                if method in wanted:
+                if method in requested:
                     answers = [ask(*log, own[seed], seed) for seed, log in logs.items()]
                     lines.append(_row(name, method, motors, answers))
     return "\n".join([*lines, ""])

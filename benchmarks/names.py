@@ -27,7 +27,7 @@ from undeadzone.util.progress import terminal_progress
 from undeadzone_identify.selection.decision import FEW
 from undeadzone_studies.statistics.intervals import proportion
 
-KEPT = Path("build/names.jsonl")
+STORED = Path("build/names.jsonl")
 FIGURE = Path(__file__).with_name("names.svg")
 NO_NAME = ("undecided", "unclear", "unreached", "refused")  # answers that name nothing
 BINS = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 0.99, 1.0)  # of odds
@@ -47,24 +47,24 @@ Outcome = dict[str, Any]
 def commit() -> str:
     """Of the code; with a plus where it differs from that. The figure that is drawn is no code."""
     named = ["git", "describe", "--always"]
-    told = subprocess.run(named, capture_output=True, text=True, check=True).stdout.strip()
+    revision = subprocess.run(named, capture_output=True, text=True, check=True).stdout.strip()
     changed = subprocess.run(["git", "diff", "--quiet", "HEAD", "--", "*.py"], check=False)
-    return told + "+" * bool(changed.returncode)
+    return revision + "+" * bool(changed.returncode)
 
 
 def outcomes(of: str) -> list[Outcome]:
     """Every answer of a commit, after as many new ones as the time allows."""
-    KEPT.parent.mkdir(exist_ok=True)
-    KEPT.touch()
+    STORED.parent.mkdir(exist_ok=True)
+    STORED.touch()
     first, count = int(os.environ.get("NAMES_FIRST", "1000")), int(os.environ.get("NAMES_LOGS", 40))
     ends = time.monotonic() + 60 * float(os.environ.get("NAMES_MINUTES", "inf"))
-    wanted = [] if "NAMES_COMMIT" in os.environ else range(first, first + count)
-    with terminal_progress("logs", len(wanted) * len(TRUTHS), "log") as advance:
-        for seed in wanted:
+    pending = [] if "NAMES_COMMIT" in os.environ else range(first, first + count)
+    with terminal_progress("logs", len(pending) * len(TRUTHS), "log") as advance:
+        for seed in pending:
             for truth in TRUTHS:
                 if time.monotonic() < ends and (truth, seed) not in answers(of):
                     answer = outcome_of(make(seed, truth)) | {"seed": seed, "commit": of}
-                    with KEPT.open("a") as file:
+                    with STORED.open("a") as file:
                         file.write(json.dumps(answer) + "\n")
                 advance(1)
     return list(answers(of).values())
@@ -72,7 +72,7 @@ def outcomes(of: str) -> list[Outcome]:
 
 def answers(of: str) -> dict[tuple[str, int], Outcome]:
     """The answers of a commit that are kept, by truth and seed."""
-    rows = [json.loads(line) for line in KEPT.read_text().splitlines()]
+    rows = [json.loads(line) for line in STORED.read_text().splitlines()]
     return {(one["truth"], one["seed"]): one for one in rows if one["commit"] == of}
 
 
@@ -89,8 +89,8 @@ def outcome_of(log: NamedLog) -> Outcome:
     truth = {"right": log.widths[0], "left": log.widths[1], "width": sum(log.widths)}
     widths = [[numbers[name], truth[name]] for name in MEASURED.get(log.truth, ()) if numbers[name]]
     spent = time.process_time() - began
-    told = {key: numbers[key] for key in ("verdict", "odds", "reasons", "remarks")}
-    return known | told | {"widths": widths, "seconds": round(spent, 2)}
+    selected = {key: numbers[key] for key in ("verdict", "odds", "reasons", "remarks")}
+    return known | selected | {"widths": widths, "seconds": round(spent, 2)}
 
 
 def right_word(one: Outcome) -> str:
@@ -123,8 +123,8 @@ def share(flags: Iterable[bool]) -> str:
 
 def confusion(every: list[Outcome]) -> list[str]:
     """Verdicts by truth."""
-    shown = [*TRUTHS.values(), *NO_NAME]
-    words = [word for word in shown if any(one["verdict"] == word for one in every)]
+    columns = [*TRUTHS.values(), *NO_NAME]
+    words = [word for word in columns if any(one["verdict"] == word for one in every)]
     words += sorted({one["verdict"] for one in every} - set(words))
     lines = head("truth", *(word.replace("_", " ") for word in words), "named rightly")
     for truth in TRUTHS:
@@ -153,11 +153,11 @@ def summary(every: list[Outcome]) -> list[str]:
     for name, rows in parts.items():
         sure = [is_wrong(one) and first_odds(one) > SURE for one in rows]
         cells = [share(map(is_right, rows)), share(map(is_wrong, rows)), share(sure)]
-        lines.append(row(name, *cells, share(held(rows))))
+        lines.append(row(name, *cells, share(covers(rows))))
     return lines
 
 
-def held(rows: list[Outcome]) -> list[bool]:
+def covers(rows: list[Outcome]) -> list[bool]:
     """Whether intervals under the right name hold the truth."""
     widths = [width for one in rows if is_right(one) for width in one["widths"]]
     return [low <= truth <= high for (_, low, high), truth in widths]

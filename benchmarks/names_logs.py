@@ -87,7 +87,7 @@ def random_plant(rng: np.random.Generator) -> Plant:
     return Plant(companion, np.eye(n)[0], numerator.ravel()[1:], step, omega)
 
 
-def wanted(rng: np.random.Generator, plant: Plant, size: int) -> Floats:
+def draw_reference(rng: np.random.Generator, plant: Plant, size: int) -> Floats:
     """A reference of rms 1: noise of first order, or steps."""
     if rng.random() < 0.5:
         pole = math.exp(-plant.step * plant.omega * rng.uniform(0.3, 1.0))
@@ -109,7 +109,7 @@ def make(seed: int, truth: str) -> NamedLog:
     plant = random_plant(rng)
     size = int(math.exp(rng.uniform(math.log(SHORTEST), math.log(LONGEST))))
     closed, encoder = bool(rng.random() < 0.5), bool(rng.random() < 0.4)
-    r = wanted(rng, plant, size)
+    r = draw_reference(rng, plant, size)
     widths = rng.uniform(0.15, 0.6, 2)
     gaps = rng.uniform(0.1, 0.5, 2)
     noise = 0.0 if encoder else float(rng.choice([0.01, 0.03, 0.06]))

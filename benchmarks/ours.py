@@ -40,7 +40,7 @@ class Program(NamedTuple):
     params: Floats
 
 
-def made(
+def build_program(
     work: Work,
     *,
     step: str = "located",
@@ -66,7 +66,7 @@ def prepare(work: Work, *, threads: int = 1, **options: Any) -> Callable[[], Res
             as in ensembles, else they are read at run time; every: the rms is taken from each so
             many-th step
     """
-    kernel, states, exogenous, params = made(work, **options)
+    kernel, states, exogenous, params = build_program(work, **options)
     count = exogenous[:, -1].sum()
 
     def run() -> Result:

@@ -80,12 +80,12 @@ def integrate(
 
     f(t, s, k) is the derivative in step k, by Heun's third-order method.
     """
-    count, kept = round(duration / step), []
+    count, states_so_far = round(duration / step), []
     gone = np.zeros(len(s), dtype=bool)
     with np.errstate(all="ignore"):
         for k in range(count + 1):
             if k * step >= duration - LAST - 1e-9:
-                kept.append(s.copy())
+                states_so_far.append(s.copy())
             t = k * step
             a = f(t, s, k)
             b = f(t + step / 3, s + step / 3 * a, k)
@@ -94,7 +94,7 @@ def integrate(
             away = ~(np.abs(s).max(axis=1) < GONE)
             gone |= away
             s[away] = 0.0
-    states = np.array(kept)
+    states = np.array(states_so_far)
     t = duration - LAST + step * np.arange(len(states))
     return t, states, gone
 
@@ -127,16 +127,16 @@ def run_printed(
     r, signs = np.array(amplitude), np.array(sign)
 
     def f(t: float, s: Floats, k: int) -> Floats:
-        x, xh, d, held = s[:, :2], s[:, 2:4], s[:, 4:6], s[:, 6]
+        x, xh, d, lowpass = s[:, :2], s[:, 2:4], s[:, 4:6], s[:, 6]
         y = dead(x[:, 0], 1.0, 1.0)
         e = y - dead(xh[:, 0], d[:, 0], d[:, 1])
-        u = -k_p * e - k_d * (e - held) / TAU + r * np.sin(W * t)
+        u = -k_p * e - k_d * (e - lowpass) / TAU + r * np.sin(W * t)
         switch = np.tanh(K_S * y)
         moved = x @ A.T + np.outer(u, B)
         followed = xh @ A.T + np.outer(e, L_40)
         right = -e * cpl * (1 + switch) / 2
         left = -signs * e * cpl * (1 - switch) / 2
-        return np.column_stack([moved, followed, right, left, (e - held) / TAU])
+        return np.column_stack([moved, followed, right, left, (e - lowpass) / TAU])
 
     s = np.zeros((len(x0), 7))
     s[:, :2], s[:, 4:6] = x0, width
@@ -233,8 +233,8 @@ def run_theorem() -> Floats:
         e = y - dead(xh[:, 0], d[:, 0], d[:, 1])
         switch = np.tanh(K_S * y)
         chi = np.column_stack([(1 + switch) / 2, left * (1 - switch) / 2])
-        taken = np.where(given > 0, (chi * (1.0 - d)).sum(axis=1), -e)
-        u = -ALPHA * (of_y * e + of_d * taken) + 5.0 * np.sin(W * t)
+        width_term = np.where(given > 0, (chi * (1.0 - d)).sum(axis=1), -e)
+        u = -ALPHA * (of_y * e + of_d * width_term) + 5.0 * np.sin(W * t)
         moved = np.einsum("kij,kj->ki", matrices, x)
         moved[:, 1] += u
         followed = np.einsum("kij,kj->ki", matrices, xh) + L * e[:, None]
@@ -358,7 +358,7 @@ def recompute() -> dict[str, Again]:
     error = float(np.abs(off - 1.0).max())
     theorem = run_theorem()
     ends = [state_off(mended, 0), state_off(mended, 1), widths_off(mended)]
-    taken = np.abs(np.clip(np.linspace(-5, 5, 1001), -1, 1)).max()
+    largest_value = np.abs(np.clip(np.linspace(-5, 5, 1001), -1, 1)).max()
     in_noise, in_gust = widths_off(runs)[2:4]
     filtered = [filter_in_loop(0.0, 0.02) / in_noise, filter_in_loop(1.0, 0.0) / in_gust]
     return {
@@ -367,7 +367,9 @@ def recompute() -> dict[str, Again]:
         "global": Again(float(widths_off(far).max()), float(widths_off(far_mended).max())),
         "unknown-width": Again(float(widths_off(unaware).max()), float(widths_off(mended)[0])),
         "theorem": Again(float(theorem.max()), float(max(end.max() for end in ends))),
-        "width-bound": Again(max(0.0, taken - abs(1.0 - 1.0)), max(0.0, taken - (1.0 + 1.0))),
+        "width-bound": Again(
+            max(0.0, largest_value - abs(1.0 - 1.0)), max(0.0, largest_value - (1.0 + 1.0))
+        ),
         "bounded": Again(float(printed.gone.any()), float(runs.gone.any())),
         "tracking": Again(float(reference_off(printed).max()), float(reference_off(mended).max())),
         "predetermined": Again(error, None),

@@ -90,8 +90,10 @@ def linear_start(u: Floats, y: Floats, n: int) -> Floats:
         found = np.linalg.lstsq(np.column_stack(lagged), fy, rcond=None)[0]
         if np.abs(np.roots(np.append(1.0, found[:n]))).max() >= 1:
             break
-        a, kept = found[:n], found
-    return kept if a.any() else np.concatenate([[-0.9], np.zeros(n - 1), [0.1], np.zeros(n - 1)])
+        a, component = found[:n], found
+    return (
+        component if a.any() else np.concatenate([[-0.9], np.zeros(n - 1), [0.1], np.zeros(n - 1)])
+    )
 
 
 def fit_each(u: Floats, y: Floats, known: int) -> dict[str, tuple[float, Floats, int]]:
@@ -162,8 +164,15 @@ def cells(fits: list[Fit], logs: list[NamedLog], truth: str) -> list[str]:
         if ok and sum(log.widths) and math.isfinite(one.width)
     ]
     rms = [one.rms for one in fits if math.isfinite(one.rms)]
-    told = f"{np.median(off):.3f}" if off else "-", f"{np.median(rms):.4f}" if rms else "-"
-    return [f"{sum(right)}, {wrong}", *told, f"{np.mean([one.seconds for one in fits]):.1f}"]
+    cells_of_errors = (
+        f"{np.median(off):.3f}" if off else "-",
+        f"{np.median(rms):.4f}" if rms else "-",
+    )
+    return [
+        f"{sum(right)}, {wrong}",
+        *cells_of_errors,
+        f"{np.mean([one.seconds for one in fits]):.1f}",
+    ]
 
 
 def table() -> str:
@@ -185,10 +194,10 @@ def table() -> str:
             if math.isfinite(one.rms):
                 compared += 1
                 behind += one.rms > 1.02 * rival.rms
-    told = (
+    remark = (
         f"{count} logs of each truth. Errors are medians: of a width in its own size where the"
         " name is right, of a simulation in rms of the readings, whatever the name. Of"
         f" {compared} logs that `identify` names and simulates it is behind the least BIC by more"
         f" than 2 % in {behind}."
     )
-    return "\n".join(["## Plain fits", "", told, "", *lines, ""])
+    return "\n".join(["## Plain fits", "", remark, "", *lines, ""])

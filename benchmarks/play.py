@@ -38,7 +38,7 @@ class World(NamedTuple):
         reference: amplitude [z] and frequency [Hz].
         poles: rate of the closed loop [1/s].
         gaps: least and largest true gap of a side [z].
-        claim: range of the gaps as it is claimed [z].
+        gap_range: range of the gaps that is assumed [z].
         disturbance: white, at the input, rms [u].
         gains: L and gamma of the certified observer; None: no certificate exists.
         duration: of a loop [s].
@@ -49,7 +49,7 @@ class World(NamedTuple):
     reference: tuple[float, float]
     poles: float
     gaps: tuple[float, float]
-    claim: list[float]
+    gap_range: list[float]
     disturbance: float
     gains: tuple[list[float], float] | None
     duration: float
@@ -94,7 +94,7 @@ Options = Callable[[World, Widths], ObserverOptions]
 
 def kalman(world: World, gaps: Widths) -> Kalman:
     """It knows the range of the gaps."""
-    return Kalman(right=world.claim, disturbance=world.disturbance)
+    return Kalman(right=world.gap_range, disturbance=world.disturbance)
 
 
 def known(world: World, gaps: Widths) -> Kalman:
@@ -106,7 +106,7 @@ def known(world: World, gaps: Widths) -> Kalman:
 def censored(world: World, gaps: Widths) -> Censored:
     """It knows the range of the gaps, and hears what a held reading bounds."""
     return Censored(
-        right=world.claim,
+        right=world.gap_range,
         disturbance=world.disturbance,
         correlation_time=world.step,
         bias=0.0,
@@ -119,20 +119,20 @@ def censored(world: World, gaps: Widths) -> Censored:
 
 def ranges_alone(world: World, gaps: Widths) -> Censored:
     """It knows the range of the gaps, and nothing else."""
-    return Censored(right=world.claim)
+    return Censored(right=world.gap_range)
 
 
 def certified(world: World, gaps: Widths) -> Certified:
     """Constant gains with a certificate."""
     assert world.gains is not None
     L, gamma = world.gains
-    middle = float(np.mean(world.claim))
+    middle = float(np.mean(world.gap_range))
     return Certified(L=[[gain] for gain in L], gamma=gamma, widths0=middle)
 
 
 def inverse(world: World, gaps: Widths) -> AdaptiveInverse:
     """The adaptive inverse of Tao and Kokotovic."""
-    return AdaptiveInverse(widths0=float(np.mean(world.claim)), width_max=world.claim[1])
+    return AdaptiveInverse(widths0=float(np.mean(world.gap_range)), width_max=world.gap_range[1])
 
 
 def naive(world: World, gaps: Widths) -> Luenberger:

@@ -46,7 +46,7 @@ class Entry(NamedTuple):
 
     Attributes:
         options: of the observer.
-        gaps: known, or estimated within the world's claim.
+        gaps: known, or estimated within the world's `gap_range`.
         mistaken: kind of the sensor that the observer takes it for; empty: what it is.
     """
 
@@ -86,10 +86,10 @@ def posed(world: World, reading: str, entry: Entry, seed: int) -> Problem:
     c_r, c_l, d_r, d_l = (float(width) for width in rng.uniform(*world.gaps, 4))
     noise, quantum = rms_and_quantum(world, READINGS[reading])
     sensor = Sensor(right=d_r, left=d_l, play=[c_r, c_l], noise=noise, quantum=quantum)
-    told = [c_r, c_l] if entry.gaps == "known" else [world.claim, world.claim]
+    declared = [c_r, c_l] if entry.gaps == "known" else [world.gap_range, world.gap_range]
     options = entry.options(world, (c_r, c_l, d_r, d_l))
     scenario = loop(world, sensor, options, rng, seed)
-    scenario = msgspec.structs.replace(scenario, model=Model(play=told))
+    scenario = msgspec.structs.replace(scenario, model=Model(play=declared))
     problem = resolve_scenario(scenario)
     if not entry.mistaken:
         return problem

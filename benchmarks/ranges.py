@@ -34,7 +34,7 @@ SHARES = (0.44, 0.12, 0.02)  # of the readings that are exact
 AMPLITUDE, FREQUENCY, NOISE, DISTURBANCE = 5.0, 0.3, 0.01, 0.5
 DURATION, LATE = 30.0, 24.0  # [s] of a loop, and from when it is judged
 WIDTHS = (0.3, 1.5)
-CLAIM = (0.0, 2.0)
+ASSUMED_RANGE = (0.0, 2.0)
 
 
 Options = Callable[[Floats], ObserverOptions]
@@ -63,17 +63,17 @@ def knowing(d: Floats) -> Censored:
 
 def hearing(d: Floats) -> Censored:
     """It knows a range of the widths."""
-    return censored(CLAIM, CLAIM)
+    return censored(ASSUMED_RANGE, ASSUMED_RANGE)
 
 
 def dropping(d: Floats) -> Kalman:
     """It takes readings at a limit for missing."""
-    return Kalman(right=CLAIM, disturbance=DISTURBANCE)
+    return Kalman(right=ASSUMED_RANGE, disturbance=DISTURBANCE)
 
 
 def ignoring(d: Floats) -> Kalman:
     """It takes all readings for exact; used where nobody tells it of the range."""
-    return Kalman(right=CLAIM, disturbance=DISTURBANCE, glitches=0.0)
+    return Kalman(right=ASSUMED_RANGE, disturbance=DISTURBANCE, glitches=0.0)
 
 
 def adapting(d: Floats) -> Certified:
@@ -97,12 +97,12 @@ def limit_for(z: Floats, d: Floats, share: float) -> float:
     return float(beyond[min(silent + round(share * z.size), z.size - 1)])
 
 
-def posed(options: Options, told: bool, share: float, seed: int) -> Problem:
+def posed(options: Options, is_known: bool, share: float, seed: int) -> Problem:
     """One random loop.
 
     Args:
         options: of the observer.
-        told: whether the observer knows the range.
+        is_known: whether the observer knows the range.
         share: of the readings that are exact if z follows r.
         seed: of everything random.
     """
@@ -121,7 +121,7 @@ def posed(options: Options, told: bool, share: float, seed: int) -> Problem:
         simulation=Simulation(duration=DURATION, time="sampled", step=STEP, seed=seed),
     )
     problem = resolve_scenario(scenario)
-    if told:
+    if is_known:
         return problem
     untold = msgspec.structs.replace(
         problem.sensor, low=-np.ones(1) * np.inf, high=np.ones(1) * np.inf
@@ -129,9 +129,9 @@ def posed(options: Options, told: bool, share: float, seed: int) -> Problem:
     return problem._replace(observer=options(d).build(problem.model, untold))
 
 
-def run(options: Options, told: bool, share: float, count: int) -> Loops:
+def run(options: Options, is_known: bool, share: float, count: int) -> Loops:
     """Random loops of one observer."""
-    return run_loops([posed(options, told, share, seed) for seed in range(count)], LATE)
+    return run_loops([posed(options, is_known, share, seed) for seed in range(count)], LATE)
 
 
 def loops_table(count: int) -> list[str]:
@@ -140,8 +140,8 @@ def loops_table(count: int) -> list[str]:
     lines = [row(*names), row(*["---"] * len(names))]
     for share in SHARES:
         known = run(*OBSERVERS["widths known"], share, count)
-        for name, (options, told) in OBSERVERS.items():
-            ran = known if name == "widths known" else run(options, told, share, count)
+        for name, (options, is_known) in OBSERVERS.items():
+            ran = known if name == "widths known" else run(options, is_known, share, count)
             ratio = np.sort(np.nan_to_num(ran.rms / known.rms, nan=np.inf))
             middle = quantile_interval(ratio, 0.5)
             cells = [f"{100 * share:.0f} %", name, f"{np.median(ran.rms):.3g}"]

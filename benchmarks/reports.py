@@ -76,26 +76,26 @@ def outcome_of(report: Report, path: Path) -> Outcome:
 def table() -> str:
     """Return the section of RESULTS.md."""
     first, count = (int(os.environ.get(f"REPORTS_{key}", 1)) for key in ("FIRST", "SEEDS"))
-    wanted = os.environ.get("REPORTS_KINDS", ";".join(KINDS)).split(";")
+    requested = os.environ.get("REPORTS_KINDS", ";".join(KINDS)).split(";")
     lines = head("report", "truth", "verdicts", "right", "withheld", "wrong (> .9)", "width held",
                  "CPU s")  # fmt: skip
     every = []
     with tempfile.TemporaryDirectory() as folder:
-        for name in wanted:
-            made = [
+        for name in requested:
+            reports = [
                 KINDS[name](np.random.default_rng([list(KINDS).index(name), 25, first + k]))
                 for k in range(count)
             ]
-            own = [outcome_of(one, Path(folder) / "report.csv") for one in made]
+            own = [outcome_of(one, Path(folder) / "report.csv") for one in reports]
             every += own
-            words, held = [one.word for one in own], [one.holds for one in own]
-            known = [one for one in held if one is not None]
+            words, holds = [one.word for one in own], [one.holds for one in own]
+            known = [one for one in holds if one is not None]
             wrong = [one for one in own if one.word == "wrong"]
             sure = sum(one.odds > SURE for one in wrong)
             lines.append(
                 row(
                     name,
-                    " or ".join(made[0].right),
+                    " or ".join(reports[0].right),
                     ", ".join(one.verdict for one in own),
                     str(words.count("right")),
                     str(words.count("withheld")),
@@ -113,7 +113,7 @@ def table() -> str:
         f" its interval in {sum(known)} of {len(known)}."
     )
     about = (
-        f"{len(wanted)} kinds of public reports, rebuilt with numbers of our own, {count} of each "
-        f"from seed {first}, given to `identify` as a file without any option."
+        f"{len(requested)} kinds of public reports, rebuilt with numbers of our own, {count} of "
+        f"each from seed {first}, given to `identify` as a file without any option."
     )
     return "\n".join(["## Reports", "", about, "", *lines, "", total, ""])

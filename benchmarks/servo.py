@@ -37,11 +37,11 @@ class Outcome(NamedTuple):
         closed: whether a loop was closed.
         ticks: gap in quanta, or in rms of the noise.
         error: of the gap over the gap; nan where none was given.
-        held: whether its interval held it.
+        covered: whether its interval held it.
         half: half the interval over the gap.
         few: whether the readings turned too seldom for any answer.
         reason: why none was given.
-        heard_loop: whether a loop was said to be closed.
+        loop_detected: whether a loop was said to be closed.
         seconds: of CPU, for `PER_LOG` samples.
     """
 
@@ -49,11 +49,11 @@ class Outcome(NamedTuple):
     closed: bool
     ticks: float
     error: float
-    held: bool
+    covered: bool
     half: float
     few: bool
     reason: str
-    heard_loop: bool
+    loop_detected: bool
     seconds: float
 
     @property
@@ -71,10 +71,10 @@ def outcome_of(log: Recorded) -> Outcome:
     ticks = log.servo.gap / (log.servo.quantum or log.noise)
     family = "noise" if log.noise else _family(ticks)
     given = found is not None and found.is_gap_reported
-    error, half, held = math.nan, math.nan, False
+    error, half, covered = math.nan, math.nan, False
     if found is not None and given:
         error = found.gap.value / log.servo.gap - 1
-        half, held = (
+        half, covered = (
             found.gap.half_width / log.servo.gap,
             found.gap.low <= log.servo.gap <= found.gap.high,
         )
@@ -83,11 +83,11 @@ def outcome_of(log: Recorded) -> Outcome:
         closed=log.closed,
         ticks=ticks,
         error=error,
-        held=held,
+        covered=covered,
         half=half,
         few=found is None or found.reversals < REVERSALS,
         reason="" if given else _reason(found),
-        heard_loop=found is not None and found.log.is_closed_loop,
+        loop_detected=found is not None and found.log.is_closed_loop,
         seconds=spent,
     )
 
@@ -115,7 +115,7 @@ def _line(name: str, every: Sequence[Outcome], among: Callable[[Outcome], bool])
     if not given:
         return row(name, str(len(own)), "0", *["-"] * 6)
     errors = 100 * np.abs([one.error for one in given])
-    cover = proportion(sum(one.held for one in given), len(given))
+    cover = proportion(sum(one.covered for one in given), len(given))
     return row(
         name,
         str(len(own)),
@@ -146,8 +146,8 @@ def predictor(count: int, first: int) -> list[str]:
     given = [one for one in (*every, *pushed) if one.is_given]
     far = sum(abs(one.error) > FAR for one in given)
     denied = sum(one.ticks > 4 and one.reason.startswith("gap of 0") for one in every)
-    loops = [one.heard_loop for one in every if one.closed]
-    alarms = [one.heard_loop for one in every if not one.closed]
+    loops = [one.loop_detected for one in every if one.closed]
+    alarms = [one.loop_detected for one in every if not one.closed]
     few = sum(one.few for one in every)
     lines += [
         "",

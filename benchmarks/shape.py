@@ -181,7 +181,7 @@ def _extended(known: Problems, k: int) -> Extended:
     return Extended(right=known.ranges[k, 0], left=known.ranges[k, 1])
 
 
-CLAIMS = {
+ASSUMPTIONS = {
     "told": doubting,
     "ranges alone": from_ranges,
     "`extended`": _extended,
@@ -190,21 +190,21 @@ CLAIMS = {
 USUAL = ("told", "ranges alone")
 
 
-def solve(claims: str, posed: Problems, shape: dict[str, Any]) -> Outcome:
+def solve(assumptions: str, posed: Problems, shape: dict[str, Any]) -> Outcome:
     """Return what a filter makes of problems.
 
     Args:
-        claims: one of `CLAIMS`.
+        assumptions: one of `ASSUMPTIONS`.
         posed: the problems.
         shape: what is assumed of the sensor; {}: what is by default.
     """
-    return observe(lambda known, k: Assuming(CLAIMS[claims](known, k), shape), posed)
+    return observe(lambda known, k: Assuming(ASSUMPTIONS[assumptions](known, k), shape), posed)
 
 
 class Pooled(NamedTuple):
     """Outcomes of several orders: shares held (5), flagged, errors of z and deviations (K)."""
 
-    held: Floats
+    covered: Floats
     flagged: float
     rms: Floats
     std: Floats
@@ -212,11 +212,11 @@ class Pooled(NamedTuple):
 
 def _pool(outcomes: Sequence[Outcome], sizes: Floats) -> Pooled:
     """Return outcomes of all orders as one; errors over half widths `sizes` (K)."""
-    held = np.mean([one.verdict.covered() for one in outcomes], axis=0)
+    covered = np.mean([one.verdict.covered() for one in outcomes], axis=0)
     flagged = 1 - np.mean([one.consistent.mean() for one in outcomes])
     rms = np.concatenate([one.rms for one in outcomes]) / sizes
     return Pooled(
-        held, float(flagged), rms, np.concatenate([one.verdict.stds[:, 2] for one in outcomes])
+        covered, float(flagged), rms, np.concatenate([one.verdict.stds[:, 2] for one in outcomes])
     )
 
 
@@ -224,7 +224,7 @@ def table(
     count: int = 48,
     seed: int = 7,
     orders: Sequence[int] = ORDERS,
-    claims: Sequence[str] = USUAL,
+    assumptions: Sequence[str] = USUAL,
     sensors: Sequence[str] = tuple(SENSORS),
     shape: dict[str, Any] | None = None,
 ) -> str:
@@ -238,18 +238,18 @@ def table(
         for one in posed:
             rng = np.random.default_rng([seed, len(one.models[0].A)])
             read.append(one._replace(y=SENSORS[name](rng, one.z, one.d, one.noise)))
-        for told in claims:
-            sharp = _pool([solve(told, one, EXACT) for one in read], sizes)
-            wide = _pool([solve(told, one, shape or {}) for one in read], sizes)
+        for assumed in assumptions:
+            sharp = _pool([solve(assumed, one, EXACT) for one in read], sizes)
+            wide = _pool([solve(assumed, one, shape or {}) for one in read], sizes)
             of_all = np.sqrt(np.mean(wide.rms**2) / np.mean(sharp.rms**2))
             lines.append(
                 row(
                     name,
-                    told,
-                    f"{sharp.held.min():.2f}",
+                    assumed,
+                    f"{sharp.covered.min():.2f}",
                     f"{sharp.flagged:.2f}",
-                    *(f"{share:.2f}" for share in wide.held),
-                    f"{wide.held.min():.2f}",
+                    *(f"{share:.2f}" for share in wide.covered),
+                    f"{wide.covered.min():.2f}",
                     f"{wide.flagged:.2f}",
                     f"{np.median(wide.rms / sharp.rms):.2f}",
                     f"{of_all:.2f}",
@@ -271,7 +271,7 @@ if __name__ == "__main__":
     parser.add_argument("--orders", nargs="+", type=int, default=ORDERS, choices=ORDERS)
     parser.add_argument("--count", type=int, default=48, help="problems of each order a row")
     parser.add_argument("--seed", type=int, default=7)
-    parser.add_argument("--claims", nargs="+", default=USUAL, choices=tuple(CLAIMS))
+    parser.add_argument("--claims", nargs="+", default=USUAL, choices=tuple(ASSUMPTIONS))
     parser.add_argument("--sensors", nargs="+", default=tuple(SENSORS), choices=tuple(SENSORS))
     words = parser.parse_args()
     print(table(words.count, words.seed, words.orders, words.claims, words.sensors))

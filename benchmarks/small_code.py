@@ -65,9 +65,14 @@ int main(void)
     }
 }
 """
-CLAIMS = ("right = [0.0, 2.0]", "disturbance = 0.2", "bias = 0.0")
+ASSUMPTIONS = ("right = [0.0, 2.0]", "disturbance = 0.2", "bias = 0.0")
 # Observers of the template, with the keys that they do not know.
-ON_UNO = {"certified": CLAIMS, "high_gain": CLAIMS, "kalman": CLAIMS[2:], "censored": ()}
+ON_UNO = {
+    "certified": ASSUMPTIONS,
+    "high_gain": ASSUMPTIONS,
+    "kalman": ASSUMPTIONS[2:],
+    "censored": (),
+}
 
 
 class Measured(NamedTuple):
@@ -192,11 +197,11 @@ def _measure(python: str, path: Path, out: Path) -> Measured:
     source = sum(each.stat().st_size for each in out.glob("o*.[ch]") if "_test" not in each.name)
     build = ["arm-none-eabi-gcc", *firmware.CORE, *firmware.FLAGS[1:], "-Os", "-c", "o.c"]
     subprocess.run(build, cwd=out, check=True)
-    shown = subprocess.run(
+    printed = subprocess.run(
         ["arm-none-eabi-size", "o.o"], cwd=out, check=True, capture_output=True, text=True
     ).stdout
     counted = firmware.count_folder(out)
-    return Measured(seconds, source, int(shown.split()[6]), counted.mean, counted.stack)
+    return Measured(seconds, source, int(printed.split()[6]), counted.mean, counted.stack)
 
 
 def waits(pythons: dict[str, str]) -> str:

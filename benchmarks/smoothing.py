@@ -25,7 +25,7 @@ from undeadzone.simulation.online import Online, build_observer
 from undeadzone.util.arrays import Floats
 
 ORDERS = (1, 2, 3)
-CLAIMS = {"told": doubting, "ranges alone": from_ranges}
+ASSUMPTIONS = {"told": doubting, "ranges alone": from_ranges}
 EVERY = 10  # samples between those at which intervals are looked at
 
 
@@ -33,45 +33,45 @@ class Part(NamedTuple):
     """What filter and smoother make of the problems of one kind.
 
     Attributes:
-        held: share of the samples at which intervals of z, d_r, d_l hold, of the filter, of the
+        covered: share of the samples at which intervals of z, d_r, d_l hold, of the filter, of the
             filter at the end, of the smoother (K x 3 x 3)
         rms: of z - z^, of both, over the mean width (K x 2)
     """
 
-    held: Floats
+    covered: Floats
     rms: Floats
 
 
-def part(claims: Callable[[Problems, int], Any], kind: str, count: int, seed: int) -> Part:
+def part(assumed: Callable[[Problems, int], Any], kind: str, count: int, seed: int) -> Part:
     """Problems of one kind, `count` of each order."""
-    held, rms = [], []
+    covered, rms = [], []
     for order in ORDERS:
         posed = problems(KINDS[kind], order, count, seed)
         for k in range(count):
-            one = of_problem(claims, posed, k)
-            held.append(one.held)
+            one = of_problem(assumed, posed, k)
+            covered.append(one.covered)
             rms.append(one.rms)
-    return Part(np.array(held), np.array(rms))
+    return Part(np.array(covered), np.array(rms))
 
 
-def of_problem(claims: Callable[[Problems, int], Any], posed: Problems, k: int) -> Part:
+def of_problem(assumed: Callable[[Problems, int], Any], posed: Problems, k: int) -> Part:
     """What both make of one problem."""
     right, left = posed.ranges[k, :, 1]
     sensor = Sensor(right=right, left=left, noise=posed.noise[k])
-    parts = (claims(posed, k), Plant(**posed.models[k]._asdict()), sensor, posed.step[k], 10)
+    parts = (assumed(posed, k), Plant(**posed.models[k]._asdict()), sensor, posed.step[k], 10)
     model, zone, observer = build_observer(*parts)
     y, u = posed.y[:, k : k + 1], posed.u[:, k : k + 1]
     causal, _ = Online(*parts).update_many(y, u)
     smoothed = smooth(model, require_graph(observer), zone, y, u)
     truth = np.column_stack([posed.z[:, k], np.tile(posed.d[k], (len(y), 1))])
-    held, last, rms = [], [], []
+    covered, last, rms = [], [], []
     for mean, std in (_of_filter(causal), _of_smoother(smoothed)):
         error = np.abs(mean - truth)
         inside = error <= 1.96 * std + ROUNDING
-        held.append(inside[::EVERY].mean(axis=0))
+        covered.append(inside[::EVERY].mean(axis=0))
         last.append(1.0 * inside[-1])
         rms.append(np.sqrt(np.mean(error[:, 0] ** 2)) / posed.d[k].mean())
-    return Part(np.array([held[0], last[0], held[1]]), np.array(rms))
+    return Part(np.array([covered[0], last[0], covered[1]]), np.array(rms))
 
 
 def _of_filter(known: Estimate) -> tuple[Floats, Floats]:
@@ -86,14 +86,16 @@ def _of_smoother(known: dict[str, Floats]) -> tuple[Floats, Floats]:
     return mean, np.hstack([known["x_smooth_std"][:, :1], known["d_smooth_std"]])
 
 
-def kept(folder: Path | None, claims: str, kind: str, count: int, seed: int) -> Part:
+def load_or_compute(
+    folder: Path | None, assumptions: str, kind: str, count: int, seed: int
+) -> Part:
     """`part`, from the folder if it is there already."""
     if folder is None:
-        return part(CLAIMS[claims], kind, count, seed)
-    path = folder / f"{claims}, {kind}, {count} of seed {seed}.npz".replace(" ", "_")
+        return part(ASSUMPTIONS[assumptions], kind, count, seed)
+    path = folder / f"{assumptions}, {kind}, {count} of seed {seed}.npz".replace(" ", "_")
     if not path.exists():
         folder.mkdir(parents=True, exist_ok=True)
-        np.savez(path, *part(CLAIMS[claims], kind, count, seed))
+        np.savez(path, *part(ASSUMPTIONS[assumptions], kind, count, seed))
         print(path.name, file=sys.stderr, flush=True)
     with np.load(path) as arrays:
         return Part(*arrays.values())
@@ -102,12 +104,12 @@ def kept(folder: Path | None, claims: str, kind: str, count: int, seed: int) -> 
 def table(count: int = 3, seed: int = 0, folder: Path | None = None) -> str:
     """The table, from `count` problems of each order a row."""
     rows = []
-    for claims in CLAIMS:
-        parts = {kind: kept(folder, claims, kind, count, seed) for kind in KINDS}
+    for assumptions in ASSUMPTIONS:
+        parts = {kind: load_or_compute(folder, assumptions, kind, count, seed) for kind in KINDS}
         for kind, one in parts.items():
-            rows.append(_row(claims, kind, one))
-        held, rms = zip(*parts.values(), strict=True)
-        rows.append(_row(claims, "all", Part(np.concatenate(held), np.concatenate(rms))))
+            rows.append(_row(assumptions, kind, one))
+        covered, rms = zip(*parts.values(), strict=True)
+        rows.append(_row(assumptions, "all", Part(np.concatenate(covered), np.concatenate(rms))))
     columns = ("z", "d_r", "d_l", "rms, times the filter's", "not worse", "rms of all together")
     lines = [
         "## The smoother beside the filter",
@@ -126,13 +128,13 @@ def table(count: int = 3, seed: int = 0, folder: Path | None = None) -> str:
     return "\n".join(lines)
 
 
-def _row(claims: str, kind: str, one: Part) -> str:
+def _row(assumptions: str, kind: str, one: Part) -> str:
     """A line of the table."""
     cells = []
     for k in range(3):
-        filtered, last, smoothed = one.held[:, :, k].mean(axis=0)
+        filtered, last, smoothed = one.covered[:, :, k].mean(axis=0)
         cells.append(f"{filtered:.3f}, {last:.3f} / {smoothed:.3f}")
-    return row(kind, claims, *cells, *_shares(one.rms).split(", "))
+    return row(kind, assumptions, *cells, *_shares(one.rms).split(", "))
 
 
 def _shares(rms: Floats) -> str:

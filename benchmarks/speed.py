@@ -15,9 +15,9 @@ from benchmarks.markdown import head, row
 from benchmarks.timing import medians
 from benchmarks.workload import Result, Time, Work, draw, error
 
-CHECKED = 64  # runs whose result is compared with the truth
+COMPARED = 64  # runs whose result is compared with the truth
 NOTE = f"""Medians of interleaved rounds; ours / its above 1: ours takes longer. Errors of final
-states and of the rms of z - r, in the first {CHECKED} runs, against our result with a step
+states and of the rms of z - r, in the first {COMPARED} runs, against our result with a step
 {ours.FINER} times shorter (sampled: the same step).
 """
 HEAD = head("group", "program", "ns per step and run", "ours / its", "largest error")
@@ -83,7 +83,7 @@ def truth(work: Work) -> Result:
 @functools.cache
 def _truth(n: int, duration: float, time: Time) -> Result:
     """`truth` of works of one kind, computed once."""
-    return ours.truth(draw(CHECKED, duration, n=n, time=time))
+    return ours.truth(draw(COMPARED, duration, n=n, time=time))
 
 
 def rows(group: str, entries: list[Entry], rounds: int = 5) -> list[str]:

@@ -104,9 +104,9 @@ def strangers() -> Iterator[Outcome]:
     names = os.environ.get("STRANGERS_KINDS", "")
     for name in filter(None, names.split(";")) if names else ALL:
         for seed in range(first, first + count):
-            made = ALL[name].make(np.random.default_rng(seed))
-            given = {"t": STEP, "u": made.u, "y": made.y, **made.options}
-            yield ask(name, ALL[name].right, made.width, **given)
+            log = ALL[name].make(np.random.default_rng(seed))
+            given = {"t": STEP, "u": log.u, "y": log.y, **log.options}
+            yield ask(name, ALL[name].right, log.width, **given)
 
 
 def records(folder: Path) -> Iterator[Outcome]:
@@ -133,7 +133,7 @@ def records(folder: Path) -> Iterator[Outcome]:
         yield ask(path.stem, right, None, log=path, **options)
 
 
-def shown(every: list[Outcome], sure: float) -> list[str]:
+def table_lines(every: list[Outcome], sure: float) -> list[str]:
     """Return the sums of outcomes.
 
     Args:
@@ -155,10 +155,10 @@ def shown(every: list[Outcome], sure: float) -> list[str]:
         "widths held",
     )
     cells = [count, right, count - right - len(wrong), len(wrong), surely, printed]
-    held = f"{sum(holds)} of {len(holds)}"
+    hits = f"{sum(holds)} of {len(holds)}"
     price = sum(one.price(sure) for one in every) / max(count, 1)
     spent = float(np.mean([one.seconds for one in every])) if every else 0.0
-    numbers = (*(str(cell) for cell in cells), held, f"{price:.2f}", f"{spent:.1f}")
+    numbers = (*(str(cell) for cell in cells), hits, f"{price:.2f}", f"{spent:.1f}")
     return [*head(*names, "price a log", "CPU s"), row(*numbers)]
 
 
@@ -179,8 +179,8 @@ def table() -> str:
     every = list(strangers())
     later = [one for one in every if one.kind in LATER]
     last = "Of the kinds that were chosen last, for some of which the code was changed since:"
-    lines = [*shown(every, SURE), "", last, ""]
-    lines += [*shown(later, SURE), "", *each(every), ""]
+    lines = [*table_lines(every, SURE), "", last, ""]
+    lines += [*table_lines(later, SURE), "", *each(every), ""]
     return "\n".join(["## Strangers", "", *lines])
 
 
@@ -191,7 +191,7 @@ def table_of_records(folder: Path) -> str:
         folder: where the records are.
     """
     every = list(records(folder))
-    lines = ["## Records", "", *shown(every, SURE_OF_RECORDS), "", *each(every), ""]
+    lines = ["## Records", "", *table_lines(every, SURE_OF_RECORDS), "", *each(every), ""]
     false = [one.kind for one in every if one.is_wrong and one.false_odds > SURE_OF_RECORDS]
     if false:
         raise SystemExit("\n".join([*lines, f"false names: {', '.join(false)}"]))

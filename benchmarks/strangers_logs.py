@@ -287,10 +287,10 @@ def stribeck(rng: np.random.Generator) -> Strange:
     for k in range(SIZE):
         y[k] = v
         for _ in range(10):
-            held = 0.25 + 0.2 * np.exp(-((v / 0.1) ** 2))
-            if v == 0 and abs(u[k]) <= held:
+            friction = 0.25 + 0.2 * np.exp(-((v / 0.1) ** 2))
+            if v == 0 and abs(u[k]) <= friction:
                 continue
-            w = v + 0.01 * (u[k] - v - held * np.sign(v or u[k]))
+            w = v + 0.01 * (u[k] - v - friction * np.sign(v or u[k]))
             v = 0.0 if w * v < 0 else w
     return Strange(u, noisy(rng, y, 0.01 * y.std()))
 

@@ -57,9 +57,9 @@ def table() -> str:
         gaps += gap
         off = [abs(one[2] / samples - 1) for one in every if one[0] == "none"]
         numbers = (none, sum(word in NO_NAME for word in words), gap)
-        shown = (f"{max(one[1] for one in every):.2f}", f"{np.median(off):.3f}" if off else "-")
+        errors = (f"{max(one[1] for one in every):.2f}", f"{np.median(off):.3f}" if off else "-")
         spent = f"{np.mean([one[3] for one in every]):.1f}"
-        cells = (f"{samples:g}", str(size), *map(str, numbers), *shown, spent)
+        cells = (f"{samples:g}", str(size), *map(str, numbers), *errors, spent)
         lines.append(row(*cells))
-    told = f"A gap is named in {gaps} of {total} logs of linear motors, one integrator told."
-    return "\n".join(["## Time constants", "", told, "", *lines, ""])
+    remark = f"A gap is named in {gaps} of {total} logs of linear motors, one integrator told."
+    return "\n".join(["## Time constants", "", remark, "", *lines, ""])

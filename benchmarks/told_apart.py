@@ -14,7 +14,7 @@ import numpy as np
 
 from benchmarks import coverage
 from benchmarks.claims import (
-    CLAIMED_WORLDS,
+    ASSUMED_WORLDS,
     OFFSET,
     ROWS,
     SEED,
@@ -27,7 +27,7 @@ from benchmarks.claims import (
     stepped_widths,
 )
 from benchmarks.honest_problems import ORDERS
-from benchmarks.honesty import CLAIMS
+from benchmarks.honesty import ASSUMPTIONS
 from benchmarks.markdown import head, row
 from benchmarks.random_problems import Problems, World
 from undeadzone.interfaces import Estimate
@@ -98,7 +98,7 @@ TRUTHS: dict[str, tuple[Truth, float]] = {  # with the unit of its readings, ove
 }
 
 
-class Heard(NamedTuple):
+class Outcome(NamedTuple):
     """What a filter makes of some problems.
 
     Attributes:
@@ -114,33 +114,33 @@ class Heard(NamedTuple):
     used: Floats
 
 
-def heard(claims: str, posed: Problems) -> Heard:
+def observe_problems(assumptions: str, posed: Problems) -> Outcome:
     """A filter along problems."""
-    out = coverage.along(CLAIMS[claims], posed, _kept)
+    out = coverage.along(ASSUMPTIONS[assumptions], posed, _select_outputs)
     end, e, std = out[:, -1], out[:, :, 7], out[:, :, 8]
-    held = np.abs(end[:, :3] - coverage.truth(posed)) <= 1.96 * end[:, 3:6] + coverage.ROUNDING
+    covered = np.abs(end[:, :3] - coverage.truth(posed)) <= 1.96 * end[:, 3:6] + coverage.ROUNDING
     used, safe = e != 0, np.where(e != 0, std, 1.0)
     log = np.where(used, -(np.minimum(np.abs(e / safe), FARTHEST) ** 2) / 2 - np.log(safe), 0.0)
-    return Heard(~held.all(axis=1), end[:, 6] > 0, log, used)
+    return Outcome(~covered.all(axis=1), end[:, 6] > 0, log, used)
 
 
-def _kept(estimate: Estimate) -> list[Any]:
+def _select_outputs(estimate: Estimate) -> list[Any]:
     """Widths, z, their deviations, the claim that is likeliest false, the innovation and its."""
     stds = (estimate.right_std, estimate.left_std, estimate.x_std[0])
-    told = (estimate.suspect, estimate.innovation, estimate.innovation_std)
-    return [estimate.right, estimate.left, estimate.z, *stds, *told]
+    innovations = (estimate.suspect, estimate.innovation, estimate.innovation_std)
+    return [estimate.right, estimate.left, estimate.z, *stds, *innovations]
 
 
 def ratio(
-    name: str, claims: str, each: Row, order: int, count: int, seed: int, world: World
+    name: str, assumptions: str, each: Row, order: int, count: int, seed: int, world: World
 ) -> Any:
     """(what the filter with the claim makes of problems; log of the likelihood ratio)."""
     truth, unit = TRUTHS[name]
     posed = posed_of(each, order, count, seed, world)
-    claim = heard(claims, posed)
-    known = heard(claims, truth(np.random.default_rng([seed, order, 1]), posed))
-    both = claim.used & known.used
-    return claim, np.where(both, known.log + np.log(unit) - claim.log, 0.0).sum(axis=1)
+    assumed = observe_problems(assumptions, posed)
+    known = observe_problems(assumptions, truth(np.random.default_rng([seed, order, 1]), posed))
+    both = assumed.used & known.used
+    return assumed, np.where(both, known.log + np.log(unit) - assumed.log, 0.0).sum(axis=1)
 
 
 def table(count: int = 200, seed: int = SEED, orders: Sequence[int] = ORDERS) -> str:
@@ -149,25 +149,25 @@ def table(count: int = 200, seed: int = SEED, orders: Sequence[int] = ORDERS) ->
     note = NOTE.format(count=count, alarms=ALARMS)
     lines = ["## What readings can tell of a false claim\n", note, *head(*columns)]
     for name in TRUTHS:
-        for claims in CLAIMS:
-            lines.append(row(name, claims, *_cells(name, claims, count, seed, orders)))
+        for assumptions in ASSUMPTIONS:
+            lines.append(row(name, assumptions, *_cells(name, assumptions, count, seed, orders)))
     return "\n".join([*lines, ""])
 
 
-def _cells(name: str, claims: str, count: int, seed: int, orders: Sequence[int]) -> list[str]:
+def _cells(name: str, assumptions: str, count: int, seed: int, orders: Sequence[int]) -> list[str]:
     """A row in its cells."""
     each, ratios, plain = [], [], []
-    some = -(-count // (len(orders) * len(CLAIMED_WORLDS)))
+    some = -(-count // (len(orders) * len(ASSUMED_WORLDS)))
     for order in orders:
-        for k, world in enumerate(CLAIMED_WORLDS):
-            claim, of_false = ratio(name, claims, ROWS[name], order, some, seed + k, world)
-            fresh = seed + len(CLAIMED_WORLDS) + k
-            _, of_true = ratio(name, claims, Row(honest), order, some, fresh, world)
-            each.append(claim)
+        for k, world in enumerate(ASSUMED_WORLDS):
+            assumed, of_false = ratio(name, assumptions, ROWS[name], order, some, seed + k, world)
+            fresh = seed + len(ASSUMED_WORLDS) + k
+            _, of_true = ratio(name, assumptions, Row(honest), order, some, fresh, world)
+            each.append(assumed)
             ratios.append(of_false)
             plain.append(of_true)
-    missed = np.concatenate([claim.misses for claim in each])
-    flagged = np.concatenate([claim.flagged for claim in each])[missed]
-    told = np.concatenate(ratios) > np.quantile(np.concatenate(plain), 1 - ALARMS)
-    shares = [f"{part.mean():.2f}" if part.size else "-" for part in (flagged, told[missed])]
-    return [f"{told.mean():.2f}", str(missed.sum()), *shares]
+    missed = np.concatenate([assumed.misses for assumed in each])
+    flagged = np.concatenate([assumed.flagged for assumed in each])[missed]
+    detected = np.concatenate(ratios) > np.quantile(np.concatenate(plain), 1 - ALARMS)
+    shares = [f"{part.mean():.2f}" if part.size else "-" for part in (flagged, detected[missed])]
+    return [f"{detected.mean():.2f}", str(missed.sum()), *shares]

@@ -58,12 +58,12 @@ def pair(kind: str, seed: int, folder: Path) -> Pair:
     gain = float((-plant.C @ np.linalg.solve(plant.A, plant.B))[0, 0])
     t = np.arange(0.0, DURATION + STEP / 2, STEP)
     size = float(rng.uniform(0.1, 0.4)) / abs(gain)
-    shown, w = _signal(kind, size, t, rng)
+    signal, w = _signal(kind, size, t, rng)
     constant = float(rng.uniform(*SHARE)) * float(np.sqrt((w**2).mean()))
     apart = gain * constant
     widths = rng.uniform(0.8, 1.5, 2) + abs(apart)
-    first = _scenario(plant, shown(0.0, folder, f"{seed}a"), widths)
-    moved = shown(constant, folder, f"{seed}b")
+    first = _scenario(plant, signal(0.0, folder, f"{seed}a"), widths)
+    moved = signal(constant, folder, f"{seed}b")
     other = widths + np.array([apart, -apart])
     second = _scenario(plant, moved, other) if moved else None
     return Pair(first, second, abs(apart), _unlike(plant, w, constant, apart, widths, t))
@@ -151,7 +151,7 @@ def _unlike(
     return float(np.abs(readings[1] - readings[0]).max())
 
 
-def claimed(tables: dict[str, Any], apart: float, folder: Path) -> bool:
+def is_certified_apart(tables: dict[str, Any], apart: float, folder: Path) -> bool:
     """Whether `check` says yes to a width with an interval that leaves out the other truth."""
     problem = resolve_scenario(convert(tables, folder))
     (known,) = assess_identifiability(problem, plan_branches(problem, None), None)
@@ -174,7 +174,7 @@ def table(pairs: int = 25) -> str:
             wrong = 0
             for one in found:
                 truths = [truth for truth in (one.first, one.second) if truth is not None]
-                wrong += any(claimed(truth, one.apart, folder) for truth in truths)
+                wrong += any(is_certified_apart(truth, one.apart, folder) for truth in truths)
             lines.append(
                 row(kind, str(pairs), str(wrong), f"{max(one.unlike for one in found):.1g}")
             )

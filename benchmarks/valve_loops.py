@@ -99,9 +99,9 @@ class He:
         push = self.left + op - self.op
         self.op = op
         if abs(push) > self.static:
-            kept = math.copysign(self.kinetic, push)
-            self.position += push - kept
-            self.left = kept
+            friction = math.copysign(self.kinetic, push)
+            self.position += push - friction
+            self.left = friction
         else:
             self.left = push
         return self.position
@@ -179,9 +179,11 @@ def make(
         rng,
         added,
     )
-    kept = slice(SETTLING, None)
+    steady = slice(SETTLING, None)
     account = account if stick else ""
-    return ValveLoop(op[kept], pv[kept], set_point[kept], cause, account, stick, jump, integrates)
+    return ValveLoop(
+        op[steady], pv[steady], set_point[steady], cause, account, stick, jump, integrates
+    )
 
 
 def _process(rng: np.random.Generator, cause: str) -> tuple[Process, float, bool]:

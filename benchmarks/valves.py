@@ -24,7 +24,7 @@ from benchmarks.valve_loops import CAUSES, ValveLoop, make
 from undeadzone.util.progress import terminal_progress
 from undeadzone_studies.statistics.intervals import proportion
 
-KEPT = Path("build/valves.jsonl")
+STORED = Path("build/valves.jsonl")
 VALVE = ("stiction", "input_play")
 WORDS = {
     "none": ("none", "operating_point"),
@@ -65,21 +65,21 @@ def outcome_of_seed(seed: int, folder: Path) -> Outcome:
 
 def answers(of: str) -> dict[int, Outcome]:
     """The answers of a commit that are kept, by seed."""
-    rows = [json.loads(line) for line in KEPT.read_text().splitlines()]
+    rows = [json.loads(line) for line in STORED.read_text().splitlines()]
     return {one["seed"]: one for one in rows if one["commit"] == of}
 
 
 def outcomes(of: str) -> list[Outcome]:
     """Every answer of a commit, after those that are asked for."""
-    KEPT.parent.mkdir(exist_ok=True)
-    KEPT.touch()
+    STORED.parent.mkdir(exist_ok=True)
+    STORED.touch()
     first, count = int(os.environ.get("VALVES_FIRST", 0)), int(os.environ.get("VALVES_LOOPS", 100))
     there = answers(of)
     with tempfile.TemporaryDirectory() as folder, terminal_progress("loops", count) as advance:
         for seed in range(first, first + count):
             if seed not in there:
                 one = {"seed": seed, "commit": of} | outcome_of_seed(seed, Path(folder))
-                with KEPT.open("a") as file:
+                with STORED.open("a") as file:
                     file.write(json.dumps(one) + "\n")
             advance(1)
     return [one for seed, one in answers(of).items() if first <= seed < first + count]
@@ -126,8 +126,8 @@ def table() -> str:
         lines.append(row(cause, str(len(rows)), str(right), str(unsure), str(wrong), others))
     sticks = [one["S"] > 0 for one in every]
     named = [one for one in every if one["S"] > 0 and one["width"]]
-    held = sum(one["width"][1] <= one["S"] <= one["width"][2] for one in named)
-    value, low, high = proportion(held, len(named))
+    covered = sum(one["width"][1] <= one["S"] <= one["width"][2] for one in named)
+    value, low, high = proportion(covered, len(named))
     errors = [abs(one["width"][0] / one["S"] - 1) for one in named]
     halves = [(one["width"][2] - one["width"][1]) / 2 / one["S"] for one in named]
     lines += [
@@ -135,7 +135,7 @@ def table() -> str:
         f"Area under the curve of the odds of a valve: "
         f"{area_under_curve([one['valve'] for one in every], sticks):.3f}; of the ellipse alone "
         f"{area_under_curve([one['shape'] for one in every], sticks):.3f}. S lies in its interval "
-        f"in {held} of {len(named)}, {value:.3f} [{low:.3f}, {high:.3f}]; its error is "
+        f"in {covered} of {len(named)}, {value:.3f} [{low:.3f}, {high:.3f}]; its error is "
         f"{np.median(errors):.3f} of S in the median, half the interval {np.median(halves):.2f}.",
     ]
     about = (

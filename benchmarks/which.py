@@ -45,10 +45,10 @@ def known_plant() -> list[str]:
             errors = np.array([abs(found.play_and_zone_widths - truth) for found, truth in answers])
             stds = np.array([found.width_deviations for found, _ in answers])
             named = sum(found.element_name == kind for found, _ in answers)
-            held = errors < TWO_SIDED * stds
-            right, hits = right + named, np.vstack([hits, held])
+            covers = errors < TWO_SIDED * stds
+            right, hits = right + named, np.vstack([hits, covers])
             middle = ", ".join(f"{error:.4f}" for error in np.median(errors, axis=0))
-            covered = ", ".join(f"{share:.2f}" for share in held.mean(axis=0))
+            covered = ", ".join(f"{share:.2f}" for share in covers.mean(axis=0))
             words = kind.replace("_", " ")
             lines.append(row(name, words, f"{named} of {count}", middle, covered))
     low = proportion(right, 8 * count)
@@ -70,10 +70,10 @@ def identified(kind: str, family: str, seed: int) -> tuple[bool, list[tuple[floa
     numbers = found.numbers()
     if found.verdict != VERDICTS.get(kind, kind):
         return False, []
-    shown = {"play": (0, "width"), "both": (0, "width"), "dead_zone": (1, "width")}
-    shown["input_zone"] = (1, "width")
+    columns = {"play": (0, "width"), "both": (0, "width"), "dead_zone": (1, "width")}
+    columns["input_zone"] = (1, "width")
     errors = []
-    for place, name in [shown[kind]] if kind in shown else []:
+    for place, name in [columns[kind]] if kind in columns else []:
         errors.append(_error(numbers[name], log.widths[place]))
     if kind == "both":
         errors.append(_error(numbers["zone_width"], log.widths[1]))
@@ -99,12 +99,12 @@ def unknown_plant() -> list[str]:
             answers = [identified(kind, family, first + seed) for seed in range(count)]
             named = sum(is_right for is_right, _ in answers)
             errors = [error for _, several in answers for error in several]
-            held = [error < half for error, half in errors]
-            right, hits = right + named, hits + held
+            covers = [error < half for error, half in errors]
+            right, hits = right + named, hits + covers
             cells = ["-", "-", "-"]
             if errors:
                 middle = float(np.median([error for error, _ in errors]))
-                cells = [str(len(errors)), f"{middle:.4f}", f"{np.mean(held):.2f}"]
+                cells = [str(len(errors)), f"{middle:.4f}", f"{np.mean(covers):.2f}"]
             words = kind.replace("_", " ")
             lines.append(row(family, words, f"{named} of {count}", *cells))
     total = count * len(WHERE) * len(FAMILIES)

@@ -54,8 +54,8 @@ def closed_loop(kind: str, a0: float, seed: int) -> Loop:
     block = np.zeros((3, 3))
     block[:2, :2] = [[0.0, 1.0], [-a0, -2.0]]
     block[1, 2] = 1.0
-    held = expm(block * STEP)
-    F, B = held[:2, :2], held[:2, 2]
+    transition = expm(block * STEP)
+    F, B = transition[:2, :2], transition[:2, 2]
     c, d = rng.uniform(0.2, 1.0, (2, 2))
     c, d = c * (kind in ("play", "both")), d * (kind in ("dead_zone", "both"))
     disturbance = DISTURBANCE * rng.standard_normal(SAMPLES)

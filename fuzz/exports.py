@@ -180,7 +180,7 @@ def _fmu(version: str) -> Callable[[Scenario, Path], None]:
 def _st(of: Scenario, out: Path) -> None:
     """Structured Text, whose bits are those of the C."""
     out.mkdir()
-    each = plc.made(of, True)
+    each = plc.print_export(of, True)
     problem = resolve_scenario(of)
     rows = plc.corrupted(record_inputs(problem, each.code.step), 3)
     plc.assert_same_bits(plc.by_reader(each, rows, out), plc.by_c(each, rows, out))
@@ -220,7 +220,7 @@ def _page(of: Scenario, out: Path) -> None:
     if browser() is None:
         return
     with Browser(out) as opened:
-        page.shown(opened, of, out)
+        page.open_page(opened, of, out)
         run = uz.simulate(of)
         assert isinstance(run, Run)
         assert page.largest_gap(opened, run) < CLOSE

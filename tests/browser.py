@@ -22,7 +22,7 @@ def browser() -> str | None:
 
 
 class Browser:
-    """A browser with one page: `said` is its console, `asked` are the addresses requested."""
+    """A browser with one page, its `console` messages and the addresses of its `requests`."""
 
     def __init__(self, profile: Path) -> None:
         path = browser()
@@ -50,8 +50,8 @@ class Browser:
             os.close(handle)
         self._number, self._rest = 0, b""
         self._session: str | None = None
-        self.said: list[str] = []
-        self.asked: list[str] = []
+        self.console: list[str] = []
+        self.requests: list[str] = []
         target = self._call("Target.createTarget", url="about:blank")["targetId"]
         attached = self._call("Target.attachToTarget", targetId=target, flatten=True)
         self._session = attached["sessionId"]
@@ -80,14 +80,14 @@ class Browser:
     ) -> None:
         """Load a page and wait until it has drawn, which an expression tells."""
         self._call("Page.navigate", url="about:blank")
-        self.said.clear()
-        self.asked.clear()
+        self.console.clear()
+        self.requests.clear()
         self._call("Page.navigate", url=address)
         for _ in range(1000):
             if self.value(drawn):
                 return
             time.sleep(0.02)
-        raise AssertionError(f"the page has drawn nothing: {self.said}")
+        raise AssertionError(f"the page has drawn nothing: {self.console}")
 
     def value(self, expression: str) -> Any:
         """What an expression gives in the page."""
@@ -154,10 +154,10 @@ class Browser:
         """Keep what the console said and what was requested."""
         method, params = event.get("method"), event.get("params", {})
         if method == "Runtime.exceptionThrown":
-            self.said.append(str(params["exceptionDetails"]))
+            self.console.append(str(params["exceptionDetails"]))
         if method == "Runtime.consoleAPICalled":
-            self.said.append(str(params["args"]))
+            self.console.append(str(params["args"]))
         if method == "Log.entryAdded":
-            self.said.append(params["entry"]["text"])
+            self.console.append(params["entry"]["text"])
         if method == "Network.requestWillBeSent":
-            self.asked.append(params["request"]["url"])
+            self.requests.append(params["request"]["url"])

@@ -102,8 +102,8 @@ def forked(
         with contextlib.suppress(BrokenPipeError), open(writing, "wb") as given:
             given.write(stdin)
         code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
-        said = [_whole(stream) for stream in (out, err)]
-    return subprocess.CompletedProcess(words, code, *said)
+        outputs = [_whole(stream) for stream in (out, err)]
+    return subprocess.CompletedProcess(words, code, *outputs)
 
 
 def _addresses() -> int:

@@ -212,19 +212,19 @@ def compiled_once(pytestconfig: pytest.Config, code_of_no_effort: Path) -> Itera
         codes = sorted(path for path in folder.iterdir() if path.suffix in (".c", ".h"))
         texts = [(one.name, one.read_bytes()) for one in codes]
         key = bits("gcc"), bits(words[0]), words[1:], os.environ.get("PATH"), texts
-        kept = place / hashlib.sha256(repr(key).encode()).hexdigest()[:32]
-        if not kept.exists():
+        stored = place / hashlib.sha256(repr(key).encode()).hexdigest()[:32]
+        if not stored.exists():
             before = {(path, path.stat().st_mtime_ns) for path in folder.iterdir()}
             done = compile_(line, folder)
             after = {(path, path.stat().st_mtime_ns) for path in folder.iterdir()}
-            made = {path.name: path.read_bytes() for path, _ in after - before}
+            written = {path.name: path.read_bytes() for path, _ in after - before}
             if done.returncode == 0:
-                with files.replace_file(kept) as new:
-                    new.write_bytes(pickle.dumps((done, made)))
+                with files.replace_file(stored) as new:
+                    new.write_bytes(pickle.dumps((done, written)))
             return done
-        os.utime(kept)
-        done, made = pickle.loads(kept.read_bytes())
-        for name, content in made.items():
+        os.utime(stored)
+        done, written = pickle.loads(stored.read_bytes())
+        for name, content in written.items():
             (folder / name).write_bytes(content)
             (folder / name).chmod(0o755)
         return cast(subprocess.CompletedProcess[str], done)
@@ -303,11 +303,11 @@ def closed_stores(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     opened: list[journal.Store] = []
     start = journal.open_store
 
-    def kept(*arguments: Any, **more: Any) -> journal.Store:
+    def open_recorded(*arguments: Any, **more: Any) -> journal.Store:
         opened.append(start(*arguments, **more))
         return opened[-1]
 
-    monkeypatch.setattr(journal, "open_store", kept)
+    monkeypatch.setattr(journal, "open_store", open_recorded)
     yield
     for store in opened:
         store.close()

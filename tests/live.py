@@ -83,10 +83,10 @@ class Watched:
     def ended(self) -> tuple[bytes, str]:
         try:
             self.feed(b"", last=True)
-            said = repr(self.log.info(self.follower))
+            message = repr(self.log.info(self.follower))
         except FileError as error:
-            said = str(error)
-        return self.out.getvalue(), said
+            message = str(error)
+        return self.out.getvalue(), message
 
 
 def fed(path: Path, data: bytes, cuts: list[int], strict: bool = False) -> tuple[bytes, str]:

@@ -71,5 +71,5 @@ def design(
 @functools.cache
 def audit() -> tuple[Paper, list[int]]:
     """The paper, audited, and what its progress was told."""
-    told: list[int] = []
-    return audited(told.append), told
+    progress: list[int] = []
+    return audited(progress.append), progress

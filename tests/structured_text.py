@@ -362,8 +362,8 @@ class Reader:
         function = self.units.get(name.lower())
         if function is None or function.keyword != "FUNCTION":
             raise Refused(f"{unit.name}: no function {name}")
-        wanted = [each for each in function.variables.values() if each.section == "input"]
-        if [each.kind for each in wanted] != [kind for _, kind in given]:
+        inputs = [each for each in function.variables.values() if each.section == "input"]
+        if [each.kind for each in inputs] != [kind for _, kind in given]:
             raise Refused(f"{unit.name}: arguments of {name}")
         texts = [self.stored(text, kind) for text, kind in given]
         return f"{function.name.lower()}({', '.join(texts)})", function.returns

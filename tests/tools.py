@@ -36,12 +36,12 @@ def raw_formulas(figure: Any, image: bytes) -> list[str]:
     """
     from matplotlib.text import Text
 
-    said = [text.get_text() for text in figure.findobj(Text)]
-    shown = [TYPESET.sub("", text).replace(r"\$", "$") for text in said]
-    held = [html.unescape(text) for text in re.findall(r">([^<>]+)<", image.decode())]
-    held += re.findall(r"<!--.*?-->", image.decode(), re.DOTALL)
-    outside_of_style = [text for text in held if not text.startswith("*{")]
-    return [text for text in (*shown, *outside_of_style) if RAW.search(text)]
+    texts = [text.get_text() for text in figure.findobj(Text)]
+    plain_texts = [TYPESET.sub("", text).replace(r"\$", "$") for text in texts]
+    svg_texts = [html.unescape(text) for text in re.findall(r">([^<>]+)<", image.decode())]
+    svg_texts += re.findall(r"<!--.*?-->", image.decode(), re.DOTALL)
+    outside_of_style = [text for text in svg_texts if not text.startswith("*{")]
+    return [text for text in (*plain_texts, *outside_of_style) if RAW.search(text)]
 
 
 def require(group: str, missing: list[str]) -> None:

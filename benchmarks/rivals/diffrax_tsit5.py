@@ -29,7 +29,7 @@ def prepare(work: Work, *, rtol: float | None = 1e-6) -> Callable[[], Result]:
 
     last = diffrax.SubSaveAt(t1=True)
     outputs = diffrax.SubSaveAt(ts=grid(work)[:-1], fn=output)
-    kept = diffrax.SaveAt(subs=[last, outputs])
+    save = diffrax.SaveAt(subs=[last, outputs])
 
     def move(t: Any, s: Any, d: Any) -> list[Any]:
         z = dot(work.C, s[:n])
@@ -45,7 +45,7 @@ def prepare(work: Work, *, rtol: float | None = 1e-6) -> Callable[[], Result]:
             dt0=work.step,
             y0=list(s),
             args=d,
-            saveat=kept,
+            saveat=save,
             stepsize_controller=controller,
             max_steps=None,
         )

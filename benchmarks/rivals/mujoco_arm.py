@@ -43,7 +43,7 @@ def prepare(work: Work, *, rolled: bool = False, threads: int = 1) -> Callable[[
         return finals
 
     starts = np.column_stack([np.zeros(runs), work.states])  # MuJoCo's state: time, q, v
-    kept = np.empty((runs, work.steps, starts.shape[1]))
+    trajectories = np.empty((runs, work.steps, starts.shape[1]))
     applied = {
         "control": work.torques[:, None],
         "control_spec": int(mujoco.mjtState.mjSTATE_QFRC_APPLIED),
@@ -51,7 +51,13 @@ def prepare(work: Work, *, rolled: bool = False, threads: int = 1) -> Callable[[
 
     def rolling() -> Floats:
         states, _ = rollout.rollout(
-            model, data, starts, nstep=work.steps, state=kept, persistent_pool=True, **applied
+            model,
+            data,
+            starts,
+            nstep=work.steps,
+            state=trajectories,
+            persistent_pool=True,
+            **applied,
         )
         return states[:, -1, 1:].copy()
 

@@ -49,9 +49,9 @@ def prepare(work: Work) -> Callable[[], Floats]:
 
     def follow(x: Floats, u: Floats, target: Floats) -> Floats:
         q, v, a = target
-        wanted = a + k_p * (q - x[:N]) + k_d * (v - x[N:])
-        held = pin.rnea(model, data, x[:N], x[N:], wanted)
-        return rk4(lambda x, _: rate(x, held), x, h)
+        acceleration = a + k_p * (q - x[:N]) + k_d * (v - x[N:])
+        torque = pin.rnea(model, data, x[:N], x[N:], acceleration)
+        return rk4(lambda x, _: rate(x, torque), x, h)
 
     def euler(x: Floats, u: Floats, target: Floats) -> Floats:
         v = x[N:] + h * pin.aba(model, data, x[:N], x[N:], u)

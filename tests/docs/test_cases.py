@@ -33,9 +33,9 @@ def rows() -> list[str]:
 
 def test_the_page_has_the_table_of_the_results() -> None:
     page = (ROOT / "docs/cases.md").read_text(encoding="utf-8")
-    shown = re.search(r"<!-- cases -->\n(.*?)<!-- /cases -->", page, re.DOTALL)
-    assert shown is not None
-    assert shown[1].strip().split("\n") == rows()
+    table = re.search(r"<!-- cases -->\n(.*?)<!-- /cases -->", page, re.DOTALL)
+    assert table is not None
+    assert table[1].strip().split("\n") == rows()
     assert set(TRUE) == set(CASES)
 
 
@@ -43,8 +43,8 @@ def test_the_page_has_the_table_of_the_results() -> None:
 def test_the_bench_measures_what_the_machine_has(name: str) -> None:
     benches = [CASES[name].measure(np.random.default_rng(seed)) for seed in range(20)]
     for k, true in enumerate(TRUE[name]):
-        held = [abs(one[k].value - true) <= 1.5 * one[k].error for one in benches]
-        assert np.mean(held) >= 0.8
+        covered = [abs(one[k].value - true) <= 1.5 * one[k].error for one in benches]
+        assert np.mean(covered) >= 0.8
         assert np.mean([one[k].value for one in benches]) == pytest.approx(true, rel=0.08)
 
 
@@ -59,10 +59,10 @@ def test_a_case_runs_from_its_log_to_compiled_c(name: str, tmp_path: Path) -> No
         assert low < true < high
     without, with_it = outcome.errors
     assert with_it < 0.1 * without
-    (shown,) = (line for line in rows() if line.startswith(f"| {case.title} |"))
+    (table_row,) = (line for line in rows() if line.startswith(f"| {case.title} |"))
     row = cases._row_of(case.title, outcome, case.unit, case.error_unit)
     numbers = [float(word) for word in re.findall(r"[\d.]+(?:e-?\d+)?", row)]
-    assert [float(word) for word in re.findall(r"[\d.]+(?:e-?\d+)?", shown)] == pytest.approx(
+    assert [float(word) for word in re.findall(r"[\d.]+(?:e-?\d+)?", table_row)] == pytest.approx(
         numbers, rel=0.02
     )
 

@@ -49,14 +49,14 @@ def test_python_blocks_run(
 
 
 @pytest.mark.parametrize(
-    ("code", "shown"),
+    ("code", "displayed"),
     re.findall(r"```python\n(.*?)```\n\n```text\n(.*?)```", (ROOT / "README.md").read_text(), re.S),
 )
 def test_what_the_front_page_prints_is_what_it_shows(
-    code: str, shown: str, capsys: pytest.CaptureFixture[str]
+    code: str, displayed: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     exec(compile(code, "README.md", "exec"), {"__name__": "__main__"})
-    same(capsys.readouterr().out.rstrip("\n").split("\n"), shown.rstrip("\n").split("\n"))
+    same(capsys.readouterr().out.rstrip("\n").split("\n"), displayed.rstrip("\n").split("\n"))
 
 
 def test_pictures_are_of_what_there_is_today() -> None:
@@ -73,8 +73,8 @@ def test_pictures_are_of_what_there_is_today() -> None:
     assert titles["two_link_gears.png"] == f"{gears.title}: the tip"
     assert titles["two_link.gif"] == str(zones.title.encode())
     assert titles["leaderboard.png"].startswith(f"{len(entered)} methods, 1 scenario")
-    made = {f"{name}.png" for name in script_of_docs("pictures").PICTURES}
-    assert titles.keys() == made | {"two_link.gif", "live.gif"}
+    drawn = {f"{name}.png" for name in script_of_docs("pictures").PICTURES}
+    assert titles.keys() == drawn | {"two_link.gif", "live.gif"}
 
 
 @pytest.mark.parametrize(("name", "text"), blocks("console"))
@@ -91,11 +91,11 @@ def compared(command: str, expected: list[str], folder: Path) -> None:
     same(done.stdout.rstrip("\n").split("\n"), expected, done.stderr)
 
 
-def same(shown: list[str], expected: list[str], why: str = "") -> None:
+def same(printed: list[str], expected: list[str], why: str = "") -> None:
     """Compare what is shown with what was expected: words exactly, numbers to 2 %."""
-    words = [NUMBER.sub("#", line) for line in shown]
+    words = [NUMBER.sub("#", line) for line in printed]
     assert words == [NUMBER.sub("#", line) for line in expected], why
-    for a, b in zip(numbers(shown), numbers(expected), strict=True):
+    for a, b in zip(numbers(printed), numbers(expected), strict=True):
         # an integration error is known to its order of magnitude
         tolerance = 0.02 if abs(b) > 1e-7 else 10.0
         assert abs(a - b) <= tolerance * abs(b) + 1e-12

@@ -22,8 +22,8 @@ def test_the_code_in_the_page_is_the_exported_one(
     scenario = uz.read(ROOT / "examples" / "firmware.toml")
     report = uz.export(scenario, out=tmp_path / "fw").report
     code = (tmp_path / "fw" / "arm_joint.c").read_text(encoding="utf-8")
-    shown = re.findall(r"\n```c\n(.*?)```", CODE, re.S)[-1]
-    indented = "".join(f"    {line}\n" for line in shown.splitlines())
+    displayed = re.findall(r"\n```c\n(.*?)```", CODE, re.S)[-1]
+    indented = "".join(f"    {line}\n" for line in displayed.splitlines())
     assert indented in code
     counts = ", ".join(f"{count} {word}" for word, count in report["operations"].items())
     assert counts in PAGE

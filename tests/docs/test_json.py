@@ -131,22 +131,22 @@ def is_documented(path: str, documented: list[str]) -> bool:
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the examples."""
-    made = tmp_path_factory.mktemp("json")
-    (made / "examples").symlink_to(ROOT / "examples")
+    folder_path = tmp_path_factory.mktemp("json")
+    (folder_path / "examples").symlink_to(ROOT / "examples")
     for name, (source, changes) in PREPARED.items():
         text = (ROOT / "examples" / source).read_text()
         for old, new in changes.items():
             assert old in text
             text = text.replace(old, new)
-        (made / name).write_text(text)
+        (folder_path / name).write_text(text)
     goal = np.random.default_rng(0).uniform(-20.0, 20.0, 120)  # of an axis with a gap of 0.2
     at = levels(goal[:, None], np.array([0.1]), np.array([0.1]), goal[:1])[:, 0]
     rows = [f"{5 * k},{u:.3f},{y:.3f}" for k, (u, y) in enumerate(zip(goal, at, strict=True))]
-    (made / "axis.csv").write_text("\n".join(["t [s],goal [mm],position [mm]", *rows, ""]))
-    return made
+    (folder_path / "axis.csv").write_text("\n".join(["t [s],goal [mm],position [mm]", *rows, ""]))
+    return folder_path
 
 
-def asked(command: list[str], capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
+def run_json(command: list[str], capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
     """What a command prints."""
     group.main(command, standalone_mode=False)
     return dict(json.loads(capsys.readouterr().out))
@@ -161,10 +161,10 @@ def test_the_page_lists_the_keys_of_a_command(
     once.in_haste(monkeypatch)
     monkeypatch.setattr(undeadzone_paper, "audit", lambda progress: once.audit()[0])
     if name in BEFORE:
-        asked(BEFORE[name], capsys)
+        run_json(BEFORE[name], capsys)
     documented, met = keys(name), set[str]()
     for command in COMMANDS[name]:
-        printed = asked(command, capsys)
+        printed = run_json(command, capsys)
         assert next(iter(printed)) == "schema"
         assert printed.pop("schema") == SCHEMA
         met |= set(paths(printed))

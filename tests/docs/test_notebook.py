@@ -85,9 +85,9 @@ def cells(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Any]]:
 
 @pytest.mark.parametrize("name", RESULTS)
 def test_a_result_shows_a_table_and_a_figure_once(name: str, cells: dict[str, list[Any]]) -> None:
-    shown = [output for output in cells[name] if output.output_type == "execute_result"]
-    assert len(shown) == 1
-    html, text = shown[0].data["text/html"], shown[0].data["text/plain"]
+    results = [output for output in cells[name] if output.output_type == "execute_result"]
+    assert len(results) == 1
+    html, text = results[0].data["text/html"], results[0].data["text/plain"]
     assert html.count("<img") == 1
     assert WORDS[name] in html
     assert WORDS[name] in text
@@ -97,13 +97,13 @@ def test_a_result_shows_a_table_and_a_figure_once(name: str, cells: dict[str, li
 
 @pytest.mark.parametrize("name", RESULTS)
 def test_a_plot_takes_axes_or_a_path(name: str, cells: dict[str, list[Any]]) -> None:
-    (shown,) = cells[f"plot {name}"]
-    assert shown.data["text/plain"] == "(True, True, True)"
+    (result,) = cells[f"plot {name}"]
+    assert result.data["text/plain"] == "(True, True, True)"
 
 
 def test_a_scenario_shows_its_tables(cells: dict[str, list[Any]]) -> None:
-    (shown,) = cells["scenario"]
-    assert "[sensor]" in shown.data["text/html"]
+    (result,) = cells["scenario"]
+    assert "[sensor]" in result.data["text/html"]
 
 
 def bars(outputs: list[Any]) -> list[Any]:

@@ -62,10 +62,10 @@ def test_version_and_help() -> None:
     assert re.fullmatch(r"undeadzone, version \d+\.\d+\.\d+\n", undeadzone("--version").stdout)
     assert undeadzone("-V").stdout == undeadzone("--version").stdout
     for command in ([], ["run"], ["paper"], ["init"], ["watch"]):
-        shown = undeadzone(*command, "--help")
-        assert shown.returncode == 0
-        assert "undeadzone" in shown.stdout
-        assert "Example" in shown.stdout or command == []
+        done = undeadzone(*command, "--help")
+        assert done.returncode == 0
+        assert "undeadzone" in done.stdout
+        assert "Example" in done.stdout or command == []
     listed = undeadzone("--help").stdout
     names = group.list_commands(click.Context(group))
     assert len(names) > len(group.commands)
@@ -76,12 +76,12 @@ def test_version_and_help() -> None:
 
 
 def test_the_bare_command_prints_its_help() -> None:
-    bare, asked = undeadzone(), undeadzone("--help")
-    assert bare.returncode == asked.returncode == 0
+    bare, full = undeadzone(), undeadzone("--help")
+    assert bare.returncode == full.returncode == 0
     first = re.findall(r"^  (\w+) [\[A-Z]", bare.stdout, re.MULTILINE)
     assert first == ["init", "run", "identify", "export"]
     for name in re.split(r",\s+", bare.stdout.split("--help:\n")[1].strip()):
-        assert re.search(rf"^  {name}\b", asked.stdout, re.MULTILINE)
+        assert re.search(rf"^  {name}\b", full.stdout, re.MULTILINE)
         assert name not in first
     assert not bare.stderr
 
@@ -102,8 +102,8 @@ def test_a_rare_option_stands_in_the_whole_help_alone() -> None:
         undeadzone("identify", "--help-all").stdout,
     )
     assert "--integrators" not in usual
-    shown = [line for line in usual.splitlines() if line.startswith("  -")]
-    assert len(shown) == 6 + 2  # besides --help-all and --help
+    options = [line for line in usual.splitlines() if line.startswith("  -")]
+    assert len(options) == 6 + 2  # besides --help-all and --help
     listed = [name for names in identify.subjects.values() for name in names]
     assert len(listed) == len(set(listed)) == len(identify.get_params(click.Context(identify))) - 1
     assert {line.split()[0] for line in usual.splitlines() if line.startswith("  --")} <= set(
@@ -449,7 +449,7 @@ def test_a_stopped_watch_prints_what_it_has(scenario: Path, stop: int, code: int
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        preexec_fn=heard_signals,
+        preexec_fn=restore_signals,
     ) as process:
         assert process.stdin is not None
         assert process.stdout is not None
@@ -458,14 +458,14 @@ def test_a_stopped_watch_prints_what_it_has(scenario: Path, stop: int, code: int
         for _ in range(3):
             process.stdout.readline()
         process.send_signal(stop)
-        _, said = process.communicate(timeout=20)
+        _, printed = process.communicate(timeout=20)
     assert process.returncode == code
-    assert "2 samples, 0 missing" in said
-    assert "consistent" in said
-    assert said.splitlines()[-1].startswith("undeadzone: ")
+    assert "2 samples, 0 missing" in printed
+    assert "consistent" in printed
+    assert printed.splitlines()[-1].startswith("undeadzone: ")
 
 
-def heard_signals() -> None:
+def restore_signals() -> None:
     """A background job ignores SIGINT unless it is told otherwise."""
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -495,22 +495,22 @@ def test_init_writes_examples_with_their_files(tmp_path: Path) -> None:
     done = undeadzone("init", "--example", "ur5", "deep/mine.toml", "--out", "out", cwd=tmp_path)
     assert "next: undeadzone run out/deep/mine.toml" in done.stdout
     for name, written in (("ur5.toml", "mine.toml"), ("ur5.urdf", "ur5.urdf")):
-        kept = (EXAMPLES / name).read_bytes()
-        assert (tmp_path / "out" / "deep" / written).read_bytes() == kept
+        original = (EXAMPLES / name).read_bytes()
+        assert (tmp_path / "out" / "deep" / written).read_bytes() == original
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "expected"),
     [
         (["--example", "two_lnk"], "Did you mean 'two_link'?"),
         (["--example", "../secret"], "--list shows all"),
         (["--example", ""], "--list shows all"),
     ],
 )
-def test_init_knows_no_other_example(words: list[str], told: str, tmp_path: Path) -> None:
+def test_init_knows_no_other_example(words: list[str], expected: str, tmp_path: Path) -> None:
     done = undeadzone("init", *words, cwd=tmp_path)
     assert done.returncode == 2
-    assert told in done.stderr
+    assert expected in done.stderr
     assert not list(tmp_path.iterdir())
 
 
@@ -529,7 +529,7 @@ class Terminal(io.StringIO):
         return True
 
 
-def shown(terminal: Terminal, word: str) -> bool:
+def wait_for_text(terminal: Terminal, word: str) -> bool:
     """Whether a terminal shows a word within seconds."""
     for _ in range(200):
         if word in terminal.getvalue():
@@ -543,10 +543,10 @@ def test_a_long_set_up_is_shown_before_the_first_step(monkeypatch: pytest.Monkey
     monkeypatch.setattr(sys, "stderr", terminal)
     monkeypatch.setattr(progress, "PATIENCE", 0.01)
     with progress.terminal_progress("simulating", 10) as advance:
-        assert shown(terminal, "setting up")
+        assert wait_for_text(terminal, "setting up")
         advance(4)
         advance(3)
-        assert shown(terminal, "7/10")
+        assert wait_for_text(terminal, "7/10")
         assert "simulating" in terminal.getvalue()
 
 
@@ -557,7 +557,7 @@ def test_a_step_that_came_early_is_shown_all_the_same(monkeypatch: pytest.Monkey
     monkeypatch.setattr(progress, "PATIENCE", 0.2)
     with progress.terminal_progress("simulating", 10) as advance:
         advance(4)
-        assert shown(terminal, "4/10")
+        assert wait_for_text(terminal, "4/10")
 
 
 def test_a_short_command_shows_no_bar(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -614,10 +614,10 @@ def test_export_is_named_where_it_is_taken(command: str, tmp_path: Path) -> None
     """Of a continuous scenario, and of an observer that is told the state, it is refused."""
     text = (EXAMPLES / "paper_2sin.toml").read_text()
     (tmp_path / "mine.toml").write_text(text)
-    asked = 'undeadzone export mine.toml takes it with simulation.time = "sampled"'
-    assert asked in undeadzone(command, "mine.toml", "--no-figures", cwd=tmp_path).stdout
-    told = re.sub(r"(?s)\[observer\].*?\n\n", '[observer]\nmethod = "full_state"\n\n', text)
-    (tmp_path / "mine.toml").write_text(told)
+    hint = 'undeadzone export mine.toml takes it with simulation.time = "sampled"'
+    assert hint in undeadzone(command, "mine.toml", "--no-figures", cwd=tmp_path).stdout
+    replaced = re.sub(r"(?s)\[observer\].*?\n\n", '[observer]\nmethod = "full_state"\n\n', text)
+    (tmp_path / "mine.toml").write_text(replaced)
     done = undeadzone(command, "mine.toml", "--no-figures", cwd=tmp_path)
     assert done.returncode != 2, done.stderr
     assert "undeadzone export" not in done.stdout
@@ -634,7 +634,7 @@ def test_what_is_to_be_typed_next_works(tmp_path: Path, monkeypatch: pytest.Monk
         options = ["--out", "fw"] if command == "export" else ["--no-figures"]
         done = undeadzone(command, "mine.toml", *options, cwd=tmp_path)
         assert done.returncode == 0, command
-        (told,) = [line for line in done.stdout.splitlines() if line.startswith("next ")]
-        named = set(re.findall(r"undeadzone (\w+) mine\.toml", told)) - seen
+        (next_line,) = [line for line in done.stdout.splitlines() if line.startswith("next ")]
+        named = set(re.findall(r"undeadzone (\w+) mine\.toml", next_line)) - seen
         waiting += sorted(named - set(waiting))
     assert {"run", "check", "export"} <= seen

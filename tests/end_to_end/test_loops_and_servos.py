@@ -55,9 +55,9 @@ def test_a_valve_with_play_ends_in_firmware_and_lines_that_lessen_the_error(
     monkeypatch.chdir(tmp_path)
     loop = make(7, "dead band", SIZE)
     write_loop(loop, Path("loop.csv"))
-    shown = invoke("identify", "loop.csv", "--no-figures", "--out", "o", "--chain", "fw")
-    assert "every bit agrees" in shown
-    assert "return wanted + lead;" in shown
+    printed = invoke("identify", "loop.csv", "--no-figures", "--out", "o", "--chain", "fw")
+    assert "every bit agrees" in printed
+    assert "return wanted + lead;" in printed
     assert '[actuator]\nkind = "play"' in Path("o/loop.toml").read_text()
     assert Path("fw/firmware/loop.c").exists()
     bodies = []
@@ -76,12 +76,12 @@ def test_a_valve_that_sticks_is_named_and_gets_no_lines(
     """A dead band of its integral part ended the cycle of 1 of 6 such loops: it is not offered."""
     monkeypatch.chdir(tmp_path)
     write_loop(make(25, "stiction", SIZE), Path("loop.csv"))
-    shown = invoke("identify", "loop.csv", "--no-figures", "--out", "o")
+    printed = invoke("identify", "loop.csv", "--no-figures", "--out", "o")
     numbers = json.loads(Path("o/identify.json").read_text())
     assert numbers["verdict"] == "stiction"
     jump = numbers["loop"]["jump_of_reading"]
     assert jump[1] < jump[0] < jump[2]
-    assert "see to its packing" in shown
+    assert "see to its packing" in printed
 
 
 def test_a_servo_by_current_and_encoder_ends_in_firmware(
@@ -97,9 +97,9 @@ def test_a_servo_by_current_and_encoder_ends_in_firmware(
     np.savetxt(
         "servo.csv", table, delimiter=",", header="t [s],current [A],encoder [rad]", comments=""
     )
-    shown = invoke("identify", "servo.csv", "--no-figures", "--out", "o", "--chain", "fw")
-    assert "every bit agrees" in shown
+    printed = invoke("identify", "servo.csv", "--no-figures", "--out", "o", "--chain", "fw")
+    assert "every bit agrees" in printed
     low, high = json.loads(Path("o/identify.json").read_text())["width"][1:]
     assert low < servo.gap < high
-    assert "static float commanded" in shown
+    assert "static float commanded" in printed
     assert Path("fw/firmware/servo.c").exists()

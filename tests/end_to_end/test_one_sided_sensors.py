@@ -41,9 +41,9 @@ def test_a_sensor_without_a_left_edge_ends_in_code(jump: bool, tmp_path: Path) -
     log = tmp_path / "flow.csv"
     table = np.column_stack([STEP * np.arange(u.size), u, y])
     np.savetxt(log, table, delimiter=",", header="t,u,y", comments="")
-    said = () if jump else ("--left", "inf")
+    options = () if jump else ("--left", "inf")
     words = ("--order", "1", "--delay", "0", "--no-figures", "--out", str(tmp_path))
-    invoke("identify", str(log), *said, *words)
+    invoke("identify", str(log), *options, *words)
     numbers = json.loads((tmp_path / "identify.json").read_text())
     assert numbers["verdict"] == ("jump" if jump else "dead_zone")
     assert numbers["right"][1] < EDGE < numbers["right"][2]
@@ -51,10 +51,10 @@ def test_a_sensor_without_a_left_edge_ends_in_code(jump: bool, tmp_path: Path) -
     assert any("taken to have none" in one for one in numbers["remarks"])
     scenario = tmp_path / "flow.toml"
     assert "so far away that it is no edge" in scenario.read_text()
-    shown = invoke(
+    printed = invoke(
         "estimate", str(scenario), str(log), "--no-figures", "--out", str(tmp_path / "e")
     )
-    low, high = map(float, re.findall(r"d_right .*\[([\d.]+), ([\d.]+)\]", shown)[0])
+    low, high = map(float, re.findall(r"d_right .*\[([\d.]+), ([\d.]+)\]", printed)[0])
     assert low < EDGE < high
     for precision in ("double", "single"):
         out = str(tmp_path / precision)

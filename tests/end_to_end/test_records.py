@@ -13,24 +13,24 @@ from benchmarks.strangers_logs import ALL, EARLIER, KINDS, LATER
 import undeadzone as uz
 from undeadzone.errors import InputError
 
-SAID: dict[str, tuple[str, dict[str, float]]] = {
+EXPECTED: dict[str, tuple[str, dict[str, float]]] = {
     "S_1": ("stiction", {"stiction": 0.95, "none": 0.05}),
     "N_2": ("undecided", {"none": 0.5, "stiction": 0.5}),
     "isdb_N_3": ("tight_tuning", {"tight_tuning": 0.9}),
     "servo": ("play", {"play": 1.0}),
     "N_4": ("refused", {}),
 }
-ASKED: dict[str, dict[str, Any]] = {}  # options by record
+REQUESTED: dict[str, dict[str, Any]] = {}  # options by record
 
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Records whose answers are `SAID`, one of them by a label of its own."""
-    ASKED.clear()
+    """Records whose answers are `EXPECTED`, one of them by a label of its own."""
+    REQUESTED.clear()
 
     def identify(log: Path, **options: Any) -> Any:
-        word, odds = SAID[log.stem]
-        ASKED[log.stem] = options
+        word, odds = EXPECTED[log.stem]
+        REQUESTED[log.stem] = options
         if word == "refused":
             raise InputError("the reading never changes")
         reasons = SimpleNamespace(reasons=["so"])
@@ -38,7 +38,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
             verdict=word, answer=reasons, width=None, numbers=lambda: {"odds": odds}
         )
 
-    for name in (*SAID, "without_label"):
+    for name in (*EXPECTED, "without_label"):
         (tmp_path / f"{name}.csv").write_text("time,OP,PV\n")
     (tmp_path / "labels.csv").write_text("file,options,right\nservo.csv,integrators=1,play both\n")
     monkeypatch.setattr(uz, "identify", identify)
@@ -48,12 +48,12 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_records_are_asked_by_their_labels_and_without_options(folder: Path) -> None:
     every = {one.kind: one for one in strangers.records(folder)}
-    assert set(every) == set(SAID)
+    assert set(every) == set(EXPECTED)
     right = {name for name, one in every.items() if one.is_right}
     assert right == {"S_1", "isdb_N_3", "servo"}
     assert not any(one.is_wrong for one in every.values())
-    told = {name: {} for name in SAID} | {"servo": {"integrators": "1"}}
-    assert told == ASKED
+    expected = {name: {} for name in EXPECTED} | {"servo": {"integrators": "1"}}
+    assert expected == REQUESTED
     assert "| 5 | 3 | 2 | 0 | 0 |" in strangers.table()
 
 
@@ -62,10 +62,10 @@ def test_a_false_name_stops_the_gate(
     odds: dict[str, float], folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A name beside which no odds stand is said for certain."""
-    monkeypatch.setitem(SAID, "N_2", ("stiction", odds))
+    monkeypatch.setitem(EXPECTED, "N_2", ("stiction", odds))
     with pytest.raises(SystemExit, match="false names: N_2"):
         strangers.table()
-    monkeypatch.setitem(SAID, "N_2", ("stiction", {"stiction": 0.79, "none": 0.21}))
+    monkeypatch.setitem(EXPECTED, "N_2", ("stiction", {"stiction": 0.79, "none": 0.21}))
     assert "WRONG" in strangers.table()
 
 

@@ -38,7 +38,7 @@ FORK = multiprocessing.get_context("fork")
 
 
 def squares(
-    path: Path, resume: bool = True, told: list[int] | None = None, stop: int | None = None
+    path: Path, resume: bool = True, computed: list[int] | None = None, stop: int | None = None
 ) -> list[Any]:
     """The squares of 0 to 9; told: those computed; stop: where SIGTERM comes."""
 
@@ -46,25 +46,25 @@ def squares(
         for k in missing:
             if k == stop:
                 raise Terminated
-            if told is not None:
-                told.append(k)
+            if computed is not None:
+                computed.append(k)
             yield k, k * k
 
-    kept = Answers(path, PROBLEM, "squares", resume)
-    with kept.hold_file():
-        return kept.compute_missing(list(range(10)), compute)
+    answers = Answers(path, PROBLEM, "squares", resume)
+    with answers.hold_file():
+        return answers.compute_missing(list(range(10)), compute)
 
 
 # --- The file
 
 
 def test_what_is_kept_is_not_computed_again(tmp_path: Path) -> None:
-    path, told = tmp_path / "kept", list[int]()
+    path, computed = tmp_path / "kept", list[int]()
     words = f"5 squares are kept in {path}; continue with resume=True"
     with pytest.raises(Terminated, match=words):
-        squares(path, told=told, stop=5)
-    assert squares(path, told=told) == [k * k for k in range(10)]
-    assert told == list(range(10))
+        squares(path, computed=computed, stop=5)
+    assert squares(path, computed=computed) == [k * k for k in range(10)]
+    assert computed == list(range(10))
 
 
 @pytest.mark.parametrize("link", ["symlink_to", "hardlink_to"])
@@ -233,9 +233,9 @@ def test_an_identification_that_is_killed_again_and_again_finds_the_same(tmp_pat
         sizes.append(path.stat().st_size)
     assert sizes == sorted(set(sizes))  # each goes on where the one before was killed
     assert identified(path) == whole
-    kept = path.stat().st_size
+    size_before = path.stat().st_size
     assert identified(path) == whole
-    assert path.stat().st_size == kept  # nothing was climbed to again
+    assert path.stat().st_size == size_before  # nothing was climbed to again
 
 
 def test_what_is_asked_of_the_answer_later_is_computed(tmp_path: Path) -> None:
@@ -285,13 +285,13 @@ def stopped(how: int, partial: Path, command: list[str], cwd: Path) -> tuple[int
     """Exit code and messages of a command that is stopped once it has kept something."""
     with subprocess.Popen(
         command, cwd=cwd, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
-        preexec_fn=heard_signals,
+        preexec_fn=restore_signals,
     ) as process:  # fmt: skip
         while process.poll() is None and not (partial.exists() and _answers(partial) >= 1):
             time.sleep(0.002)
         process.send_signal(how)
-        _, said = process.communicate(timeout=60)
-        return process.returncode, said
+        _, output = process.communicate(timeout=60)
+        return process.returncode, output
 
 
 def _answers(partial: Path) -> int:
@@ -299,7 +299,7 @@ def _answers(partial: Path) -> int:
     return partial.read_bytes().count(b"\n") - 1
 
 
-def heard_signals() -> None:
+def restore_signals() -> None:
     """A background job ignores SIGINT unless it is told otherwise."""
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -372,10 +372,10 @@ def test_a_resume_that_finds_nothing_says_so(command: str, mine: Path, tmp_path:
 def test_arena_keeps_what_is_done_without_being_asked(mine: Path, tmp_path: Path) -> None:
     command = [*COMMAND, str(mine), "--methods", METHODS, "--seeds", "6"]
     partial = tmp_path / "arena-results/results.json.partial"
-    code, said = stopped(signal.SIGINT, partial, command, tmp_path)
-    assert code == 130, said
-    assert "6 methods x 1 scenario x 6 seeds = 36 runs; less than a minute" in said
-    assert "continue with --resume" in said
+    code, output = stopped(signal.SIGINT, partial, command, tmp_path)
+    assert code == 130, output
+    assert "6 methods x 1 scenario x 6 seeds = 36 runs; less than a minute" in output
+    assert "continue with --resume" in output
     done = undeadzone(*command[len(COMMAND) - 1 :], "--resume", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "high_gain" in done.stdout

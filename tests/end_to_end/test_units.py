@@ -68,7 +68,7 @@ def scenario(time: float, z: float, u: float, method: str, duration: float = 3.0
     )
 
 
-def shown(run: uz.Run, time: float, z: float) -> dict[str, np.ndarray]:
+def scaled_signals(run: uz.Run, time: float, z: float) -> dict[str, np.ndarray]:
     """What a run shows, in the usual units."""
     of_states = z * time ** -np.arange(4.0)
     signals = {"z_hat": run.z_hat / z, "d_hat": run.d_hat / z, "x_hat": run.x_hat / of_states}
@@ -79,11 +79,11 @@ def shown(run: uz.Run, time: float, z: float) -> dict[str, np.ndarray]:
 
 @pytest.mark.parametrize("method", OBSERVERS)
 def test_a_run_is_the_same_in_any_units(method: str) -> None:
-    usual = shown(uz.simulate(scenario(1.0, 1.0, 1.0, method)), 1.0, 1.0)
+    usual = scaled_signals(uz.simulate(scenario(1.0, 1.0, 1.0, method)), 1.0, 1.0)
     units = [(1e-6, 1e-6, 1e6), (1e6, 1e6, 1e-6)]
     for time, z, u in units[: 1 if method == "censored" else 2]:  # which is slow to build
         run = uz.simulate(scenario(time, z, u, method))
-        for name, signal in shown(run, time, z).items():
+        for name, signal in scaled_signals(run, time, z).items():
             size = np.abs(usual[name]).max(axis=0)
             assert (np.abs(signal - usual[name]) <= 1e-6 * size).all(), (name, time, z, u)
 

@@ -46,12 +46,12 @@ def text_in(wheel: Path, name: str) -> str:
 
 
 def test_the_wheel_holds_every_file_of_the_package_and_the_examples(wheel: Path) -> None:
-    held = set(zipfile.ZipFile(wheel).namelist())
+    members = set(zipfile.ZipFile(wheel).namelist())
     for path in (ROOT / "src").rglob("*"):
         if path.is_file() and "__pycache__" not in path.parts:
-            assert str(path.relative_to(ROOT / "src")) in held
+            assert str(path.relative_to(ROOT / "src")) in members
     for path in (ROOT / "examples").glob("*.*"):
-        assert f"undeadzone/examples/{path.name}" in held
+        assert f"undeadzone/examples/{path.name}" in members
 
 
 def test_the_wheel_is_small(wheel: Path) -> None:
@@ -152,14 +152,14 @@ def test_the_version_is_the_same_everywhere(wheel: Path) -> None:
 
 def test_a_package_index_shows_no_link_that_leads_nowhere(wheel: Path) -> None:
     """Files of the repository have no address there: links are text, images are left out."""
-    shown = email.message_from_string(text_in(wheel, "METADATA")).get_payload()
-    assert shown.startswith("# undeadzone\n")
-    assert not re.findall(r"\]\((?!https?:)", shown)
+    description = email.message_from_string(text_in(wheel, "METADATA")).get_payload()
+    assert description.startswith("# undeadzone\n")
+    assert not re.findall(r"\]\((?!https?:)", description)
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     for code in re.findall(r"```python\n.*?```", readme, re.S):
-        assert code in shown
+        assert code in description
     for heading in re.findall(r"^## .*$", readme, re.M):
-        assert heading in shown
+        assert heading in description
 
 
 def test_addresses_are_placeholders_until_the_project_has_a_place(wheel: Path) -> None:
@@ -195,8 +195,8 @@ def test_commands_run_from_the_wheel(installed: Path, tmp_path: Path) -> None:
     place = "import undeadzone as uz; print(uz.__file__, [getattr(uz, n) for n in uz.__all__])"
     assert str(installed.parent) in run(installed / "python", "-c", place, cwd=tmp_path)
     run(command, "init", "mine.toml", cwd=tmp_path)
-    told = run(command, "run", "mine.toml", "--json", "--out", "out", cwd=tmp_path)
-    assert json.loads(told)["diverged_at"] is None
+    printed = run(command, "run", "mine.toml", "--json", "--out", "out", cwd=tmp_path)
+    assert json.loads(printed)["diverged_at"] is None
     assert (tmp_path / "out" / "report.html").stat().st_size > 10_000
     arena = ["arena", "mine.toml", "--methods", "certified", "--seeds", "1", "--processes", "1"]
     assert "full_state" in run(command, *arena, cwd=tmp_path)
@@ -209,8 +209,8 @@ def test_every_example_comes_from_the_wheel(installed: Path, tmp_path: Path) -> 
     each += ", standalone_mode=False) for name in sys.argv[1:]]"
     run(installed / "python", "-c", each, *names, cwd=tmp_path)
     written = {path.name: path.read_bytes() for path in tmp_path.glob("*.*")}
-    kept = {path.name: path.read_bytes() for path in (ROOT / "examples").glob("*.*")}
-    assert written == kept
+    originals = {path.name: path.read_bytes() for path in (ROOT / "examples").glob("*.*")}
+    assert written == originals
     run(command, "run", "paper_5sin.toml", "--no-figures", cwd=tmp_path)
 
 
@@ -224,8 +224,8 @@ def test_types_reach_a_program_that_uses_the_package(installed: Path, tmp_path: 
     others = ",".join(f"{name}.*" for name in OTHERS)
     skipped = f"[mypy-{others}]\nfollow_imports = skip\nfollow_imports_for_stubs = true\n"
     (tmp_path / "mypy.ini").write_text(f"[mypy]\n{skipped}", encoding="utf-8")
-    kept = ROOT / ".pytest_cache" / "mypy"
-    mypy = [installed / "python", "-m", "mypy", "--strict", "--cache-dir", kept]
+    cache = ROOT / ".pytest_cache" / "mypy"
+    mypy = [installed / "python", "-m", "mypy", "--strict", "--cache-dir", cache]
     with pytest.raises(AssertionError) as found:
         run(*mypy, "right.py", "wrong.py", cwd=tmp_path)
     assert 'wrong.py:4: error: Incompatible types in assignment (expression has type "float", ' in (

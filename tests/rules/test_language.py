@@ -639,11 +639,11 @@ def main() -> int:
             for name, (ceiling, goal) in ceilings.items()
         }
         write_ceilings(ceilings)
-    wanted = " ".join(options.figure)
+    requested = " ".join(options.figure)
     for name, figure in figures.items():
-        if wanted in name:
+        if requested in name:
             sys.stdout.write(format_figure(name, figure.value, ceilings.get(name)))
-            for place in figure.list_worst(options.count if wanted else 0):
+            for place in figure.list_worst(options.count if requested else 0):
                 sys.stdout.write(f"    {place}\n")
     return int(any(is_above(figures[name].value, limit) for name, (limit, _) in ceilings.items()))
 

@@ -38,16 +38,16 @@ def tried(*tests: Path) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.parametrize(
-    ("test", "said"),
+    ("test", "result"),
     [(NOTICES, "True test_it.py::test_an_interval"), ("def test_nothing(): pass", "False")],
 )
 def test_a_mutant_is_noticed_by_a_test_of_what_it_changes(
-    tmp_path: Path, test: str, said: str
+    tmp_path: Path, test: str, result: str
 ) -> None:
     file = tmp_path / "test_it.py"
     file.write_text(test)
     noticed, _, first = tried(file).stdout.strip().partition(" ")
-    assert f"{noticed} {first.rpartition('/')[2]}".strip() == said
+    assert f"{noticed} {first.rpartition('/')[2]}".strip() == result
 
 
 def test_a_trial_that_does_not_run_is_no_mutant_noticed(tmp_path: Path) -> None:

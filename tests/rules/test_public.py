@@ -54,9 +54,9 @@ def test_every_public_name_is_there_and_documented(name: str) -> None:
 
 def test_what_dir_shows_suffices_for_a_first_hour() -> None:
     assert sorted(undeadzone.__all__) == sorted(OWN)
-    shown = [name for name in dir(undeadzone) if not name.startswith("_")]
-    assert len(shown) <= 50
-    assert set(shown) <= set(NAMES)
+    names = [name for name in dir(undeadzone) if not name.startswith("_")]
+    assert len(names) <= 50
+    assert set(names) <= set(NAMES)
     inner = {name for room in ROOMS for name in dir(getattr(undeadzone, room))}
     methods = {kind.__name__ for kind in (Sine, Plant, TwoLink, Luenberger, PD, ZoneInverse)}
     assert methods <= inner

@@ -92,9 +92,9 @@ def _blank(found: re.Match[str]) -> str:
 
 def _without_indented_code(lines: list[str]) -> list[str]:
     """Blank the blocks of code: indented by four, after an empty line, no item of a list."""
-    kept, may_be_code = [], True
+    lines_of_prose, may_be_code = [], True
     for line in lines:
         indented = re.match(r"(    |\t)\s*(?![*+-] |\d+\. )\S", line) is not None
         may_be_code = not line.strip() or (may_be_code and indented)
-        kept.append("" if may_be_code else line)
-    return kept
+        lines_of_prose.append("" if may_be_code else line)
+    return lines_of_prose

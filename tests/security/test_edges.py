@@ -32,10 +32,10 @@ def test_a_registered_package_that_fails_is_named(tmp_path: Path) -> None:
         "[undeadzone.commands]\nbad = nosuch:cmd\n[undeadzone.observers]\nmine = e_mod:K\n"
     )
     (tmp_path / "e_mod.py").write_text("class K: pass\n")
-    shown = call("--help", site=tmp_path)
-    assert shown.returncode == 0
-    assert "'bad' is registered at nosuch:cmd, which fails" in shown.stderr
-    assert "identify" in shown.stdout
+    result = call("--help", site=tmp_path)
+    assert result.returncode == 0
+    assert "'bad' is registered at nosuch:cmd, which fails" in result.stderr
+    assert "identify" in result.stdout
     assert call("bad", site=tmp_path).returncode == 2
     scenario = tmp_path / "m.toml"
     scenario.write_text('[observer]\nmethod = "mine"\n')
@@ -55,11 +55,11 @@ def test_a_package_that_ends_python_or_is_damaged_is_left_out(tmp_path: Path) ->
         (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1\n")
         (info / "entry_points.txt").write_text(points)
     (tmp_path / "e_mod.py").write_text("raise SystemExit(3)\n")
-    shown = call("--help", site=tmp_path)
-    assert shown.returncode == 0
-    assert "'bad' is registered at e_mod:cmd, which fails: 3; it is left out" in shown.stderr
-    assert "f: its entry points cannot be read; it is left out" in shown.stderr
-    assert "identify" in shown.stdout
+    done = call("--help", site=tmp_path)
+    assert done.returncode == 0
+    assert "'bad' is registered at e_mod:cmd, which fails: 3; it is left out" in done.stderr
+    assert "f: its entry points cannot be read; it is left out" in done.stderr
+    assert "identify" in done.stdout
 
 
 @pytest.mark.parametrize("key", ["x" + ".a" * 20_000, "x" + '."a"' * 20_000, "x" + " . a" * 9_000])

@@ -106,9 +106,9 @@ def test_json_means_the_same_without_control_characters(text: str) -> None:
 def test_tables_and_pairs_hold_no_line_of_others(capsys: pytest.CaptureFixture[str]) -> None:
     blocks = [{"scenario": FORGED, FORGED: [FORGED, 1.0]}, [("a", "b"), (FORGED, "c")], FORGED]
     print_blocks(blocks)
-    shown = capsys.readouterr().out
-    assert not steers(shown)
-    assert shown.count("\n") == 8
+    printed = capsys.readouterr().out
+    assert not steers(printed)
+    assert printed.count("\n") == 8
     for width in (None, 10, 40):
         lines = text_of(blocks, width).splitlines()
         assert not any(line.startswith("certificate") for line in lines)
@@ -124,8 +124,8 @@ def test_text_on_a_figure_is_shown_as_it_is() -> None:
 
     figure = Figure()
     for text in ("$", "$x$", "a $ b $ c", r"\$x$", r"$\frac$", "x^2"):
-        shown = figure.text(0.5, 0.5, escape_formulas(text))
-        assert shown._preprocess_math(shown.get_text()) == (text, False)
+        artist = figure.text(0.5, 0.5, escape_formulas(text))
+        assert artist._preprocess_math(artist.get_text()) == (text, False)
 
 
 def test_a_title_forges_no_line_of_a_run(tmp_path: Path) -> None:
@@ -304,8 +304,8 @@ def test_every_command_that_reads_a_scenario_can_be_confined(tmp_path: Path, com
     mine = scenario(tmp_path, names("/etc/passwd")["observer.design"])
     done = in_process(command, mine, "--confine", tmp_path, cwd=tmp_path)
     assert done.returncode == 2
-    told = "" if command == "arena" else f"{mine}: "  # the arena takes several
-    assert done.stderr.startswith(f"undeadzone: {told}observer.design: names a file outside of ")
+    prefix = "" if command == "arena" else f"{mine}: "  # the arena takes several
+    assert done.stderr.startswith(f"undeadzone: {prefix}observer.design: names a file outside of ")
     assert [path.name for path in tmp_path.iterdir()] == ["mine.toml"]
 
 
@@ -386,11 +386,11 @@ def test_four_may_try_and_fill_one_folder_at_once(tmp_path: Path) -> None:
         require_folder(path.parent)
         return files.write_text("mine", path)
 
-    wanted = [tmp_path / str(k // 4) / "out" / f"{k % 4}.txt" for k in range(400)]
+    expected = [tmp_path / str(k // 4) / "out" / f"{k % 4}.txt" for k in range(400)]
     with ThreadPoolExecutor(4) as together:
-        written = list(together.map(fill, wanted))
-    assert written == wanted
-    assert sorted(path for path in tmp_path.rglob("*") if path.is_file()) == sorted(wanted)
+        written = list(together.map(fill, expected))
+    assert written == expected
+    assert sorted(path for path in tmp_path.rglob("*") if path.is_file()) == sorted(expected)
 
 
 @pytest.mark.parametrize("command", ["run", "check", "design", "ensemble", "tune", "arena"])

@@ -125,9 +125,9 @@ def test_a_mat_file_that_unpacks_to_more_than_a_log_is_refused(
 @pytest.mark.parametrize("key", ["reference", "disturbance"])
 def test_a_path_with_a_nul_is_bad_input(key: str, tmp_path: Path) -> None:
     signal = f'{key} = {{ kind = "csv", path = "a\\u0000b" }}\n'
-    kept = [line for line in SHORT.splitlines() if not line.startswith(key)]
+    lines = [line for line in SHORT.splitlines() if not line.startswith(key)]
     path = tmp_path / "n.toml"
-    path.write_text("\n".join([*kept, signal]))
+    path.write_text("\n".join([*lines, signal]))
     with pytest.raises(InputError, match=f"{key}.path: cannot read .*null"):
         simulate(read(path))
     with pytest.raises(InputError, match=f"{key}.path: no path: it holds a NUL"):

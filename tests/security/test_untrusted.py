@@ -27,8 +27,8 @@ HOSTILE = '../../x; $(touch RAN) `touch RAN` <script>\\"\\u001b[2J'
 def signal(path: str) -> str:
     """The scenario with a reference from a file."""
     line = f'reference = {{ kind = "csv", path = "{path}" }}'
-    kept = [row for row in SHORT.splitlines() if not row.startswith("reference")]
-    return "\n".join([*kept, line])
+    rows = [row for row in SHORT.splitlines() if not row.startswith("reference")]
+    return "\n".join([*rows, line])
 
 
 @pytest.fixture
@@ -93,7 +93,9 @@ REFUSED = (
 )  # fmt: skip
 
 
-def held(folder: Path, *arguments: str, stdin: bytes = b"") -> subprocess.CompletedProcess[str]:
+def run_forked(
+    folder: Path, *arguments: str, stdin: bytes = b""
+) -> subprocess.CompletedProcess[str]:
     """A command in a folder, in a copy of this process: the rights that it gives away are its."""
     done = forked(*arguments, cwd=folder, stdin=stdin)
     texts = done.stdout.decode(), done.stderr.decode()
@@ -112,7 +114,7 @@ def bomb(path: Path, megabytes: int) -> None:
 def test_no_trap_does_anything(folder: Path, secret: Path, tmp_path: Path) -> None:
     """Every scenario of the folder is refused, or runs and writes into --out alone."""
     for name in REFUSED:
-        done = held(folder, "check", f"{name}.toml", "--untrusted", ".", "--no-figures")
+        done = run_forked(folder, "check", f"{name}.toml", "--untrusted", ".", "--no-figures")
         assert done.returncode == 2, (name, done.stdout, done.stderr)
         assert len(done.stderr.splitlines()) == 1, done.stderr
         assert "secret" not in done.stderr.replace("home/secret.csv", "")
@@ -135,14 +137,14 @@ def test_every_command_that_reads_files_has_it(folder: Path) -> None:
     """It asks for --out before anything else."""
     for command in ("run", "check", "design", "ensemble", "tune", "estimate", "export", "arena"):
         more = ["run.csv"] if command == "estimate" else []
-        done = held(folder, command, "./-rf.toml", *more, "--untrusted", "nowhere")
+        done = run_forked(folder, command, "./-rf.toml", *more, "--untrusted", "nowhere")
         assert done.returncode == 2
         assert "--untrusted" in done.stderr, (command, done.stderr)
 
 
 def test_a_link_in_the_place_of_results_is_not_followed(folder: Path, secret: Path) -> None:
     """Where the kernel has Landlock; nothing is written into the folder behind the link."""
-    done = held(folder, "run", "./-rf.toml", "--untrusted", ".", "--out", "results")
+    done = run_forked(folder, "run", "./-rf.toml", "--untrusted", ".", "--out", "results")
     assert done.returncode == 1
     assert {path.name for path in secret.parent.iterdir()} == {"secret.csv"}
 
@@ -160,7 +162,7 @@ def test_a_scenario_beside_the_folder_is_not_read(folder: Path, secret: Path) ->
     """What the kernel takes away is bad input, not a mistake of the program."""
     other = secret.parent / "mine.toml"
     other.write_text(SHORT)
-    done = held(folder, "check", str(other), "--untrusted", ".", "--no-figures")
+    done = run_forked(folder, "check", str(other), "--untrusted", ".", "--no-figures")
     landlock = sys.platform == "linux" and "no Landlock" not in done.stderr
     assert done.returncode == (2 if landlock else 1), done.stderr
 
@@ -191,14 +193,14 @@ def test_a_system_without_landlock_says_so(monkeypatch: pytest.MonkeyPatch) -> N
 def test_a_page_and_a_state_are_written_beside_themselves(folder: Path, tmp_path: Path) -> None:
     """Where --out names a file, or a command makes but one, its folder is what is written."""
     page, state = tmp_path / "results" / "live.html", tmp_path / "kept" / "state.npz"
-    made = held(
+    result = run_forked(
         folder, "export", "./-rf.toml", "--to", "page", "--untrusted", ".", "--out", str(page)
     )
-    assert made.returncode == 0, made.stderr
+    assert result.returncode == 0, result.stderr
     assert page.is_file()
     lines = b"y,u\n0.5,1.0\n0.4,1.0\n"
     line = ("watch", "./-rf.toml", "--untrusted", ".", "--state", str(state))
-    done = held(folder, *line, stdin=lines)
+    done = run_forked(folder, *line, stdin=lines)
     assert done.returncode in (0, 1), done.stderr
     assert state.is_file()
     assert len(done.stdout.splitlines()) == 3
@@ -223,7 +225,7 @@ def test_an_export_is_written_and_replaced(
     monkeypatch.delenv("CC")
     out = tmp_path / "firmware"
     for place in (str(out), "../firmware"):
-        made = ran(folder, "export", "./-rf.toml", "--untrusted", ".", "--out", place)
-        assert made.returncode in (0, 1), made.stderr
+        done = ran(folder, "export", "./-rf.toml", "--untrusted", ".", "--out", place)
+        assert done.returncode in (0, 1), done.stderr
     assert (out / "manifest.json").is_file()
     assert not [path for path in out.iterdir() if path.name.startswith(".")]

@@ -133,12 +133,12 @@ def test_what_is_installed_meanwhile_is_found(
     monkeypatch.syspath_prepend(tmp_path)
     for name in ("one", "other"):
         assert OBSERVERS.find_options(f"held_{name}") is None
-        made = tmp_path / f"{name}-new"
-        made.mkdir()
-        (made / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
+        folder = tmp_path / f"{name}-new"
+        folder.mkdir()
+        (folder / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
         point = f"held_{name} = undeadzone.observers.oracle:Oracle\n"
-        (made / "entry_points.txt").write_text(f"[undeadzone.observers]\n{point}")
-        made.rename(tmp_path / f"{name}-1.0.dist-info")
+        (folder / "entry_points.txt").write_text(f"[undeadzone.observers]\n{point}")
+        folder.rename(tmp_path / f"{name}-1.0.dist-info")
         assert f"held_{name}" in OBSERVERS.list_tags()
     assert {"held_one", "held_other"} <= set(OBSERVERS.list_tags())
 
@@ -146,20 +146,23 @@ def test_what_is_installed_meanwhile_is_found(
 def test_what_is_registered_and_cannot_be_imported_is_said(command: Run, tmp_path: Path) -> None:
     text = SCENARIO.replace('"held", widths0 = 0.4', '"lost"')
     (tmp_path / "lost.toml").write_text(text, encoding="utf-8")
-    said = command("run", "lost.toml", code=2)
-    assert "'lost' is registered at nowhere:Lost, which fails: No module named 'nowhere'" in said
+    stderr_text = command("run", "lost.toml", code=2)
+    assert (
+        "'lost' is registered at nowhere:Lost, which fails: No module named 'nowhere'"
+        in stderr_text
+    )
 
 
 def test_a_registered_name_is_one_of_uz(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As `uz.identify` and `uz.export` are, whose packages are no part of the tool."""
     monkeypatch.syspath_prepend(tmp_path)
     assert not hasattr(undeadzone, "root")
-    made = tmp_path / "roots-new"
-    made.mkdir()
-    (made / "METADATA").write_text("Metadata-Version: 2.1\nName: roots\nVersion: 1.0\n")
+    folder = tmp_path / "roots-new"
+    folder.mkdir()
+    (folder / "METADATA").write_text("Metadata-Version: 2.1\nName: roots\nVersion: 1.0\n")
     points = "root = math:sqrt\nlost = nowhere:lost\n"
-    (made / "entry_points.txt").write_text(f"[undeadzone.names]\n{points}")
-    made.rename(tmp_path / "roots-1.0.dist-info")
+    (folder / "entry_points.txt").write_text(f"[undeadzone.names]\n{points}")
+    folder.rename(tmp_path / "roots-1.0.dist-info")
     assert undeadzone.root is math.sqrt
     with pytest.raises(undeadzone.InputError, match="lost is registered at nowhere:lost, which"):
         undeadzone.lost  # noqa: B018
@@ -170,8 +173,8 @@ def test_an_unknown_method_is_refused_with_those_that_there_are(
 ) -> None:
     text = SCENARIO.replace('"held", widths0 = 0.4', '"heldd"')
     (tmp_path / "near.toml").write_text(text, encoding="utf-8")
-    said = command("run", "near.toml", code=2)
-    assert "observer.method: unknown choice 'heldd'. Did you mean 'held'?" in said
+    stderr_text = command("run", "near.toml", code=2)
+    assert "observer.method: unknown choice 'heldd'. Did you mean 'held'?" in stderr_text
 
 
 def test_a_new_method_of_the_tool_is_one_file_and_one_line(tmp_path: Path) -> None:

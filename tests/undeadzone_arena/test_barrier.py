@@ -30,8 +30,8 @@ def _params(r: int, bound: float = BOUND, rate: float = 3.0) -> BarrierParams:
 
 
 def _evaluate(p: BarrierParams, z: Any, reference: Any) -> float:
-    wanted = barrier_backstepping(p, ca.SX(ca.DM(z)), ca.SX(ca.DM(reference)))
-    return float(ca.Function("f", [], [wanted])()["o0"])
+    law = barrier_backstepping(p, ca.SX(ca.DM(z)), ca.SX(ca.DM(reference)))
+    return float(ca.Function("f", [], [law])()["o0"])
 
 
 def test_of_second_order_it_is_the_law_of_the_literature() -> None:
@@ -49,9 +49,9 @@ def test_V_falls_at_its_rate(r: int) -> None:
     for _ in range(3):
         reference = rng.normal(size=r + 1)
         z = reference[:r] + np.append(rng.uniform(-0.9, 0.9) * BOUND, rng.normal(size=r - 1))
-        wanted = _evaluate(p, z, reference)
+        control = _evaluate(p, z, reference)
         h = 1e-6
-        after = z + h * np.append(z[1:], wanted)
+        after = z + h * np.append(z[1:], control)
         reference_after = reference + h * np.append(reference[1:], 0.0)
         errors = _errors(p, z, reference)
         V_moved = (_V(_errors(p, after, reference_after)) - _V(errors)) / h
@@ -87,10 +87,10 @@ def _disturbed_run(bound: float, **changes: Any) -> Run:
     "simulation", [Simulation(duration=8.0), Simulation(duration=8.0, time="sampled", step=5e-3)]
 )
 def test_the_bound_is_kept_where_the_law_without_barrier_leaves_it(simulation: Simulation) -> None:
-    kept = _disturbed_run(BOUND, simulation=simulation)
+    bounded = _disturbed_run(BOUND, simulation=simulation)
     left = _disturbed_run(1e6, simulation=simulation)
-    late = kept.t > 2.0
-    assert np.abs(kept.z - kept.r)[late].max() < BOUND
+    late = bounded.t > 2.0
+    assert np.abs(bounded.z - bounded.r)[late].max() < BOUND
     assert np.abs(left.z - left.r)[late].max() > BOUND
 
 

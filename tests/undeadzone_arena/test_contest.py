@@ -70,7 +70,7 @@ DECLARED = {
     "tolerance": 0.05,
     "drift": 0.005,
 }
-TOLD_THE_TRUTH = {"full_state", "informed", "oracle"}
+KNOW_THE_TRUTH = {"full_state", "informed", "oracle"}
 
 
 @pytest.fixture(autouse=True)
@@ -273,9 +273,9 @@ def test_plays_and_both_ends_declare_what_covers_the_truth() -> None:
         assert low < min(scenario.sensor.right, scenario.sensor.left)
         assert high > max(scenario.sensor.right, scenario.sensor.left)
         if scenario.actuator is not None:
-            told = scenario.model.actuator
-            assert told.right[0] < scenario.actuator.right < told.right[1]
-            assert told.left[0] < scenario.actuator.left < told.left[1]
+            assumed = scenario.model.actuator
+            assert assumed.right[0] < scenario.actuator.right < assumed.right[1]
+            assert assumed.left[0] < scenario.actuator.left < assumed.left[1]
 
 
 def test_methods_for_actuators_are_entered_where_there_is_one() -> None:
@@ -295,7 +295,7 @@ def test_who_estimates_both_ends_beats_who_ignores_one() -> None:
     assert J["kalman"] < 0.5 * min(J[name] for name in names[1:])
 
 
-@pytest.mark.parametrize("name", sorted(set(METHODS) - TOLD_THE_TRUTH))
+@pytest.mark.parametrize("name", sorted(set(METHODS) - KNOW_THE_TRUTH))
 def test_no_contestant_is_told_the_truth(name: str) -> None:
     """Other widths and another plant behind the same model leave its options as they are."""
 
@@ -533,14 +533,14 @@ def test_no_line_is_better_than_knowing_everything() -> None:
 def test_intervals_hold_the_median_as_often_as_they_say() -> None:
     """Of log-normal scenarios with noisy seeds: the true median is 1."""
     rng = np.random.default_rng(1)
-    held = 0
+    covered = 0
     for k in range(100):
         scenario = np.exp(rng.normal(size=(20, 1)))
         median, worst = regret_intervals(scenario * (1 + 0.05 * rng.normal(size=(20, 3))), seed=k)
-        held += median.low <= 1.0 <= median.high
+        covered += median.low <= 1.0 <= median.high
         assert median.low <= median.value <= median.high
         assert worst.low <= worst.value * (1 + 1e-12)
-    assert 88 <= held <= 100
+    assert 88 <= covered <= 100
     alike, worst = regret_intervals(np.repeat(np.arange(5.0)[:, None], 3, axis=1))
     assert worst == (4.0, 4.0, 4.0)
     assert (alike.low, alike.value, alike.high) == (0.0, 2.0, 4.0)
@@ -714,7 +714,7 @@ def test_mistakes_are_named(mine: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "expected"),
     [
         (["--methods", ","], "expected names with commas between them, found ','"),
         (["--methods", ""], "expected names with commas between them"),
@@ -723,10 +723,10 @@ def test_mistakes_are_named(mine: Path, tmp_path: Path) -> None:
         (["--tune", "--html"], "--html has no effect with --tune"),
     ],
 )
-def test_options_that_would_do_nothing_are_refused(options: list[str], told: str) -> None:
+def test_options_that_would_do_nothing_are_refused(options: list[str], expected: str) -> None:
     done = run(*options)
     assert done.exit_code == 2
-    assert told in done.output
+    assert expected in done.output
 
 
 def test_gears_are_refused_by_their_name() -> None:
@@ -782,9 +782,9 @@ def test_the_page_shows_the_numbers_of_the_contest() -> None:
     drawn_ = arena_figures(contest, runs)
     assert set(drawn_) == {"leaderboard", "scenarios", "trajectories", "cost"}
     table = drawn_["scenarios"].axes[0]
-    shown = [text.get_text() for text in table.texts]
-    assert len(shown) == 2 * len(contest.rows)
-    assert shown.count("–") == 2  # kalman, ekf on the jump sensor
+    texts = [text.get_text() for text in table.texts]
+    assert len(texts) == 2 * len(contest.rows)
+    assert texts.count("–") == 2  # kalman, ekf on the jump sensor
     page = arena_page(contest, {})
     for row in contest.rows:
         assert row.method in page
@@ -815,8 +815,8 @@ def test_an_observer_of_ones_own_enters_without_being_installed(tmp_path: Path) 
     assert contest.scenario("mine", title).observer == mine
     assert contest.replay("mine", title)[1].z.size > 100
     contest.save(tmp_path / "results.json")
-    kept = json.loads((tmp_path / "results.json").read_text())
-    assert {row["method"] for row in kept["results"]} >= {"mine", "certified"}
+    results = json.loads((tmp_path / "results.json").read_text())
+    assert {row["method"] for row in results["results"]} >= {"mine", "certified"}
     with pytest.raises(InputError, match="'kalman' is in the catalogue"):
         arena([small()], {"kalman": mine})
 
@@ -827,8 +827,8 @@ def test_a_method_that_does_not_apply_says_why() -> None:
     row: Any = leaderboard.Row
     refused = [row(**others | {"method": name, "reference": False}) for name in "abcd"]
     reasons = {row.method: f"{row.method} needs poles" for row in refused}
-    told = leaderboard_blocks(refused[:1], 1, 1, reasons)
-    assert "not applicable: a: a needs poles" in told
+    blocks = leaderboard_blocks(refused[:1], 1, 1, reasons)
+    assert "not applicable: a: a needs poles" in blocks
     assert "not applicable (--json says why): a, b, c, d" in leaderboard_blocks(
         refused, 1, 1, reasons
     )
@@ -848,5 +848,5 @@ def test_a_run_has_diverged_though_it_began_well() -> None:
 
 def test_the_effort_names_every_run() -> None:
     grounds = {"one": small(), "two": small(sensor={"right": 0.5, "left": 0.5})}
-    said = effort_text(["naive", "kalman", "oracle"], grounds, 5, "seed", 1)
-    assert said.startswith("3 methods x 2 scenarios x 5 seeds = 30 runs; ")
+    effort = effort_text(["naive", "kalman", "oracle"], grounds, 5, "seed", 1)
+    assert effort.startswith("3 methods x 2 scenarios x 5 seeds = 30 runs; ")

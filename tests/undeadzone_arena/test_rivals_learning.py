@@ -684,12 +684,14 @@ def test_output_feedback_law_on_numbers(Ts: float | None) -> None:
         )
     )
     e, E, phi = z - x[0], x - x_ref, values(basis, x)
-    wanted = -3 * x_ref[0] - 2 * x_ref[1] + 2 * u_ff - speed**2 * e - c**2 * E[0] - 2 * c * E[1]
-    assert force == pytest.approx([(wanted - W @ phi) / 2])
+    acceleration = (
+        -3 * x_ref[0] - 2 * x_ref[1] + 2 * u_ff - speed**2 * e - c**2 * E[0] - 2 * c * E[1]
+    )
+    assert force == pytest.approx([(acceleration - W @ phi) / 2])
     learnt = gain * phi * (c * E[0] + E[1]) - leak * W
     if Ts is None:
         assert motion == pytest.approx(
-            np.concatenate([[x[1] + 2 * speed * e, wanted + speed**2 * e], learnt])
+            np.concatenate([[x[1] + 2 * speed * e, acceleration + speed**2 * e], learnt])
         )
     else:
         pole = np.exp(-speed * Ts)
@@ -697,8 +699,8 @@ def test_output_feedback_law_on_numbers(Ts: float | None) -> None:
         assert motion == pytest.approx(
             np.concatenate(
                 [
-                    x[:1] + Ts * x[1] + Ts**2 / 2 * wanted + injected[:1],
-                    x[1:] + Ts * wanted + injected[1:],
+                    x[:1] + Ts * x[1] + Ts**2 / 2 * acceleration + injected[:1],
+                    x[1:] + Ts * acceleration + injected[1:],
                     W + Ts * learnt,
                 ]
             )

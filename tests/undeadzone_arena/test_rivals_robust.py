@@ -160,15 +160,15 @@ def bounded(time: str, **observer: Any) -> tuple[Any, Scenario]:
 @pytest.mark.parametrize("time", ["continuous", "sampled"])
 def test_interval_holds_the_truth_in_closed_loop_and_learns(time: str) -> None:
     outputs, _ = bounded(time)
-    shown = outputs.estimate
-    halves = [np.sqrt(3) * std for std in (shown.x_std, shown.right_std, shown.left_std)]
+    estimate = outputs.estimate
+    halves = [np.sqrt(3) * std for std in (estimate.x_std, estimate.right_std, estimate.left_std)]
     for truth, middle, half in zip(
-        (outputs.x, 1.4, 0.6), (shown.x, shown.right, shown.left), halves, strict=True
+        (outputs.x, 1.4, 0.6), (estimate.x, estimate.right, estimate.left), halves, strict=True
     ):
         assert (np.abs(truth - middle) <= half + 1e-6).all()
     assert halves[1][0] == pytest.approx(0.85)
     assert max(halves[1][-1], halves[2][-1]) < 0.6
-    assert shown.right[-1] == pytest.approx(1.4, abs=0.15)
+    assert estimate.right[-1] == pytest.approx(1.4, abs=0.15)
 
 
 @pytest.mark.parametrize("time", ["continuous", "sampled"])
@@ -804,7 +804,7 @@ def test_a_box_is_cut_to_what_its_output_allows() -> None:
     low = float(c[0] @ x) + 0.6
     points = rng.uniform(-1, 1, (200_000, 2)) * radius
     z = (x + points @ frame.T) @ c[0]
-    kept = points[z >= low]
+    retained = points[z >= low]
 
     def cut_to(low: float, high: float) -> tuple[Floats, Floats]:
         middle, size = cut_box(ca.SX(x), ca.SX(radius), ca.SX(frame), ca.SX(c), low, high)
@@ -812,8 +812,8 @@ def test_a_box_is_cut_to_what_its_output_allows() -> None:
 
     middle, size = cut_to(low, low + 5.0)
     shift = np.linalg.solve(frame, middle - x)
-    assert shift - size == pytest.approx(kept.min(axis=0), abs=0.02)
-    assert shift + size == pytest.approx(kept.max(axis=0), abs=0.02)
+    assert shift - size == pytest.approx(retained.min(axis=0), abs=0.02)
+    assert shift + size == pytest.approx(retained.max(axis=0), abs=0.02)
     assert cut_to(low + 9.0, low + 9.5)[1].min() < 0
 
 
@@ -832,9 +832,9 @@ def test_a_reading_bounds_widths_and_output(kind: str) -> None:
     high = 2.0 if kind == "jump" else 4.0 - 2.6 + 0.1
     widths = [float(ca.DM(value)) for value in (*right, *left)]
     assert widths == pytest.approx([0.5, high, 0.5, 2.0])
-    taken = np.zeros(2) if kind == "jump" else np.array([0.5, high])
+    offset = np.zeros(2) if kind == "jump" else np.array([0.5, high])
     output = [float(ca.DM(value)) for value in bounds]
-    assert output == pytest.approx(2.6 + taken + [-0.1, 0.1])
+    assert output == pytest.approx(2.6 + offset + [-0.1, 0.1])
 
 
 @pytest.mark.parametrize(

@@ -121,7 +121,7 @@ def same_belief(ours: Any, kalmans: Any, tolerance: float) -> None:
 def test_the_measured_ekf_is_kalmans_filter_far_from_the_zone(seed: int, n: int, p: int) -> None:
     rng = np.random.default_rng(seed)
     model, where = sample_plant(random_plant(rng, n, 1, p), TS), zone(p, slope=2.0)
-    claims: dict[str, Any] = {
+    assumptions: dict[str, Any] = {
         "right": [0.5, 2.0],
         "noise": 0.1,
         "x_std": 2.0,
@@ -129,8 +129,8 @@ def test_the_measured_ekf_is_kalmans_filter_far_from_the_zone(seed: int, n: int,
         "drift": 0.1,
     }
     ours, theirs = (
-        EKF(**claims, glitches=0.0, mode="measured").build(model, where),
-        Kalman(**claims, glitches=0.0).build(model, where),
+        EKF(**assumptions, glitches=0.0, mode="measured").build(model, where),
+        Kalman(**assumptions, glitches=0.0).build(model, where),
     )
     one, other = OnNumbers(ours, model), OnNumbers(theirs, model)
     s, t = ours.init(ours.params), theirs.init(theirs.params)
@@ -157,15 +157,15 @@ def test_filters_on_the_dead_zone_are_kalmans_filter_while_belief_and_readings_s
 ) -> None:
     rng = np.random.default_rng(seed)
     model, where = sample_plant(random_plant(rng, 2, 1, 2), 0.01), zone(2)
-    claims: dict[str, Any] = {
+    assumptions: dict[str, Any] = {
         "right": [0.5, 2.0],
         "noise": 0.1,
         "x_std": 0.3,
         "disturbance": 0.7,
         "drift": 0.1,
     }
-    rival = msgspec.structs.replace(options, **claims, glitches=0.0).build(model, where)
-    kalman = Kalman(**claims, glitches=0.0).build(model, where)
+    rival = msgspec.structs.replace(options, **assumptions, glitches=0.0).build(model, where)
+    kalman = Kalman(**assumptions, glitches=0.0).build(model, where)
     x = np.linalg.solve(model.linear.C, np.array([40.0, -40.0]))
     s, t = rival.init(rival.params), kalman.init(kalman.params)
     mean = np.concatenate([x / power_of_two_units(model), s.filter.mean[2:]])
@@ -189,9 +189,9 @@ def test_filters_on_the_dead_zone_are_kalmans_filter_while_belief_and_readings_s
 @pytest.mark.parametrize("z", [-2.5, -0.9, 0.2, 1.1, 3.0])
 def test_tobit_foretells_the_mean_of_the_reading_over_both_branches(z: float) -> None:
     """Beside a million draws of z, the edges and the noise; the covariance loses S K K'."""
-    claims: dict[str, Any] = {"right": [0.5, 1.5], "noise": 0.2, "x_std": 0.7, "drift": 0.0}
+    assumptions: dict[str, Any] = {"right": [0.5, 1.5], "noise": 0.2, "x_std": 0.7, "drift": 0.0}
     model = sample_plant(system(Plant(A=[[-1.0]], B=[[1.0]], C=[[1.0]])), TS)
-    observer = Tobit(**claims, disturbance=0.0, glitches=0.0).build(model, zone())
+    observer = Tobit(**assumptions, disturbance=0.0, glitches=0.0).build(model, zone())
     units = power_of_two_units(model)
     s = observer.init(observer.params)
     s = s._replace(filter=s.filter._replace(mean=np.array([z / units[0], 1.0, 1.0])))
@@ -290,7 +290,7 @@ def test_particles_carry_kalmans_posterior_in_the_linear_case() -> None:
     Mean and standard deviations over 12 seeds against the exact ones.
     """
     rng = np.random.default_rng(0)
-    claims: dict[str, Any] = {
+    assumptions: dict[str, Any] = {
         "right": [1.0, 1.0 + 1e-6],
         "noise": 0.5,
         "x_std": 6.0,
@@ -299,11 +299,11 @@ def test_particles_carry_kalmans_posterior_in_the_linear_case() -> None:
     }
     count, runs = 25, 12
     ys, us = 7.0 + 0.5 * rng.normal(size=count), 10.0 + rng.normal(size=count)
-    kalman = Kalman(**claims).build(MODEL, zone())
+    kalman = Kalman(**assumptions).build(MODEL, zone())
     step, state = OnNumbers(kalman, MODEL), kalman.init(kalman.params)
     for y, u in zip(ys, us, strict=True):
         state, exact = step(state, [u], [y], [1.0])
-    particle = ParticleFilter(**claims, particles=3000).build(MODEL, zone())
+    particle = ParticleFilter(**assumptions, particles=3000).build(MODEL, zone())
     final = [follow(particle, ys, us, np.ones(count), seed)[-1] for seed in range(runs)]
     for name in ("x", "z", "x_std", "innovation", "innovation_std"):
         values = np.stack([getattr(one, name) for one in final])
@@ -453,7 +453,7 @@ def test_with_active_constraints_moving_horizon_is_what_scipy_finds(seed: int, s
     The same convex function by L-BFGS-B, violations as squares of max(0, .).
     """
     rng, count = np.random.default_rng(seed), 8
-    claims: dict[str, Any] = {
+    assumptions: dict[str, Any] = {
         "right": [0.5, 1.2],
         "noise": 0.2,
         "x_std": 3.0,
@@ -461,7 +461,7 @@ def test_with_active_constraints_moving_horizon_is_what_scipy_finds(seed: int, s
         "drift": 0.0,
         "glitches": 0.0,
     }
-    options = MovingHorizon(**claims, horizon=count * TS, period=TS, slack=0.1, solver=solver)
+    options = MovingHorizon(**assumptions, horizon=count * TS, period=TS, slack=0.1, solver=solver)
     ys, us = (
         np.where(np.arange(count) % 3 == 0, 2.0 + rng.normal(size=count), 0.0),
         30 * rng.normal(size=count),
@@ -885,6 +885,6 @@ def test_the_noise_of_crowded_readings_grows_with_their_root(times: int) -> None
     plant = linear([[0.0, 1.0], [-1.0, -2.0]], [[0.0], [1.0]], [[1.0, 0.0]])
     model = sample_plant(plant, np.pi / 2 / (times * CROWD))
     sensor = resolve(Sensor(right=1.0, left=1.0), 1, 1e-2)
-    claims, defaults = JointAssumptions(right=[0.0, 2.0]), JointDefaults(0.1, 0.0, 1.0)
-    found = build_joint_prior(claims, model, sensor, defaults)
+    assumptions, defaults = JointAssumptions(right=[0.0, 2.0]), JointDefaults(0.1, 0.0, 1.0)
+    found = build_joint_prior(assumptions, model, sensor, defaults)
     np.testing.assert_allclose(found.prior.R, 0.04 * times, rtol=1e-9)

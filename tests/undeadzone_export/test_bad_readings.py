@@ -67,11 +67,11 @@ def test_the_side_of_an_export_is_that_of_online(sensor: dict[str, Any], tmp_pat
     random = np.random.default_rng(7)
     rows = 0.1 * np.cumsum(random.standard_normal((500, 2)), axis=0)
     rows[random.random(500) < 0.05, 0] = np.nan
-    shown = accuracy.CompiledStep(build_code(step, False), tmp_path)(rows)
-    shown = shown[:, accuracy.field_slices(step.outputs)["side"]]
+    exported = accuracy.CompiledStep(build_code(step, False), tmp_path)(rows)
+    exported = exported[:, accuracy.field_slices(step.outputs)["side"]]
     online = uz.Online(scenario.observer, scenario.plant, scenario.sensor, scenario.simulation.step)
     _, sides = online.update_many(rows[:, :1], rows[:, 1:])
-    np.testing.assert_array_equal(shown, sides)
+    np.testing.assert_array_equal(exported, sides)
     assert len(np.unique(sides)) > 2
 
 

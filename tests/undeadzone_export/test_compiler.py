@@ -51,8 +51,8 @@ def test_a_stopped_command_takes_the_compiler_along(tmp_path: Path, stop: int) -
             time.sleep(0.05)
         assert [path.name for path in scratch.rglob("*.s")] == ["cc1234.s"]
         running.send_signal(stop)
-        _, said = running.communicate(timeout=60)
+        _, stderr_text = running.communicate(timeout=60)
     word, code = ("interrupted", 130) if stop == signal.SIGINT else ("terminated", 143)
-    assert (running.returncode, said) == (code, f"undeadzone: {word}\n")
+    assert (running.returncode, stderr_text) == (code, f"undeadzone: {word}\n")
     assert not list(scratch.iterdir())
     assert not is_running(int(started.read_text()))

@@ -72,10 +72,10 @@ def compiled(exported: Callable[[str, str], Path]) -> Callable[[str], Path]:
 
 
 def emulated(
-    folder: Path, made: Path, sources: list[Path], options: list[str]
+    folder: Path, build_folder: Path, sources: list[Path], options: list[str]
 ) -> subprocess.CompletedProcess[str]:
     """A program for the M4 of the code in a folder, made elsewhere and run in the emulator."""
-    program = made / "program.elf"
+    program = build_folder / "program.elf"
     link = ["-T", str(HERE / "memory.ld"), "-nostartfiles", "--specs=rdimon.specs"]
     files = [str(HERE / "start.c"), *map(str, sources)]
     command = ["arm-none-eabi-gcc", *CORE, *FLAGS, *options, "-I", str(folder), *link]
@@ -111,8 +111,8 @@ def test_the_same_bits_as_on_this_computer(
     if (result.returncode, "every bit agrees" in result.stdout) == (0, True):
         return
     assert precision == "double", result.stdout  # and there a - b alone explains it
-    told = emulated(folder, tmp_path, [HERE / "subtract.c"], ["-ffp-contract=off"]).stdout
-    assert told.strip() == "off in the last bit", result.stdout
+    printed = emulated(folder, tmp_path, [HERE / "subtract.c"], ["-ffp-contract=off"]).stdout
+    assert printed.strip() == "off in the last bit", result.stdout
 
 
 def test_options_of_an_IDE_that_would_contract_change_nothing(
@@ -174,6 +174,8 @@ def test_the_flash_that_is_estimated_is_near_what_the_compiler_makes(
     command = ["arm-none-eabi-gcc", *options, "-c", "-o", "o.o", str(folder / "o.c")]
     subprocess.run(command, cwd=tmp_path, check=True)
     sizes = ["arm-none-eabi-size", "o.o"]
-    shown = subprocess.run(sizes, cwd=tmp_path, capture_output=True, text=True, check=True).stdout
-    made = int(shown.splitlines()[1].split()[0])
-    assert 0.7 * made <= estimated <= 1.5 * made + 4_000
+    size_text = subprocess.run(
+        sizes, cwd=tmp_path, capture_output=True, text=True, check=True
+    ).stdout
+    text_size = int(size_text.splitlines()[1].split()[0])
+    assert 0.7 * text_size <= estimated <= 1.5 * text_size + 4_000

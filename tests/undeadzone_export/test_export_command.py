@@ -61,20 +61,20 @@ def test_large_code_is_announced_before_it_is_made(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(exporting, "MANY", 20)
     code, result = called("--json")
     assert code == 0
-    said = r"(\d+) instructions, which take about 1 minute to write, compile and compare"
-    found = re.match(said, result.stderr)
+    pattern = r"(\d+) instructions, which take about 1 minute to write, compile and compare"
+    found = re.match(pattern, result.stderr)
     assert found is not None
     assert int(found[1]) > sum(json.loads(result.stdout)["operations"].values())
 
 
 def test_the_announcement_does_not_wait_for_the_code(monkeypatch: pytest.MonkeyPatch) -> None:
     """Building its nodes alone takes minutes of a large scenario."""
-    heard: list[str] = []
+    messages: list[str] = []
     monkeypatch.setattr(exporting, "MANY", 20)
     monkeypatch.setattr(exporting, "build_code", None)
     with pytest.raises(TypeError):
-        exporting.export(read(Path("arm.toml")), "c", "firmware", notify=heard.append)
-    assert len(heard) == 1
+        exporting.export(read(Path("arm.toml")), "c", "firmware", notify=messages.append)
+    assert len(messages) == 1
 
 
 def test_json_is_the_report(tmp_path: Path) -> None:

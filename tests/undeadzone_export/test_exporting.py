@@ -69,12 +69,12 @@ def built(folder: Path, name: str, options: list[str]) -> subprocess.CompletedPr
     return subprocess.run([str(once.program(words, folder))], capture_output=True, text=True)
 
 
-def assert_near_the_graph(told: dict[str, Any]) -> None:
+def assert_near_the_graph(report: dict[str, Any]) -> None:
     """Code in double is compared with the virtual machine; float with the graph in double."""
-    if told["machine"] is None:
-        assert told["float_against_double"].keys() >= {"x", "z"}
+    if report["machine"] is None:
+        assert report["float_against_double"].keys() >= {"x", "z"}
     else:
-        assert told["machine"] <= told["machine_bar"]
+        assert report["machine"] <= report["machine_bar"]
 
 
 def certified(**changes: Any) -> Scenario:
@@ -470,8 +470,8 @@ def test_an_arduino_sketch_runs_the_self_test(tmp_path: Path) -> None:
         subprocess.run(command, check=True, cwd=tmp_path)
     objects = [tmp_path / "joint.o", tmp_path / "joint_test.o"]
     subprocess.run(["g++", *include, "-o", tmp_path / "p", sketch, *objects], check=True)
-    said = subprocess.run([tmp_path / "p"], capture_output=True, text=True, check=True).stdout
-    assert "joint_test: every bit agrees" in said.splitlines()
+    printed = subprocess.run([tmp_path / "p"], capture_output=True, text=True, check=True).stdout
+    assert "joint_test: every bit agrees" in printed.splitlines()
 
 
 def test_the_same_scenario_gives_the_same_files(joint: Path, tmp_path: Path) -> None:
@@ -538,16 +538,16 @@ def test_a_run_is_continued_as_far_as_it_is_compared(
     precision: str, steps: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With large filters the run takes most of the time of an export in double."""
-    asked: list[int] = []
+    requested: list[int] = []
 
-    def kept(scenario: Scenario, steps: int) -> Any:
-        asked.append(steps)
+    def record_steps(scenario: Scenario, steps: int) -> Any:
+        requested.append(steps)
         return selftest_vectors.continue_scenario(scenario, 0)
 
     monkeypatch.setattr(exporting, "STEPS", 100_000)
-    monkeypatch.setattr(exporting, "continue_scenario", kept)
+    monkeypatch.setattr(exporting, "continue_scenario", record_steps)
     uz.export(certified(), out=tmp_path / "fw", precision=precision, name="joint")
-    assert asked == [steps]
+    assert requested == [steps]
 
 
 def test_a_run_that_ends_by_itself_is_not_continued() -> None:
@@ -612,9 +612,9 @@ def test_boards_say_what_fits_and_what_would(tmp_path: Path) -> None:
     assert of["Cortex-M4F (STM32F4)"]["fits"]
     assert "Arduino Uno" in large["leaner"]["certified"]
     double = uz.export(slow, out=tmp_path / "double", precision="double").report
-    told = {board["board"]: board["why"] for board in double["boards"]}
-    assert told["Arduino Uno"] == "its double is single"
-    assert told["ESP32"] == ""
+    reasons = {board["board"]: board["why"] for board in double["boards"]}
+    assert reasons["Arduino Uno"] == "its double is single"
+    assert reasons["ESP32"] == ""
     assert "boards" not in uz.export(slow, "python", out=tmp_path / "module").report
 
 
@@ -675,12 +675,12 @@ def test_the_fewest_numbers_pass_from_estimate_to_advance() -> None:
     nodes = Nodes()
     reading, late = (nodes.intern_input(name, LANES) for name in ("w0", "w1"))
     states = [nodes.intern_input(f"s{k}", LANES) for k in range(3)]
-    shown = nodes.intern("add", reading, states[0])
-    wide = [nodes.intern("mul", shown, state) for state in states]
+    difference = nodes.intern("add", reading, states[0])
+    wide = [nodes.intern("mul", difference, state) for state in states]
     following = [nodes.intern("add", one, late) for one in wide]
-    phases = split_phases([following, [shown]], {"w1"})
+    phases = split_phases([following, [difference]], {"w1"})
     assert phases.carried == 1
-    assert phases.estimate == [[shown], [shown]]
+    assert phases.estimate == [[difference], [difference]]
 
 
 def test_the_stack_is_the_deepest_chain_of_calls(tmp_path: Path) -> None:

@@ -71,13 +71,13 @@ class Unit:
         self.description = fmpy.read_model_description(str(path))
         self.references = {v.name: v.valueReference for v in self.description.modelVariables}
         self.is_2 = self.description.fmiVersion == "2.0"
-        made = {
+        settings = {
             "guid": self.description.guid,
             "unzipDirectory": fmpy.extract(str(path)),
             "modelIdentifier": self.description.coSimulation.modelIdentifier,
             "instanceName": "one",
         }
-        self.unit = FMU2Slave(**made) if self.is_2 else FMU3Slave(**made)
+        self.unit = FMU2Slave(**settings) if self.is_2 else FMU3Slave(**settings)
         self.unit.instantiate()
         if self.is_2:
             self.unit.setupExperiment(startTime=start)
@@ -153,10 +153,10 @@ def test_the_binary_gives_the_numbers_of_online(built: Path, method: str, versio
     bar = 0.0 if method == "certified" else 1e-8  # a belief that reopens magnifies
     for k, (y, u) in enumerate(zip(*signals(400), strict=True)):
         unit.missing(k % 50 == 7)
-        shown = unit.sample(k, Ts, y, u)
+        actual = unit.sample(k, Ts, y, u)
         estimate = live.update(np.nan if k % 50 == 7 else y, u)
-        wanted = expected(estimate, live.side, unit.outputs)
-        assert np.abs(np.subtract(shown, wanted)).max() <= bar
+        reference = expected(estimate, live.side, unit.outputs)
+        assert np.abs(np.subtract(actual, reference)).max() <= bar
 
 
 def test_simulate_fmu_shows_each_estimate_one_row_later(built: Path) -> None:
@@ -164,13 +164,13 @@ def test_simulate_fmu_shows_each_estimate_one_row_later(built: Path) -> None:
     y, u = signals(100)
     given = np.zeros(100, dtype=[("time", float), ("y[0]", float), ("u[0]", float)])
     given["time"], given["y[0]"], given["u[0]"] = np.arange(100) * Ts, y, u
-    wanted = np.array([live.update(a, b).right[0] for a, b in zip(y, u, strict=True)])
+    reference = np.array([live.update(a, b).right[0] for a, b in zip(y, u, strict=True)])
     for version in VERSIONS:
         path = str(path_of(built, "certified", version))
-        shown = fmpy.simulate_fmu(
+        actual = fmpy.simulate_fmu(
             path, stop_time=99 * Ts, output_interval=Ts, input=given, output=["right[0]"]
         )["right[0]"]
-        assert (shown[1:] == wanted[: len(shown) - 1]).all()
+        assert (actual[1:] == reference[: len(actual) - 1]).all()
 
 
 @pytest.mark.parametrize("version", VERSIONS)
@@ -182,12 +182,12 @@ def test_states_are_kept_set_and_serialised_in_the_middle_of_a_run(
     y, u = signals(200)
     for k in range(100):
         unit.sample(k, Ts, y[k], u[k])
-    kept = unit.state()
-    content = unit.unit.serializeFMUState(kept)
+    saved = unit.state()
+    content = unit.unit.serializeFMUState(saved)
     first = [unit.sample(k, Ts, y[k], u[k]) for k in range(100, 200)]
-    unit.unit.setFMUState(kept)
+    unit.unit.setFMUState(saved)
     assert first == [unit.sample(k, Ts, y[k], u[k]) for k in range(100, 200)]
-    unit.unit.freeFMUState(kept)
+    unit.unit.freeFMUState(saved)
     state = other.unit.deserializeFMUState(content)
     other.unit.setFMUState(state)
     assert first == [other.sample(k, Ts, y[k], u[k]) for k in range(100, 200)]
@@ -233,11 +233,11 @@ def test_tunable_parameters_are_used(built: Path, version: str) -> None:
     assert unit.get("observer_gamma[0]") == [0.007]
     y, u = signals(300)
     for k in range(300):
-        shown = unit.sample(k, Ts, y[k], u[k])
-        wanted = expected(after.update(y[k], u[k]), after.side, unit.outputs)
+        actual = unit.sample(k, Ts, y[k], u[k])
+        reference = expected(after.update(y[k], u[k]), after.side, unit.outputs)
         usual = expected(before.update(y[k], u[k]), before.side, unit.outputs)
-        assert np.allclose(shown, wanted, rtol=0, atol=1e-12)
-    assert not np.allclose(shown, usual, rtol=0, atol=1e-6)
+        assert np.allclose(actual, reference, rtol=0, atol=1e-12)
+    assert not np.allclose(actual, usual, rtol=0, atol=1e-6)
 
 
 @pytest.mark.parametrize("version", VERSIONS)
@@ -248,25 +248,25 @@ def test_a_step_of_any_length_takes_the_samples_that_are_due(
     """Samples are counted: time, summed up with its rounding, takes none twice."""
     Ts, start = scenario("certified").simulation.step, 12.3
     unit, live = Unit(path_of(built, "certified", version), start), online("certified")
-    now, taken, estimate = start, 0, None
+    now, sample_count, estimate = start, 0, None
     for step in range(300):
         y, u = 2 * np.sin(0.1 * step), np.cos(0.2 * step)
         unit.set(y=y, u=u)
         unit.step(now, share * Ts)
-        while taken < (step + 1) * share - 1e-9:
+        while sample_count < (step + 1) * share - 1e-9:
             estimate = live.update(y, u)
-            taken += 1
+            sample_count += 1
         now += share * Ts
         assert estimate is not None
-        shown = unit.get("x_hat[0]", "right[0]", "left[0]")
-        assert shown == [estimate.x[0], estimate.right[0], estimate.left[0]], step
+        actual = unit.get("x_hat[0]", "right[0]", "left[0]")
+        assert actual == [estimate.x[0], estimate.right[0], estimate.left[0]], step
 
 
 def test_before_the_first_sample_the_prior_is_shown(built: Path) -> None:
     for version in VERSIONS:
         unit, live = Unit(path_of(built, "extended", version)), online("extended")
-        wanted = expected(live.update(np.nan, np.nan), live.side, unit.outputs)
-        assert np.allclose(unit.get(*unit.outputs), wanted, rtol=0, atol=1e-10)
+        reference = expected(live.update(np.nan, np.nan), live.side, unit.outputs)
+        assert np.allclose(unit.get(*unit.outputs), reference, rtol=0, atol=1e-10)
         assert (np.array(unit.get("right_std[0]")) > 0).all()
 
 
@@ -297,14 +297,14 @@ def test_an_FMU_with_another_token_is_refused(built: Path, version: str, tmp_pat
                 two.writestr(name, one.read(name))
     unit = Unit(mixed)
     assert unit.description.guid in text
-    made = {
+    settings = {
         "guid": "{other}",
         "unzipDirectory": fmpy.extract(str(mixed)),
         "modelIdentifier": "o",
         "instanceName": "one",
     }
     with pytest.raises(Exception, match="instantiate"):
-        (FMU2Slave if version == "fmu2" else FMU3Slave)(**made).instantiate()
+        (FMU2Slave if version == "fmu2" else FMU3Slave)(**settings).instantiate()
 
 
 @pytest.mark.parametrize("version", VERSIONS)
@@ -366,8 +366,8 @@ def test_every_quantity_has_a_unit_of_its_kind() -> None:
     """The widths of an actuator had none."""
     units = Units(output="mm", input="V", state=["mm", "mm/s"])
     kinds = {"right": 0, "actuator_right": 0, "x": 1, "w": 1, "theta": 0, "u_ff": 0}
-    told = [quantity_unit(KINDS[name], k, units) for name, k in kinds.items()]
-    assert told == ["mm", "V", "mm/s", "mm/s/s", "1", "V"]
+    found_units = [quantity_unit(KINDS[name], k, units) for name, k in kinds.items()]
+    assert found_units == ["mm", "V", "mm/s", "mm/s/s", "1", "V"]
 
 
 @pytest.mark.parametrize("version", VERSIONS)
@@ -382,9 +382,9 @@ def test_single_precision_and_titles_of_all_kinds(
     assert validate_fmu(str(path)) == []
     unit, live, Ts = Unit(path), online("certified"), of.simulation.step
     for k, (y, u) in enumerate(zip(*signals(200), strict=True)):
-        shown = unit.sample(k, Ts, y, u)
-        wanted = expected(live.update(y, u), live.side, unit.outputs)
-        assert np.allclose(shown, wanted, rtol=0, atol=1e-5)
+        actual = unit.sample(k, Ts, y, u)
+        reference = expected(live.update(y, u), live.side, unit.outputs)
+        assert np.allclose(actual, reference, rtol=0, atol=1e-5)
 
 
 def test_the_same_scenario_gives_the_same_FMU(

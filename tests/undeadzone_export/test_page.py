@@ -122,7 +122,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
         yield opened
 
 
-def shown(page: Browser, scenario: Scenario, folder: Path, link: str = "") -> None:
+def open_page(page: Browser, scenario: Scenario, folder: Path, link: str = "") -> None:
     """Open the page of a scenario."""
     file = folder / "page.html"
     file.write_text(build_live_page(scenario).text, encoding="utf-8")
@@ -154,10 +154,10 @@ def largest_gap(page: Browser, run: uz.Run) -> float:
 @pytest.mark.parametrize("name", CASES)
 def test_its_signals_are_those_of_a_run(name: str, page: Browser, tmp_path: Path) -> None:
     scenario = scene(**CASES[name])
-    shown(page, scenario, tmp_path)
+    open_page(page, scenario, tmp_path)
     bar = 1e-10 if name == "a filter" else CLOSE  # a covariance magnifies rounding
     assert largest_gap(page, uz.simulate(scenario, check_step=False)) < bar
-    assert not page.said
+    assert not page.console
 
 
 def test_a_wrong_sign_in_the_code_shows(
@@ -165,14 +165,14 @@ def test_a_wrong_sign_in_the_code_shows(
 ) -> None:
     monkeypatch.setitem(print_wasm._OF_REALS, "sub", print_wasm._OF_REALS["add"])
     scenario = scene(simulation=SAMPLED)
-    shown(page, scenario, tmp_path)
+    open_page(page, scenario, tmp_path)
     assert not largest_gap(page, uz.simulate(scenario)) <= 0.1  # it may diverge
 
 
 def test_a_slider_changes_what_its_key_changes(page: Browser, tmp_path: Path) -> None:
     for simulation in (SAMPLED, {"duration": 1.0, "step": 2e-3}):
         link = "#right=0.7&left=0.45&size=3.3&speed=1.3&gamma=6.5&drive=12"
-        shown(page, scene(simulation=simulation), tmp_path, link)
+        open_page(page, scene(simulation=simulation), tmp_path, link)
         paper = scene().plant
         changed = scene(
             simulation=simulation,
@@ -195,9 +195,9 @@ def test_the_noise_slider_moves_threshold_and_belief(page: Browser, tmp_path: Pa
     for observer in ({"method": "certified"}, {"method": "kalman", "right": [0.0, 2.0]}):
         scenario = scene(simulation=SAMPLED, observer=observer, sensor={"noise": 0.05})
         noisier = scene(simulation=SAMPLED, observer=observer, sensor={"noise": 0.13})
-        shown(page, scenario, tmp_path, "#noise=0.13")
+        open_page(page, scenario, tmp_path, "#noise=0.13")
         moved = page.value("params()")
-        shown(page, noisier, tmp_path)
+        open_page(page, noisier, tmp_path)
         assert moved == pytest.approx(page.value("D.params"), rel=1e-9, abs=1e-15)
 
 
@@ -223,8 +223,8 @@ def test_it_asks_for_nothing_and_says_nothing(page: Browser) -> None:
     page.sized(390, 844, dark=True)
     page.value("$('learn').click(); $('again').click(); $('share').click(); 0")
     page.value("new Promise(r => setTimeout(r, 700))")
-    assert page.asked == [SHIPPED.as_uri()]
-    assert page.said == []
+    assert page.requests == [SHIPPED.as_uri()]
+    assert page.console == []
     assert page.value("document.documentElement.scrollWidth <= innerWidth")
     assert page.value("[...document.querySelectorAll('input')].every(i => i.labels.length)")
 
@@ -271,17 +271,17 @@ def test_hostile_links_do_nothing(link: str, page: Browser) -> None:
     for slider in sliders:
         assert slider["least"] <= values[slider["key"]] <= slider["most"]
     assert page.value("[typeof bad, shown, learn]") == ["undefined", 0, True]
-    assert page.said == []
+    assert page.console == []
     assert "Silent" in page.value("$('say').textContent")
 
 
 def test_titles_and_units_of_strangers_are_text(page: Browser, tmp_path: Path) -> None:
     evil = "</script></title><script>window.bad=1</script><img src=x onerror=window.bad=1>\x1b[2J"
     scenario = scene(simulation=SAMPLED, title=evil, units={"output": evil})
-    shown(page, scenario, tmp_path)
+    open_page(page, scenario, tmp_path)
     assert page.value("[typeof bad, document.images.length]") == ["undefined", 0]
     assert "onerror" in page.value("document.title")
-    assert page.said == []
+    assert page.console == []
 
 
 def test_elementary_functions_have_the_bits_of_the_replica(page: Browser) -> None:
@@ -395,8 +395,8 @@ def parts(text: str) -> tuple[str, dict[str, Any]]:
 
 
 def test_the_shipped_page_is_the_one_that_the_command_makes() -> None:
-    made, shipped = build_live_page(uz.read(LIVE)).text, SHIPPED.read_text(encoding="utf-8")
-    (frame, data), (old_frame, old) = parts(made), parts(shipped)
+    rebuilt, shipped = build_live_page(uz.read(LIVE)).text, SHIPPED.read_text(encoding="utf-8")
+    (frame, data), (old_frame, old) = parts(rebuilt), parts(shipped)
     assert frame == old_frame
     assert data.pop("wasm") == old.pop("wasm")
     assert numbers_of(data) == pytest.approx(numbers_of(old), rel=1e-9, abs=1e-12)
@@ -534,11 +534,13 @@ def test_no_table_beside_a_picture_is_cut(page: Browser, tmp_path: Path) -> None
         )
 
 
-@pytest.mark.parametrize(("gamma", "shown"), [([6.0, 6.0], (6.0, "1/s")), ([3.0, 6.0], (1.0, "×"))])
+@pytest.mark.parametrize(
+    ("gamma", "expected"), [([6.0, 6.0], (6.0, "1/s")), ([3.0, 6.0], (1.0, "×"))]
+)
 def test_gains_of_learning_that_differ_have_one_factor(
-    gamma: list[float], shown: tuple[float, str]
+    gamma: list[float], expected: tuple[float, str]
 ) -> None:
     two = small("sampled", plant=TWO_OUTPUTS, observer={"method": "certified", "gamma": gamma})
     sliders = parts(build_live_page(two).text)[1]["sliders"]
     [slider] = [one for one in sliders if one["key"] == "gamma"]
-    assert (slider["value"], slider["unit"]) == shown
+    assert (slider["value"], slider["unit"]) == expected

@@ -59,7 +59,7 @@ def cheaper() -> Iterator[None]:
         yield
 
 
-class Made(NamedTuple):
+class PrintedExport(NamedTuple):
     """An export: its graphs, C and Structured Text."""
 
     code: Code
@@ -69,7 +69,9 @@ class Made(NamedTuple):
     units: list[plc.PlcUnit]
 
 
-def made(scenario: Scenario, single: bool, part: str = "observer", **options: Any) -> Made:
+def print_export(
+    scenario: Scenario, single: bool, part: str = "observer", **options: Any
+) -> PrintedExport:
     """An export, without its folder."""
     problem = resolve_scenario(scenario)
     step = exported_step.build_step(problem, part, **options)
@@ -78,7 +80,7 @@ def made(scenario: Scenario, single: bool, part: str = "observer", **options: An
     exported = plc.export_plc(
         printed, LABELS, reference_vectors(printed, choose_samples(rows, step.readings))
     )
-    return Made(
+    return PrintedExport(
         printed,
         build_source(printed, LABELS).texts_by_name(),
         plcopen.st_text(exported.units, LABELS, printed),
@@ -131,75 +133,75 @@ int main(int count, char **words) {{
 
 
 def driven(
-    text: str, made: Made, rows: Any, folder: Path, start: str, step: str, *more: str
+    text: str, export: PrintedExport, rows: Any, folder: Path, start: str, step: str, *more: str
 ) -> Any:
     """Outputs and memory along rows, by a program of C; NaN, which ST has not, as the largest."""
-    printed = made.code
-    shown = printed.step.start.size + sum(field.size for field in printed.step.outputs)
-    words = {"real": printed.c_type, "inputs": rows.shape[1], "shown": shown}
+    printed = export.code
+    recorded = printed.step.start.size + sum(field.size for field in printed.step.outputs)
+    words = {"real": printed.c_type, "inputs": rows.shape[1], "shown": recorded}
     (folder / "main.c").write_text(text + DRIVER.format(start=start, step=step, **words))
     program = once.program(["program", *FLAGS, *more, "main.c"], folder)
     rows.astype(printed.dtype_name).tofile(folder / "rows")
     subprocess.run([program, folder / "rows", folder / "seen"], check=True)
-    seen = np.fromfile(folder / "seen", printed.dtype_name).reshape(len(rows), shown)
+    seen = np.fromfile(folder / "seen", printed.dtype_name).reshape(len(rows), recorded)
     return np.where(np.isnan(seen), np.finfo(seen.dtype).max, seen)
 
 
-def by_c(made: Made, rows: Any, folder: Path) -> Any:
+def by_c(export: PrintedExport, rows: Any, folder: Path) -> Any:
     """Outputs and memory of the exported C."""
-    for name, text in made.c.items():
+    for name, text in export.c.items():
         (folder / name).write_text(text)
-    params = "&params, " if made.code.step.params else ""
+    params = "&params, " if export.code.step.params else ""
     declared = "static o_state state; static o_in in; static o_out out; o_init(&state);"
     if params:
         declared += " static o_params params; o_params_default(&params);"
-    memory = made.code.step.start.size
+    memory = export.code.step.start.size
     step = (
         f"memcpy(&in, row, sizeof row); o_step(&state, {params}&in, &out); "
         f"memcpy(seen, &out, sizeof out); memcpy((char *)seen + sizeof out, &state, {memory} * "
         "sizeof(seen[0]));"
     )
-    return driven('#include <string.h>\n#include "o.c"\n', made, rows, folder, declared, step)
+    return driven('#include <string.h>\n#include "o.c"\n', export, rows, folder, declared, step)
 
 
-def step_of(made: Made, call: str, form: str, letters: Callable[[str], str]) -> str:
+def step_of(export: PrintedExport, call: str, form: str, letters: Callable[[str], str]) -> str:
     """Statements that step an instance; `form` and `letters` make a field of a name."""
-    block = made.units[-1].variables
+    block = export.units[-1].variables
     inputs = [each.name for each in block["VAR_INPUT"] if each.kind != "BOOL"]
-    shown = [each.name for each in block["VAR_OUTPUT"]]
-    shown += [each.name for each in block["VAR"] if each.start]
-    count = sum(field.size for field in made.code.step.inputs)
+    variables = [each.name for each in block["VAR_OUTPUT"]]
+    variables += [each.name for each in block["VAR"] if each.start]
+    count = sum(field.size for field in export.code.step.inputs)
 
     def member(name: str) -> str:
         return f"block.{form.format(letters(name))}"
 
     lines = [f"{member(name)} = row[{k}];" for k, name in enumerate(inputs[:count])]
     lines.append(call)
-    lines += [f"seen[{k}] = {member(name)};" for k, name in enumerate(shown)]
+    lines += [f"seen[{k}] = {member(name)};" for k, name in enumerate(variables)]
     return "\n".join(lines)
 
 
-def by_reader(made: Made, rows: Any, folder: Path, wide: str = "") -> Any:
+def by_reader(export: PrintedExport, rows: Any, folder: Path, wide: str = "") -> Any:
     """Outputs and memory of the Structured Text, as the reader's C has them."""
-    step = step_of(made, "fb_o_body(&block);", "{}", str.lower)
+    step = step_of(export, "fb_o_body(&block);", "{}", str.lower)
     start = "static fb_o block; fb_o_init(&block);"
-    return driven(Reader(made.blocks, wide).c(), made, rows, folder, start, step)
+    return driven(Reader(export.blocks, wide).c(), export, rows, folder, start, step)
 
 
-def by_iec2c(made: Made, rows: Any, folder: Path) -> Any:
+def by_iec2c(export: PrintedExport, rows: Any, folder: Path) -> Any:
     """Outputs and memory of the Structured Text, as the C of the compiler has them."""
     found = shutil.which("iec2c")
     assert found is not None
     library = Path(found).resolve().parent / "lib"
-    (folder / "u.st").write_text(made.blocks + made.test + CONFIGURATION)
+    (folder / "u.st").write_text(export.blocks + export.test + CONFIGURATION)
     command = [found, "-I", library, "-T", folder, folder / "u.st"]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    step = step_of(made, "FB_O_body__(&block);", "{}.value", str.upper)
+    step = step_of(export, "FB_O_body__(&block);", "{}.value", str.upper)
     text = '#include "POUS.h"\n#include "POUS.c"\nTIME __CURRENT_TIME; BOOL __DEBUG;\n'
     include = f"-I{library / 'C'}"
     start = "static FB_O block; FB_O_init__(&block, 0);"
-    return driven(text, made, rows, folder, start, step, include, "-std=gnu99")
+    return driven(text, export, rows, folder, start, step, include, "-std=gnu99")
 
 
 def assert_same_bits(first: Any, second: Any) -> None:
@@ -217,7 +219,7 @@ def test_calls_that_the_graph_keeps_have_the_bits_of_the_c(single: bool, tmp_pat
     step = stateless([A, B], calling_outputs())
     printed = build_code(step, single)
     exported = plc.export_plc(printed, LABELS, reference_vectors(printed, np.zeros((1, 2))))
-    each = Made(
+    each = PrintedExport(
         printed,
         build_source(printed, LABELS).texts_by_name(),
         plcopen.st_text(exported.units, LABELS, printed),
@@ -233,7 +235,7 @@ def test_calls_that_the_graph_keeps_have_the_bits_of_the_c(single: bool, tmp_pat
 @pytest.mark.parametrize("method", [name for name in EXPORTED if name != "auto"])
 def test_every_observer_has_the_bits_of_the_c(method: str, single: bool, tmp_path: Path) -> None:
     """Outputs and memory along 10,000 corrupted samples."""
-    each, rows = made(observer(method), single), run_of()
+    each, rows = print_export(observer(method), single), run_of()
     assert_same_bits(by_reader(each, rows, tmp_path), by_c(each, rows, tmp_path))
 
 
@@ -242,7 +244,7 @@ def test_every_observer_has_the_bits_of_the_c(method: str, single: bool, tmp_pat
 def test_the_compiler_matiec_gives_the_same_bits(method: str, single: bool, tmp_path: Path) -> None:
     """Its iec2c is in no registry: who has it in PATH runs this."""
     require("iec2c", [] if shutil.which("iec2c") else ["iec2c"])
-    each, rows = made(observer(method), single), run_of()
+    each, rows = print_export(observer(method), single), run_of()
     assert_same_bits(by_iec2c(each, rows, tmp_path), by_c(each, rows, tmp_path))
 
 
@@ -264,7 +266,7 @@ def test_the_compiler_matiec_gives_the_same_bits(method: str, single: bool, tmp_
 def test_every_kind_of_plant_and_sensor(
     changes: dict[str, Any], single: bool, tmp_path: Path
 ) -> None:
-    each = made(small("sampled", **changes), single)
+    each = print_export(small("sampled", **changes), single)
     rows = run_of("two" if changes.get("plant") is TWO_OUTPUTS else "")
     assert_same_bits(by_reader(each, rows, tmp_path), by_c(each, rows, tmp_path))
 
@@ -274,7 +276,7 @@ def test_with_its_controller_and_tunable_numbers(controller: str, tmp_path: Path
     options = {"method": controller} | CONTROLLERS[controller][1]
     tunable = ("observer.gamma", "sensor.threshold")
     scenario = small("sampled", controller=options)
-    each = made(scenario, True, "observer+controller", tunable=tunable)
+    each = print_export(scenario, True, "observer+controller", tunable=tunable)
     problem = resolve_scenario(scenario)
     rows = corrupted(record_inputs(problem, each.code.step), 3)
     assert_same_bits(by_reader(each, rows, tmp_path), by_c(each, rows, tmp_path))
@@ -287,7 +289,7 @@ def test_real_has_floats_bits_where_expressions_are_wider(
     method: str, wide: str, tmp_path: Path
 ) -> None:
     """Compilers that keep products of REAL in LREAL or in 80 bits round where a value is stored."""
-    each, rows = made(observer(method), True), run_of()
+    each, rows = print_export(observer(method), True), run_of()
     assert_same_bits(by_reader(each, rows, tmp_path, wide), by_c(each, rows, tmp_path))
 
 
@@ -297,7 +299,7 @@ def test_readings_that_are_marked_missing_stop_no_plc(method: str, tmp_path: Pat
     problem = resolve_scenario(observer(method))
     rows = record_inputs(problem, exported_step.build_step(problem))
     rows[::10, 0] = 3e38  # what `missing` makes of a reading
-    each = made(observer(method), True)
+    each = print_export(observer(method), True)
     text = f"#include <fenv.h>\n{Reader(each.blocks).c()}"
     step = step_of(each, "fb_o_body(&block);", "{}", str.lower)
     step += "if (fetestexcept(FE_INVALID | FE_DIVBYZERO)) { return 1; }"
@@ -318,13 +320,13 @@ def selftested(text: str, folder: Path, cycles: int) -> tuple[int, ...]:
     """
     (folder / "t.c").write_text(Reader(text).c() + main)
     program = once.program(["t", *FLAGS, "t.c"], folder)
-    said = subprocess.run([program], capture_output=True, text=True, check=True).stdout
-    return tuple(map(int, said.split()))
+    printed = subprocess.run([program], capture_output=True, text=True, check=True).stdout
+    return tuple(map(int, printed.split()))
 
 
 @PRECISIONS
 def test_the_self_test_passes_and_notices_every_sign(single: bool, tmp_path: Path) -> None:
-    each = made(observer("certified"), single)
+    each = print_export(observer("certified"), single)
     samples = len(choose_samples(np.zeros((200, 2)), 1))
     assert selftested(each.blocks + each.test, tmp_path, samples - 1)[:2] == (0, 0)
     assert selftested(each.blocks + each.test, tmp_path, samples + 5) == (1, 1, 0)
@@ -339,7 +341,7 @@ def test_the_self_test_passes_and_notices_every_sign(single: bool, tmp_path: Pat
 
 
 def test_reset_starts_anew_and_hold_remembers_nothing(tmp_path: Path) -> None:
-    each, rows = made(observer("kalman"), True), run_of()[:200]
+    each, rows = print_export(observer("kalman"), True), run_of()[:200]
     expected = by_c(each, np.vstack([rows, rows]), tmp_path)
     expected = np.vstack([expected[:200], by_c(each, rows, tmp_path)])
     step = step_of(each, "block.hold = 1; fb_o_body(&block); block.hold = 0; fb_o_body(&block);",
@@ -371,7 +373,7 @@ def test_elementary_functions_have_the_bits_of_the_c(single: bool, tmp_path: Pat
     names = list(elementary.FUNCTIONS)
     style = Style(kind, "o", ST)
     units = [plc.function_unit(name, style) for name in portable_maths.OWN.functions]
-    labels, printed = LABELS, made(observer("certified"), single).code
+    labels, printed = LABELS, print_export(observer("certified"), single).code
     text = Reader(plcopen.st_text(units, labels, printed)).c()
     theirs = "\n".join(elementary_texts(names, set(names), Style(kind, "c")))
     calls = []
@@ -437,7 +439,7 @@ def test_the_folder_has_text_xml_and_a_self_test(tmp_path: Path) -> None:
 
 
 def test_a_choice_is_one_line_where_that_fits() -> None:
-    lines = made(observer("kalman"), single=True).blocks.splitlines()
+    lines = print_export(observer("kalman"), single=True).blocks.splitlines()
     choices = [line for line in lines if re.fullmatch(r" *IF .* THEN .* ELSE .* END_IF;", line)]
     assert choices
     assert max(map(len, choices)) <= WIDTH
@@ -491,7 +493,7 @@ def test_the_xml_is_plcopens_and_holds_the_text(method: str, tmp_path: Path) -> 
     ],
 )
 def test_the_reader_refuses_what_the_standard_does_not_know(before: str, after: str) -> None:
-    text = made(observer("certified"), True).blocks
+    text = print_export(observer("certified"), True).blocks
     assert before in text
     with pytest.raises(Refused):
         Reader(text.replace(before, after, 1) if before != "v" else text.replace("v7 ", "mod "))

@@ -88,16 +88,19 @@ def test_an_axis_with_a_gap_goes_where_it_should() -> None:
     t = np.arange(4000) * 0.005
     for _ in range(20):
         gap = float(10 ** rng.uniform(-2, 0))
-        told = around(gap * rng.uniform(0.98, 1.02))
+        assumed_gap = around(gap * rng.uniform(0.98, 1.02))
         scope: dict = {}
         exec(
-            snippet_texts(Lost("backlash", told, told, told, "mm", "a"), "go")["snippet.py"], scope
+            snippet_texts(Lost("backlash", assumed_gap, assumed_gap, assumed_gap, "mm", "a"), "go")[
+                "snippet.py"
+            ],
+            scope,
         )
-        wanted = 10 * np.sin(0.7 * t) + 4 * np.sin(1.9 * t)
+        reference = 10 * np.sin(0.7 * t) + 4 * np.sin(1.9 * t)
         compensate = scope["Go"]()
-        reached = play(np.array([compensate(w) for w in wanted]), gap)
-        assert np.abs(reached - wanted)[1:].max() < 0.05 * gap
-        assert np.abs(play(wanted, gap) - wanted).max() > 0.9 * gap
+        reached = play(np.array([compensate(w) for w in reference]), gap)
+        assert np.abs(reached - reference)[1:].max() < 0.05 * gap
+        assert np.abs(play(reference, gap) - reference).max() > 0.9 * gap
 
 
 def test_an_actuator_is_never_pushed_beyond_its_zone() -> None:
@@ -107,11 +110,11 @@ def test_an_actuator_is_never_pushed_beyond_its_zone() -> None:
     scope: dict = {}
     exec(snippet_texts(lost, "drive")["snippet.py"], scope)
     drive = scope["Drive"]()
-    for wanted in np.linspace(-4, 4, 801):
-        u = drive(float(wanted))
+    for reference in np.linspace(-4, 4, 801):
+        u = drive(float(reference))
         passed = u - right if u > right else u + left if u < -left else 0.0
-        assert abs(passed) <= abs(wanted) + 1e-12
-        assert abs(passed - wanted) <= 0.06 or abs(wanted) < 0.06
+        assert abs(passed) <= abs(reference) + 1e-12
+        assert abs(passed - reference) <= 0.06 or abs(reference) < 0.06
 
 
 def answer(verdict: str, **changes: object) -> dict:

@@ -46,5 +46,5 @@ def test_the_self_test_agrees_on_an_uno(
     assert text + data < FLASH
     assert data + bss < MEMORY / 2
     command = ["simavr", "-m", "atmega328p", "-f", "16000000", str(program)]
-    said = subprocess.run(command, capture_output=True, text=True, timeout=120)
-    assert "every bit agrees" in said.stdout + said.stderr
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert "every bit agrees" in done.stdout + done.stderr

@@ -45,7 +45,7 @@ def two_lags(u: Floats, samples: float = 12.0) -> Floats:
     return np.asarray(u / u.std())
 
 
-def asked(u: Floats, y: Floats, **more: object) -> uz.Identified:
+def identify_log(u: Floats, y: Floats, **more: object) -> uz.Identified:
     answer = uz.identify(t=STEP, u=u, y=y, **more)
     assert isinstance(answer, uz.Identified)
     return answer
@@ -53,7 +53,7 @@ def asked(u: Floats, y: Floats, **more: object) -> uz.Identified:
 
 def of_kind(kind: str, seed: int) -> uz.Identified:
     log = ALL[kind].make(np.random.default_rng(seed))
-    return asked(log.u, log.y, **log.options)
+    return identify_log(log.u, log.y, **log.options)
 
 
 @pytest.mark.parametrize("samples", [5, 50, 500])
@@ -103,7 +103,7 @@ def test_a_dead_zone_leaves_nothing() -> None:
     u = walk(rng)
     z = two_lags(u)
     y = np.maximum(z - 0.5, 0) + np.minimum(z + 0.35, 0) + 0.02 * rng.standard_normal(u.size)
-    answer = asked(u, y)
+    answer = identify_log(u, y)
     assert answer.verdict == "dead_zone"
     assert answer.width is not None
     assert answer.width.low < 0.85 < answer.width.high
@@ -138,7 +138,7 @@ def test_play_ahead_of_the_plant_has_its_gap(kind: str, gap: float) -> None:
 def test_a_filter_behind_the_zone_is_no_friction(tmp_path: Path) -> None:
     """It has widths with intervals, and a scenario whose observer runs along the log."""
     log = ALL["zone, mean of 4"].make(np.random.default_rng(1))
-    answer = asked(log.u, log.y)
+    answer = identify_log(log.u, log.y)
     assert answer.verdict == "filtered_zone"
     assert answer.zone
     assert answer.width is not None
@@ -176,7 +176,7 @@ def sensed_zone(rounding: float, slope: float) -> tuple[Floats, Floats, Floats]:
 def test_the_shape_of_a_sensor_is_estimated_and_written(rounding: float, slope: float) -> None:
     """The scenario's assumptions come from the log, and lie beside the true shape."""
     u, _, y = sensed_zone(rounding, slope)
-    answer = asked(u, y)
+    answer = identify_log(u, y)
     shape = answer.numbers()["shape"]
     assert shape["rounding"][1] <= rounding <= shape["rounding"][2]
     assert shape["slope"][1] - 0.005 < slope < shape["slope"][2] + 0.005
@@ -188,7 +188,7 @@ def test_the_shape_of_a_sensor_is_estimated_and_written(rounding: float, slope: 
 
 def test_a_relay_is_no_curve() -> None:
     """Its best curve lies at the limit of those that are tried: nothing is named, no odds stand."""
-    answer = asked(*ALL["relay"].make(np.random.default_rng(1))[:2])
+    answer = identify_log(*ALL["relay"].make(np.random.default_rng(1))[:2])
     assert answer.verdict == "unclear"
     assert "limit of the known curves" in answer.answer.reasons[0]
     assert "record steps" in answer.answer.reasons[1]
@@ -227,12 +227,12 @@ def test_classes_that_remain_have_widths_and_an_option_that_decides() -> None:
     rng = np.random.default_rng(1)
     u = walk(rng, 300)
     y = lags(zone(u, 0.4, 0.3)) + 0.1 * rng.standard_normal(u.size)
-    answer = asked(u, y)
+    answer = identify_log(u, y)
     assert answer.verdict == "undecided"
     levels = answer.numbers()["levels"]
     assert set(levels) == {"input_zone"}
     assert "use --place actuator" in str(answer.summary())
-    placed = asked(u, y, place="actuator")
+    placed = identify_log(u, y, place="actuator")
     assert placed.verdict == "input_zone"
     assert placed.width is not None
     low, high = levels["input_zone"]["width"][1:]
@@ -246,7 +246,7 @@ def test_a_lag_ahead_of_the_zone_withholds_the_name(samples: float) -> None:
     u = walk(rng)
     late = lags(u, samples, 1) if samples else u
     y = lags(zone(late, 0.4, 0.3)) + 0.02 * rng.standard_normal(u.size)
-    answer = asked(u, y)
+    answer = identify_log(u, y)
     if not samples:
         assert answer.verdict == "input_zone"
         assert answer.width is not None
@@ -395,7 +395,7 @@ def test_rounded_readings_are_not_those_of_a_recorder(quantum: float) -> None:
     rng = np.random.default_rng(5)
     u = walk(rng)
     y = quantum * np.round(two_lags(u) / quantum)
-    assert asked(u, y).verdict in ("none", "operating_point")
+    assert identify_log(u, y).verdict in ("none", "operating_point")
 
 
 @pytest.mark.parametrize(

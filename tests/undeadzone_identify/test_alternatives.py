@@ -80,8 +80,8 @@ def loop(kind: str, a0: float, seed: int) -> tuple[MovingPlant, Floats, Floats, 
     step, size = 0.01, 3000
     block = np.zeros((3, 3))
     block[:2, :2], block[1, 2] = [[0.0, 1.0], [-a0, -2.0]], 1.0
-    held = expm(block * step)
-    F, gain = held[:2, :2], held[:2, 2]
+    transition = expm(block * step)
+    F, gain = transition[:2, :2], transition[:2, 2]
     c, d = rng.uniform(0.2, 1.0, (2, 2))
     c, d = c * (kind in ("play", "both")), d * (kind in ("dead_zone", "both"))
     x, u, z = np.zeros(2), np.empty(size), np.empty(size)
@@ -304,12 +304,12 @@ def test_a_strong_disturbance_withdraws_the_gap_of_a_play_that_is_no_servos() ->
 def test_the_position_of_a_motor_shows_the_gap_and_no_centre() -> None:
     rng = np.random.default_rng(3)
     num, den, _ = cont2discrete(([1.0], [0.25, 1.0, 0.0]), 0.02)
-    b, wanted = num.ravel(), np.repeat(rng.standard_normal(61), 25)[:1500]
+    b, set_points = num.ravel(), np.repeat(rng.standard_normal(61), 25)[:1500]
     u, z = np.zeros(1500), np.zeros(1500)
     for k in range(1500):
         if k > 1:
             z[k] = -den[1] * z[k - 1] - den[2] * z[k - 2] + b[1:] @ u[[k - 1, k - 2]]
-        u[k] = 3 * wanted[k] - 2 * z[k]
+        u[k] = 3 * set_points[k] - 2 * z[k]
     z = z / z.std()
     y = through(z, (0.3, 0.2), (0.0, 0.0)) + 0.02 * rng.standard_normal(1500)
     found = uz.identify(t=0.02, u=u, y=y, order=2, integrators=1, delay=0)
@@ -343,8 +343,8 @@ def test_commands_take_the_scenario_of_a_play(
     columns = np.column_stack([step * np.arange(y.size), u, y])
     for name, rows in (("gears.csv", columns), ("short.csv", columns[:SHORT])):
         np.savetxt(name, rows, delimiter=",", header="t [s],u [V],y [mm]", comments="")
-    told = ["--order", "2", "--delay", "0", "--out", "out"]
-    assert group.main(["identify", "gears.csv", *told], standalone_mode=False) == 0  # it runs
+    options = ["--order", "2", "--delay", "0", "--out", "out"]
+    assert group.main(["identify", "gears.csv", *options], standalone_mode=False) == 0  # it runs
     text = capsys.readouterr().out
     assert "found         Backlash: " in text
     assert "c width" in text
@@ -356,7 +356,7 @@ def test_commands_take_the_scenario_of_a_play(
     assert sensor.kind == "play"
     assert 0.79 < sensor.right + sensor.left < 0.82
     more = ["--kind", "play", "--no-figures"]
-    assert group.main(["identify", "short.csv", *told, *more], standalone_mode=False) == 0
+    assert group.main(["identify", "short.csv", *options, *more], standalone_mode=False) == 0
     capsys.readouterr()
     assert not group.main(["run", scenario, "--no-figures"], standalone_mode=False)
     assert not group.main(["check", scenario, "--no-figures"], standalone_mode=False)
@@ -394,7 +394,7 @@ def valve(seed: int, **more: Any) -> tuple[Any, tuple[float, float]]:
 
 def test_the_widths_of_an_actuator_are_found() -> None:
     """Of the first it is asked, too, whether it is a play; of the others only its widths count."""
-    held = []
+    covered = []
     for seed, more in ((1, {}), *((seed, {"kind": "deadzone"}) for seed in (2, 3, 4))):
         found, truth = valve(30 + seed, **more)
         assert found.verdict == "input_zone"
@@ -402,9 +402,9 @@ def test_the_widths_of_an_actuator_are_found() -> None:
         assert found.width.half_width < 0.15
         assert any("of the input" in remark for remark in found.answer.remarks)
         for interval, width in zip((found.right, found.left), truth, strict=True):
-            held.append(interval.low <= width <= interval.high)
+            covered.append(interval.low <= width <= interval.high)
             assert abs(interval.value - width) < 2 * interval.half_width
-    assert sum(held) >= len(held) - 1  # of eight 95 % intervals
+    assert sum(covered) >= len(covered) - 1  # of eight 95 % intervals
 
 
 def test_commands_take_the_scenario_of_an_actuator(
@@ -425,10 +425,10 @@ def test_commands_take_the_scenario_of_an_actuator(
 def test_pictures_are_up_to_date() -> None:
     module = script_of_docs("signatures")
     for name, text in module.pictures().items():
-        shown = (module.FOLDER / name).read_text(encoding="utf-8")
-        words, numbers = (re.sub(NUMBER, "#", one) for one in (shown, text)), []
+        stored = (module.FOLDER / name).read_text(encoding="utf-8")
+        words, numbers = (re.sub(NUMBER, "#", one) for one in (stored, text)), []
         assert len(set(words)) == 1, "run: python docs/signatures.py"
-        for one in (shown, text):
+        for one in (stored, text):
             numbers.append([float(number) for number in re.findall(NUMBER, one)])
         assert np.abs(np.subtract(*numbers)).max() < 0.2, "run: python docs/signatures.py"
 

@@ -44,15 +44,17 @@ def test_the_order_of_the_fit_and_the_next_are_tried(
     whole: Any = SimpleNamespace(name="whole", y=y, u=np.ones(5) + delayed)
     layout = SimpleNamespace(m=1, n=2, integrators=0)
     starts = SimpleNamespace(simulator=SimpleNamespace(layout=layout, data=own))
-    made: list[tuple[str, int]] = []
+    simulated: list[tuple[str, int]] = []
 
     def stop(*given: Any) -> None:
         raise StopIteration
 
     monkeypatch.setattr(models, "PlaceStarts", lambda fit: starts)
-    monkeypatch.setattr(models, "PlantSimulator", lambda data, n, more: made.append((data.name, n)))
+    monkeypatch.setattr(
+        models, "PlantSimulator", lambda data, n, more: simulated.append((data.name, n))
+    )
     monkeypatch.setattr(models, "scan_input", stop)
     fit: Any = None
     with pytest.raises(StopIteration):
         models.fit_chains(fit, {}, whole, orders)
-    assert made == tried
+    assert simulated == tried

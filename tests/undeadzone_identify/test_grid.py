@@ -36,9 +36,11 @@ def test_in_a_gap_inputs_are_held(inputs: int) -> None:
     log = log_from_arrays(u=u, y=t.copy(), t=t)
     remarks: list[str] = []
     piece = _fill_regular(log, 0.1, remarks)
-    held = np.arange(20) * 0.1
-    held[4:7] = 0.3
-    np.testing.assert_allclose(piece.u, np.column_stack([held, 10 * held])[:, :inputs], atol=1e-12)
+    zoh_input = np.arange(20) * 0.1
+    zoh_input[4:7] = 0.3
+    np.testing.assert_allclose(
+        piece.u, np.column_stack([zoh_input, 10 * zoh_input])[:, :inputs], atol=1e-12
+    )
     assert np.isnan(piece.y[4:7]).all()
     assert piece.start.tolist() == [0]
     assert "3 readings missing" in remarks[0]

@@ -206,9 +206,9 @@ def test_resampling_keeps_readings_near_the_grid_alone() -> None:
     with pytest.raises(FileError, match=r"irregular step.*--resample"):
         to_grid([log])
     grid = to_grid([log], 1.0)
-    kept = grid.ok
-    assert 0.05 < kept.mean() < 0.5
-    nearest = np.abs(grid.t[kept, None] - log.t).min(axis=1)
+    is_near = grid.ok
+    assert 0.05 < is_near.mean() < 0.5
+    nearest = np.abs(grid.t[is_near, None] - log.t).min(axis=1)
     assert nearest.max() <= 0.1 + 1e-9
 
 

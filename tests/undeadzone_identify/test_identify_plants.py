@@ -88,9 +88,9 @@ def test_scores_of_tied_widths_are_differences(kind: str) -> None:
 
 
 def test_the_width_of_an_integrating_plant() -> None:
-    made = motor(np.random.default_rng(4))
-    answer = uz.identify(t=made.step, u=made.u, y=made.y, integrators=1, order=2, delay=0)
-    width = made.right + made.left
+    log = motor(np.random.default_rng(4))
+    answer = uz.identify(t=log.step, u=log.u, y=log.y, integrators=1, order=2, delay=0)
+    width = log.right + log.left
     assert answer.verdict == "dead_zone"
     assert answer.width.low <= width <= answer.width.high
     assert answer.width.half_width < 0.25 * width
@@ -98,7 +98,7 @@ def test_the_width_of_an_integrating_plant() -> None:
     assert answer.centre is None
     assert np.sum(np.abs(answer.plant["poles"]) < 1e-9) == 1
     with pytest.raises(InputError, match="expected 0, 1 or 2"):
-        uz.identify(t=made.step, u=made.u, y=made.y, integrators=3)
+        uz.identify(t=log.step, u=log.u, y=log.y, integrators=3)
 
 
 def test_a_mode_that_rings_for_half_of_the_record_is_found() -> None:
@@ -168,12 +168,12 @@ def test_a_late_input_is_found_and_its_scenario_says_it() -> None:
 
 def test_the_interval_of_a_jump_holds_as_often_as_it_says() -> None:
     rng = np.random.default_rng(0)
-    held, off = [], []
+    covered, off = [], []
     for _ in range(2000):
         edge = jump_edge_below(np.sort(0.7 + rng.random(60)))
-        held.append(edge.low <= 0.7 <= edge.high)
+        covered.append(edge.low <= 0.7 <= edge.high)
         off.append(edge.value - 0.7)
-    assert 0.935 <= np.mean(held) <= 0.965
+    assert 0.935 <= np.mean(covered) <= 0.965
     assert abs(np.mean(off)) < 0.05 * np.std(off) + 1e-3
 
 
@@ -257,8 +257,8 @@ def test_two_outputs_two_inputs_one_scenario(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     header = "t,u[0],u[1],y[0],y[1]"
     np.savetxt(path, table, delimiter=",", header=header, comments="", fmt="%.9g")
-    told = ["--order", "1-2", "--delay", "0", "--place", "sensor", "--kind", "deadzone"]
-    options = [*told, "--no-figures", "--json", "--out", str(tmp_path)]
+    given = ["--order", "1-2", "--delay", "0", "--place", "sensor", "--kind", "deadzone"]
+    options = [*given, "--no-figures", "--json", "--out", str(tmp_path)]
     done = CliRunner().invoke(group, ["identify", str(path), *options], standalone_mode=False)
     assert done.return_value == 0
     numbers = json.loads(done.stdout)

@@ -56,14 +56,14 @@ def identified(log: MotionLog, **more: Any) -> uz.IdentifiedMotion:
 )
 def test_a_gap_is_found_and_its_interval_holds(make: Any) -> None:
     """Without an option, at rest or moving, with irregular times, noise, counts, a late reading."""
-    held = 0
+    covered = 0
     for seed in range(SEEDS):
         log = make(np.random.default_rng([5, seed]))
         found = identified(log)
         assert found.verdict == "play"
         assert found.gap.value == pytest.approx(log.lost, rel=0.05)
-        held += found.gap.low <= log.lost <= found.gap.high
-    assert held >= FEW
+        covered += found.gap.low <= log.lost <= found.gap.high
+    assert covered >= FEW
 
 
 @pytest.mark.parametrize("make", [wrong_ratio, axis_on_one_flank])
@@ -209,17 +209,17 @@ def test_from_a_log_of_two_positions_to_compiled_c_in_one_command(
     subprocess.run(["gcc", *flags, "axis.c", "-o", "axis.so"], check=True)
     call = ctypes.CDLL(str(tmp_path / "axis.so")).call
     call.restype, call.argtypes = ctypes.c_float, [ctypes.c_float]
-    wanted = 30 * np.sin(0.01 * np.arange(3000))
-    told = np.array([call(float(one)) for one in wanted])
+    goal = 30 * np.sin(0.01 * np.arange(3000))
+    commanded = np.array([call(float(one)) for one in goal])
 
     def lost(command: np.ndarray) -> float:
-        at, most = float(wanted[0]), 0.0
-        for aim, one in zip(wanted, command, strict=True):
+        at, most = float(goal[0]), 0.0
+        for aim, one in zip(goal, command, strict=True):
             at = max(min(at, one), one - log.lost)
             most = max(most, abs(at - aim))
         return most
 
-    assert lost(told) < 0.1 * lost(wanted)
+    assert lost(commanded) < 0.1 * lost(goal)
 
 
 def test_a_page_is_not_red_where_something_was_found(tmp_path: Path) -> None:

@@ -142,8 +142,8 @@ def test_times_in_the_first_column_of_a_matrix(tmp_path: Path) -> None:
     log = read_log(tmp_path / "drive.mat", "y=data[2],u=data[1]")
     assert np.array_equal(log.t, t)
     assert np.array_equal(log.y[:, 0], rows[:, 2])
-    told = read_log(tmp_path / "drive.mat", "t=data[0],y=data[2],u=data[1]")
-    assert np.array_equal(told.t, t)
+    drive_log = read_log(tmp_path / "drive.mat", "t=data[0],y=data[2],u=data[1]")
+    assert np.array_equal(drive_log.t, t)
     savemat(tmp_path / "ramp.mat", {"u": rows, "y": rows[:, 1]})
     with pytest.raises(FileError, match="which column holds the times"):
         read_log(tmp_path / "ramp.mat")

@@ -74,7 +74,7 @@ def found(u: Floats, y: Floats, **more: object) -> uz.Identified:
     return answer
 
 
-def asked(log: NamedLog | Recorded, **more: object) -> uz.Identified:
+def identify_log(log: NamedLog | Recorded, **more: object) -> uz.Identified:
     """What a log says where nothing else is told."""
     answer = uz.identify(t=log.step, u=log.u, y=log.y, **more)
     assert isinstance(answer, uz.Identified)
@@ -179,7 +179,7 @@ def test_derivatives_beside_a_level_and_without_correlation(shape) -> None:
 def test_no_zone_is_not_said_against_the_test_of_one() -> None:
     """Of a few steps a zone of the input explains too little for odds, and too much for chance."""
     log = make(8007, "input")
-    answer = asked(log, order=1, delay=0)
+    answer = identify_log(log, order=1, delay=0)
     assert answer.verdict == "undecided"
     assert "p = 0.00" in answer.answer.reasons[0]
 
@@ -209,7 +209,7 @@ def test_a_log_about_an_operating_point_tells_nothing_of_a_zone(seed: int) -> No
 def test_the_colour_of_a_loops_disturbance_is_no_friction() -> None:
     """By noise of first order it was friction, with odds of .985."""
     log = make(7001, "operating point")
-    found = asked(log, order=1, delay=0, kind="deadzone")
+    found = identify_log(log, order=1, delay=0, kind="deadzone")
     assert found.verdict == "operating_point"
     assert found.numbers()["odds"]["none"] > 0.9
 
@@ -275,7 +275,7 @@ def test_most_readings_at_both_ends_are_a_saturation_whatever_curve_fits_the_res
 def test_an_encoder_that_sticks_at_both_ends_is_a_saturation() -> None:
     """Between the ends its steps are larger than any zone, and nothing else was said of it."""
     log = make(9023, "saturation")
-    answer = asked(log)
+    answer = identify_log(log)
     assert answer.verdict == "saturation"
 
 
@@ -290,8 +290,8 @@ def test_what_looks_like_friction_is_asked_whether_it_is_a_play() -> None:
     z = lfilter([0.0, 1 - pole], [1.0, -pole], u / u.std())
     right, left = rng.uniform(0.1, 0.5, 2)
     noise = rng.choice([0.01, 0.03])
-    held = through(z / z.std(), np.array([right, left]), np.zeros(2))
-    y = held + noise * rng.standard_normal(size)
+    without_noise = through(z / z.std(), np.array([right, left]), np.zeros(2))
+    y = without_noise + noise * rng.standard_normal(size)
     answer = uz.identify(t=STEP, u=u / u.std(), y=y)
     assert answer.verdict == "play"
     assert answer.numbers()["odds"]["play"] > 0.5
@@ -300,13 +300,13 @@ def test_what_looks_like_friction_is_asked_whether_it_is_a_play() -> None:
 def test_an_encoder_that_falls_silent_is_no_servo_without_a_zone() -> None:
     """A motor behind a play alone explained four fifths of this log, with odds beyond .99."""
     log = make(3002, "play and zone")
-    answer = asked(log, order=2, delay=0)
+    answer = identify_log(log, order=2, delay=0)
     assert answer.verdict == "both"
 
 
 def is_play_with_zone(log: NamedLog, **more: object) -> None:
     """It is named so, and its gap holds."""
-    answer = asked(log, **more)
+    answer = identify_log(log, **more)
     assert answer.verdict == "both"
     assert answer.width.low < sum(log.widths) < answer.width.high
 
@@ -330,7 +330,7 @@ def test_a_play_with_a_zone_is_not_heard_as_a_servo_when_that_is_asked_late() ->
 def test_a_noisy_servo_is_no_saturation_and_no_jump(seed: int, order: int) -> None:
     """Static maps behind a plant without play had odds of .98 and .82."""
     log = random_log(seed)
-    answer = asked(log, order=order, delay=0)
+    answer = identify_log(log, order=order, delay=0)
     assert answer.verdict == "play"
     assert answer.width.low < log.servo.gap < answer.width.high
     assert answer.numbers()["odds"]["play"] > 0.99
@@ -338,7 +338,7 @@ def test_a_noisy_servo_is_no_saturation_and_no_jump(seed: int, order: int) -> No
 
 def test_a_servo_whose_crossings_say_another_gap_is_no_saturation() -> None:
     """Behind an encoder, with friction: a saturation had odds beyond .99, at a fit of .6."""
-    answer = asked(random_log(30051), order=2, delay=0)
+    answer = identify_log(random_log(30051), order=2, delay=0)
     assert answer.verdict == "undecided"
     assert "crossings" in " ".join(answer.numbers()["reasons"])
 
@@ -349,12 +349,12 @@ def test_a_servo_with_a_gap_for_certain_is_none_where_another_model_is_likelier(
     """Noisy readings of a play with a zone behind a lag, for which a motor has a gap as well."""
     servos = []
 
-    def kept(log: Observations | None) -> ServoGap | None:
+    def record_call(log: Observations | None) -> ServoGap | None:
         servos.append(identify_servo_gap(log))
         return servos[-1]
 
-    monkeypatch.setattr(servo, "identify_servo_gap", kept)
-    assert asked(make(25007, "play and zone"), order=2, delay=0).verdict == "both"
+    monkeypatch.setattr(servo, "identify_servo_gap", record_call)
+    assert identify_log(make(25007, "play and zone"), order=2, delay=0).verdict == "both"
     assert [one.is_gap_reported for one in servos] == [True]
 
 
@@ -373,7 +373,7 @@ def test_a_play_that_looks_like_friction_beside_a_zone_is_asked(
 def test_two_silent_samples_that_a_start_explains_by_underflow_are_no_fit() -> None:
     """The likelihood of a start 1400 deviations off was above 1: the answer was `other`."""
     log = make(21000, "sensor")
-    answer = asked(log._replace(u=log.u[:800], y=log.y[:800]), order=3, delay=0)
+    answer = identify_log(log._replace(u=log.u[:800], y=log.y[:800]), order=3, delay=0)
     assert answer.verdict == "dead_zone"
     assert answer.right.low < log.widths[0] < answer.right.high
     assert answer.left.low < log.widths[1] < answer.left.high
@@ -382,7 +382,7 @@ def test_two_silent_samples_that_a_start_explains_by_underflow_are_no_fit() -> N
 def test_an_encoder_about_an_operating_point_is_told_so_though_its_steps_hide_a_zone() -> None:
     """It was named `none`."""
     log = make(21014, "operating point")
-    answer = asked(log, order=2, delay=0, place="sensor", kind="deadzone")
+    answer = identify_log(log, order=2, delay=0, place="sensor", kind="deadzone")
     assert answer.verdict == "operating_point"
 
 
@@ -397,7 +397,7 @@ def test_a_short_log_whose_encoder_passes_0_slowly_is_not_asked_for_a_servo() ->
 def test_a_servo_that_rests_at_0_is_a_servo(seed: int) -> None:
     """Its pauses are no sensor's zone: such logs were a zone of the input, friction or jumps."""
     log = resting_log(seed, 1500)
-    answer = asked(log)
+    answer = identify_log(log)
     assert answer.verdict == "play"
     assert answer.width.low <= log.servo.gap <= answer.width.high
 
@@ -405,7 +405,7 @@ def test_a_servo_that_rests_at_0_is_a_servo(seed: int) -> None:
 def test_no_memory_is_named_where_most_readings_stick_at_the_ends() -> None:
     """Of this saturation 74 % do; a play between them had odds of 0.9."""
     log = make(3002, "saturation")
-    answer = asked(log)
+    answer = identify_log(log)
     assert answer.verdict == "unclear"
     assert any("readings stick at the ends" in one for one in answer.numbers()["remarks"])
 
@@ -497,10 +497,10 @@ def test_one_hold_at_an_extreme_is_no_end_of_the_range() -> None:
 def test_held_out_samples_are_blocks_over_every_record() -> None:
     _, u, z = driven(10, 1000)
     data = logged(u, z)._replace(start=np.array([0, 800]))
-    held = ~training_samples(data, 0.3)
-    assert np.count_nonzero(np.diff(held[:800].astype(int)) > 0) == 5
-    assert held[:800].mean() == pytest.approx(0.3, abs=0.01)
-    assert held[800:].mean() == pytest.approx(0.3, abs=0.01)
+    is_test = ~training_samples(data, 0.3)
+    assert np.count_nonzero(np.diff(is_test[:800].astype(int)) > 0) == 5
+    assert is_test[:800].mean() == pytest.approx(0.3, abs=0.01)
+    assert is_test[800:].mean() == pytest.approx(0.3, abs=0.01)
 
 
 def test_a_pause_at_the_end_is_no_reason_to_ask_about_columns() -> None:
@@ -544,21 +544,24 @@ def loop() -> loop_logs.LoopLog:
     return loop_logs.make(5, "input zone", 0.1)
 
 
-def said(u: Floats, y: Floats, r: Floats) -> float:
+def share_of_feedback(u: Floats, y: Floats, r: Floats) -> float:
     start = np.array([0])
     return feedback_share(u[:, None], y, np.ones(y.size, bool), r[:, None], start)[0]
 
 
 def test_beside_its_reference_readings_make_all_of_a_loops_input(loop: loop_logs.LoopLog) -> None:
     """Whatever the noise; an input made of its reference is none of readings'."""
-    assert said(loop.u, loop.y, loop.r) > 0.999
+    assert share_of_feedback(loop.u, loop.y, loop.r) > 0.999
     holes = np.where(np.arange(loop.r.size) % 50 < 5, np.nan, loop.r)
-    assert said(loop.u, loop.y, holes) > 0.999
+    assert share_of_feedback(loop.u, loop.y, holes) > 0.999
     alone = loop_logs.make(5, "input zone", 0.1, closed=False)
-    assert said(alone.u, alone.y, alone.r) == 0
-    assert said(alone.u, alone.y, alone.u + lfilter([0.3], [1, -0.7], alone.u)) == 0
-    assert said(alone.u, alone.y, alone.u + 0.3 * alone.u**3) < 0.1
-    assert said(loop.u, loop.y, np.random.default_rng(0).standard_normal(loop.u.size)) < 0.1
+    assert share_of_feedback(alone.u, alone.y, alone.r) == 0
+    assert share_of_feedback(alone.u, alone.y, alone.u + lfilter([0.3], [1, -0.7], alone.u)) == 0
+    assert share_of_feedback(alone.u, alone.y, alone.u + 0.3 * alone.u**3) < 0.1
+    assert (
+        share_of_feedback(loop.u, loop.y, np.random.default_rng(0).standard_normal(loop.u.size))
+        < 0.1
+    )
 
 
 def test_prediction_errors_know_the_actuators_zone_better_in_a_loop() -> None:

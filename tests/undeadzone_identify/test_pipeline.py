@@ -299,12 +299,12 @@ def of_a_regression(rng: np.random.Generator, passages: int) -> tuple[float, Est
 def test_intervals_of_few_passages_hold(passages: int, uncorrected: float) -> None:
     """With K degrees of freedom and no correction of the bias they would not (docs/identify.md)."""
     rng, one = np.random.default_rng(6), np.eye(6)[0]
-    held, plain = 0, 0
+    covered, plain = 0, 0
     for _ in range(400):
         value, spread = of_a_regression(rng, passages)
-        held += abs(value) <= spread.half_width(one)
+        covered += abs(value) <= spread.half_width(one)
         plain += abs(value) <= student_quantile(spread.degrees) * math.sqrt(spread.V[0, 0])
-    assert 0.92 <= held / 400 <= 0.98
+    assert 0.92 <= covered / 400 <= 0.98
     assert plain / 400 < uncorrected
 
 
@@ -312,18 +312,20 @@ def test_what_few_passages_leave_is_as_it_is_defined() -> None:
     _, spread = of_a_regression(np.random.default_rng(7), 5)
     K, scores = spread.degrees, spread.scores
     variance, degrees = spread.variance_and_degrees(np.eye(6)[0])
-    told = scores @ spread.naive[:, 0]
-    time = (np.arange(told.size) + 0.5) / told.size
+    scores_of_width = scores @ spread.naive[:, 0]
+    time = (np.arange(scores_of_width.size) + 0.5) / scores_of_width.size
     cosines = np.cos(np.pi * np.outer(np.arange(1, K + 1), time))
-    shared = (cosines * told**2) @ cosines.T
-    thrice = 2 / 3 * np.sum(told**4 * np.sum(cosines**2, axis=0) ** 2)
+    shared = (cosines * scores_of_width**2) @ cosines.T
+    thrice = 2 / 3 * np.sum(scores_of_width**4 * np.sum(cosines**2, axis=0) ** 2)
     expected = (np.trace(shared) ** 2 - thrice) / (np.sum(shared**2) - thrice)
     assert degrees == pytest.approx(expected, rel=1e-9)
     white = np.linalg.solve(np.linalg.cholesky(scores.T @ scores), scores.T)
-    used = np.sum(((cosines * told) @ white.T) ** 2)
-    used -= 2 / 3 * np.sum(np.sum(cosines**2, axis=0) * np.sum(white**2, axis=0) * told**2)
-    kept = 1 - 2 * used / K / np.sum(told**2)
-    assert variance == pytest.approx(spread.V[0, 0] / kept, rel=1e-9)
+    used = np.sum(((cosines * scores_of_width) @ white.T) ** 2)
+    used -= (
+        2 / 3 * np.sum(np.sum(cosines**2, axis=0) * np.sum(white**2, axis=0) * scores_of_width**2)
+    )
+    correction = 1 - 2 * used / K / np.sum(scores_of_width**2)
+    assert variance == pytest.approx(spread.V[0, 0] / correction, rel=1e-9)
 
 
 def test_long_run_covariance_is_that_of_the_cosines() -> None:

@@ -232,8 +232,10 @@ def test_a_record_that_is_cut_in_motion_says_the_same(
     first = int(found.crossings.at[0]) - 12
     moving = np.abs(np.diff(log.y))[first] + log.quantum
     assert moving > 0
-    kept = slice(first, None)
-    part = build_observations(log.u[kept], log.y[kept], log.ok[kept], START, STEP)
+    part_of_log = slice(first, None)
+    part = build_observations(
+        log.u[part_of_log], log.y[part_of_log], log.ok[part_of_log], START, STEP
+    )
     cut = identify_servo_gap(part)
     assert cut is not None
     assert cut.gap.value * log.y_scale == pytest.approx(
@@ -243,15 +245,15 @@ def test_a_record_that_is_cut_in_motion_says_the_same(
 
 def test_a_gap_that_is_worn_in_one_place_is_told() -> None:
     u, y = logged(MOTOR._replace(friction=0.0, gap=0.0, quantum=0.0, spring=40.0), torque=0.0)
-    z, held = y, float(y[0])
+    z, level = y, float(y[0])
     worn = np.empty(z.size)
     for k, value in enumerate(z):
         half = 0.015 * (1 + 0.8 * np.tanh(2 * value / z.std()))
-        held = max(min(held, value + half), value - half)
-        worn[k] = 0.001 * round(held / 0.001)
+        level = max(min(level, value + half), value - half)
+        worn[k] = 0.001 * round(level / 0.001)
     found = answered(u, worn)
-    told = " ".join([*found.reasons, *found.crossings.describe_trends()])
-    assert "crossing" in told
+    text = " ".join([*found.reasons, *found.crossings.describe_trends()])
+    assert "crossing" in text
 
 
 def test_a_gap_of_half_a_tick_is_no_more_than_one_tick() -> None:
@@ -371,8 +373,10 @@ def test_a_fast_damping_may_be_a_pole_and_the_pole_the_damping() -> None:
             z[k] = x[0]
         return z
 
-    wanted = response(Fitted(fast, fast.disable_absent_parts(theta), 0.0))
-    apart = [float(np.abs(response(one) - wanted).max() / np.ptp(wanted)) for one in fewer]
+    full_response = response(Fitted(fast, fast.disable_absent_parts(theta), 0.0))
+    apart = [
+        float(np.abs(response(one) - full_response).max() / np.ptp(full_response)) for one in fewer
+    ]
     assert min(apart) < 0.03
     log = random_log(30037)
     found = answered(log.u, log.y, log.step)

@@ -152,13 +152,13 @@ def test_a_quantum_that_noise_hides_is_none() -> None:
     u, y = record("zone", "noise", integrates=False, order=1)
     answer = uz.identify(t=STEP, u=u, y=y, order=1, delay=0).answer
     noise = parse(scenario_text([answer], "told")).sensor.noise
-    for quantum, told in ((0.01 * noise, 0.0), (noise, noise)):
+    for quantum, expected in ((0.01 * noise, 0.0), (noise, noise)):
         grid = answer.case.grid
         grid = grid._replace(y=quantum * np.round(grid.y / quantum))
         rounded = answer._replace(case=answer.case._replace(grid=grid))
         sensor = parse(scenario_text([rounded], "told")).sensor
-        assert sensor.quantum == pytest.approx(told)
-        assert math.hypot(sensor.noise, told / math.sqrt(12)) == pytest.approx(noise)
+        assert sensor.quantum == pytest.approx(expected)
+        assert math.hypot(sensor.noise, expected / math.sqrt(12)) == pytest.approx(noise)
 
 
 def test_rounding_is_taken_off_a_plays_noise_once() -> None:
@@ -203,11 +203,11 @@ def test_what_to_type_next_is_taken_as_it_is_printed(
 ) -> None:
     """Names with blanks are quoted, a log has its columns again."""
     monkeypatch.chdir(tmp_path)
-    made = undeadzone("init", "my plant.toml")
-    assert shlex.split(made.stdout.split("next: ")[1]) == ["undeadzone", "run", "my plant.toml"]
-    said: dict[str, Any] = {"zero": 0.0, "resample": None, "columns": "y=a b,u=c"}
+    done = undeadzone("init", "my plant.toml")
+    assert shlex.split(done.stdout.split("next: ")[1]) == ["undeadzone", "run", "my plant.toml"]
+    options: dict[str, Any] = {"zero": 0.0, "resample": None, "columns": "y=a b,u=c"}
     scenario, log = Path("my log.toml"), Path("my log.csv")
-    estimate, run, export_ = _next_commands(scenario, (log,), said, True).split(", ")
+    estimate, run, export_ = _next_commands(scenario, (log,), options, True).split(", ")
     assert shlex.split(estimate)[1:] == [
         "estimate",
         *map(str, (scenario, log)),
@@ -215,9 +215,9 @@ def test_what_to_type_next_is_taken_as_it_is_printed(
         "y=a b,u=c",
     ]
     assert (run, export_) == ("undeadzone run 'my log.toml'", "or undeadzone export 'my log.toml'")
-    assert "estimate" in _next_commands(scenario, (log,), said | {"zero": 1.0}, True)
-    assert "estimate" not in _next_commands(scenario, (log, log), said, True)
-    estimate, watch = _next_commands(scenario, (log,), said, False).split(", ")  # no reference
+    assert "estimate" in _next_commands(scenario, (log,), options | {"zero": 1.0}, True)
+    assert "estimate" not in _next_commands(scenario, (log, log), options, True)
+    estimate, watch = _next_commands(scenario, (log,), options, False).split(", ")  # no reference
     assert shlex.split(watch)[:3] == ["undeadzone", "watch", "my log.toml"]
 
 
@@ -242,13 +242,13 @@ def test_a_log_ends_in_firmware(
     assert estimated.returncode in (0, 1), estimated.stderr
     ran = undeadzone("run", "log.toml", "--no-figures", cwd=tmp_path)
     assert ran.returncode in (0, 1), ran.stderr
-    made = undeadzone("export", "log.toml", "--out", "fw", "--check", cwd=tmp_path)
+    done = undeadzone("export", "log.toml", "--out", "fw", "--check", cwd=tmp_path)
     if element in ("zone", "jump"):  # too narrow ranges for float, which export says with the cure
-        assert "use --precision double" in made.stdout
+        assert "use --precision double" in done.stdout
         double = ("--precision", "double")
-        made = undeadzone("export", "log.toml", "--out", "fw", "--check", *double, cwd=tmp_path)
-    assert made.returncode == 0, made.stdout + made.stderr
-    assert "every bit agrees" in made.stdout
+        done = undeadzone("export", "log.toml", "--out", "fw", "--check", *double, cwd=tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "every bit agrees" in done.stdout
 
 
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="no compiler")
@@ -303,8 +303,8 @@ def test_what_is_recorded_next_narrows_the_widest_interval_as_was_said(tmp_path:
     words = ("identify", "first.csv", "--order", "1", "--delay", "0", "--next", "next.csv")
     done = undeadzone(*words, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    said = re.search(r"record next .*; (\w+): (\d+) % of its interval", done.stdout)
-    assert said is not None
+    forecast = re.search(r"record next .*; (\w+): (\d+) % of its interval", done.stdout)
+    assert forecast is not None
     page = (tmp_path / "first-identify" / "report.html").read_text(encoding="utf-8")
     assert "What to record next" in page
     table = np.loadtxt(tmp_path / "next.csv", delimiter=",", skiprows=1)
@@ -317,8 +317,8 @@ def test_what_is_recorded_next_narrows_the_widest_interval_as_was_said(tmp_path:
     write("second.csv", table[:, 1])
     logs = [str(tmp_path / name) for name in ("first.csv", "second.csv")]
     before, after = (uz.identify(one, order=1, delay=0) for one in (logs[0], logs))
-    narrowed = getattr(after, said[1]).half_width / getattr(before, said[1]).half_width
-    assert 0.5 < narrowed / (float(said[2]) / 100) < 2
+    narrowed = getattr(after, forecast[1]).half_width / getattr(before, forecast[1]).half_width
+    assert 0.5 < narrowed / (float(forecast[2]) / 100) < 2
 
 
 def test_a_play_with_few_turns_is_undecided_and_the_next_log_decides() -> None:

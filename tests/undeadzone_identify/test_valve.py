@@ -128,16 +128,16 @@ def test_a_loop_is_named_by_its_cause(named: tuple[ValveLoop, Any]) -> None:
 def test_its_words_say_what_to_do(named: tuple[ValveLoop, Any]) -> None:
     loop, found = named
     why = " ".join(found.summary()["why"])
-    wanted = {
+    expected = {
         "stiction": "the valve sticks: S",
         "input_play": "the valve has a dead band (play) of",
         "tight_tuning": "gain by about",
         "external": "look for another loop of this period upstream",
     }
-    assert wanted[found.verdict] in why
+    assert expected[found.verdict] in why
     assert "of OP" in why or not loop.stick
     page = build_identified_page(found, {}, "loop.csv")
-    assert wanted[found.verdict] in page
+    assert expected[found.verdict] in page
 
 
 def test_a_loop_in_order_is_not_a_valve(tmp_path: Path) -> None:

@@ -61,8 +61,8 @@ def test_the_range_grows_with_the_quantile_of_its_degrees(answer: Answer) -> Non
 def test_each_half_of_an_interval_grows_by_itself(answer: Answer) -> None:
     edge = Interval(0.5, 0.4, 0.8)
     factor = growth(answer.widths.degrees["left"])
-    told = prior_width_range(answer._replace(left=edge), "left")
-    assert told == pytest.approx((max(0.5 - 0.1 * factor, 0.0), 0.5 + 0.3 * factor))
+    bounds = prior_width_range(answer._replace(left=edge), "left")
+    assert bounds == pytest.approx((max(0.5 - 0.1 * factor, 0.0), 0.5 + 0.3 * factor))
 
 
 def test_bounds_of_the_user_hold(answer: Answer) -> None:

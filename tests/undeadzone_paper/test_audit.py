@@ -256,14 +256,16 @@ def test_every_verdict_turns_with_its_numbers(paper: Paper) -> None:
 
 def test_no_other_file_states_a_claim() -> None:
     """Code has the claims by their ids; pages have them between marks, or by a link."""
-    said = [entry["claim"] for entry in tomllib.loads(HOME.read_text(encoding="utf-8")).values()]
+    statements = [
+        entry["claim"] for entry in tomllib.loads(HOME.read_text(encoding="utf-8")).values()
+    ]
     docs = script_of_docs("claims")
     found = []
     for path in {*HOME.parent.glob("*.py"), *PAGES} - {docs.PAGE}:
         text = docs.MARKED.sub("", path.read_text(encoding="utf-8"))
-        held = [claim for claim in said if claim in " ".join(text.split())]
+        quoted = [claim for claim in statements if claim in " ".join(text.split())]
         stated = re.findall(r"destabilis\w+ the plant|cannot place|does not place", text)
-        found += [(path.name, words) for words in (*held, *stated)]
+        found += [(path.name, words) for words in (*quoted, *stated)]
     assert not found
 
 
@@ -273,25 +275,27 @@ def test_pages_say_what_the_audit_found(paper: Paper) -> None:
     pages = {path: docs.filled(path, paper) for path in docs.marked()}
     assert {path.name for path in pages} >= {"README.md", "observer.md", "pd.md", "printed.md"}
     for path, text in {**pages, docs.PAGE: docs.page(paper)}.items():
-        written, made = path.read_text(encoding="utf-8").split(), text.split()
-        same([" ".join(written)], [" ".join(made)], f"{path.name}: run python docs/claims.py")
+        written, rebuilt = path.read_text(encoding="utf-8").split(), text.split()
+        same([" ".join(written)], [" ".join(rebuilt)], f"{path.name}: run python docs/claims.py")
 
 
 def test_claims_are_counted_in_a_sentence(paper: Paper) -> None:
     verdicts = paper.summary()["verdicts"]
-    said = verdict_counts_text(paper.claims)
-    assert said.startswith("No statement that the design works holds as printed. ")
-    assert f"Of all {len(paper.claims)} statements {verdicts['holds']} hold as printed" in said
+    sentence = verdict_counts_text(paper.claims)
+    assert sentence.startswith("No statement that the design works holds as printed. ")
+    assert f"Of all {len(paper.claims)} statements {verdicts['holds']} hold as printed" in sentence
     works = [claim for claim in paper.claims if claim.text.works]
     mended = sum(claim.verdict == "holds after repair" for claim in works)
-    assert f"Of {len(works)} such, {mended} hold after repair" in said
+    assert f"Of {len(works)} such, {mended} hold after repair" in sentence
 
 
 def test_the_headline_follows_the_verdicts(paper: Paper) -> None:
     works = next(claim for claim in paper.claims if claim.text.works)
     holding = works._replace(printed={"": works.text.limit})
-    said = verdict_counts_text([holding])
-    assert said.startswith("1 statement that the design works holds as printed. Of 1 such, 0 hold")
+    sentence = verdict_counts_text([holding])
+    assert sentence.startswith(
+        "1 statement that the design works holds as printed. Of 1 such, 0 hold"
+    )
 
 
 def test_claims_are_found_by_figure_and_by_assumption(paper: Paper) -> None:
@@ -467,9 +471,9 @@ def test_every_equation_is_placed_where_something_is() -> None:
 
 
 def test_progress_is_told_of_work_done(paper: Paper) -> None:
-    told = once.audit()[1]
-    assert sum(told) > len(paper.variants) * DURATION / STEP
-    assert min(told) > 0
+    progress = once.audit()[1]
+    assert sum(progress) > len(paper.variants) * DURATION / STEP
+    assert min(progress) > 0
 
 
 def test_files_are_all_there_and_hold_the_numbers(paper: Paper, written: list[Path]) -> None:

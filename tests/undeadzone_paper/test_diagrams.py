@@ -68,6 +68,6 @@ def test_a_diagram_shows_its_blocks(number: int, blocks: int) -> None:
     assert len(boxes) == blocks
     middles = [box.get_center() for box in boxes]
     assert all(any(np.allclose(one, place) for place in PLACES.values()) for one in middles)
-    said = {text.get_text() for text in axes.texts}
-    assert ("observer\ncertified" in said) == (number == 2)
-    assert "u" in said
+    texts = {text.get_text() for text in axes.texts}
+    assert ("observer\ncertified" in texts) == (number == 2)
+    assert "u" in texts

@@ -51,13 +51,13 @@ def test_the_figure_of_the_theorem_shows_both_laws_and_every_reading_that_surviv
     figure = plot_theorem(evidence.law, evidence.repaired[0], evidence.theorem)
     state, _, readings = figure.axes
     assert {line.get_label() for line in state.lines} == {"given", "estimated", "repaired"}
-    shown = sum(len(np.asarray(line.get_xdata())) for line in readings.lines[:2])
+    count = sum(len(np.asarray(line.get_xdata())) for line in readings.lines[:2])
     survived = [
         outcome
         for outcome in evidence.theorem
         if outcome.variant.sign == 1.0 and outcome.diverged_at is None
     ]
-    assert shown == len(survived)
+    assert count == len(survived)
 
 
 def test_captions_say_what_was_found_and_where_text_and_caption_conflict(paper: Paper) -> None:

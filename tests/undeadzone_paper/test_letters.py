@@ -16,7 +16,7 @@ from undeadzone_export import export
 from undeadzone_paper.letters import read_letters
 
 FIRMWARE = Path(__file__).parents[2] / "examples" / "firmware.toml"
-ASKED = (
+REQUESTED = (
     "x in (1)-(12)", "x in (14)", "y", "y^", "y~", "d^", "m", "k_s", "sigma", "alpha", "P, Q", "L",
     "d_M", "k_p, k_d", "beta^", "chi_r, chi_l, chi_bar",
 )  # fmt: skip
@@ -30,7 +30,7 @@ def _keys_of_methods(registry: Registry) -> set[str]:
 
 def test_the_letters_of_the_paper_are_all_there() -> None:
     letters = read_letters()
-    assert {letter.paper for letter in letters} >= set(ASKED)
+    assert {letter.paper for letter in letters} >= set(REQUESTED)
     assert len({letter.paper for letter in letters}) == len(letters)
     assert [letter.paper for letter in letters if not letter.ours] == ["beta^"]
 

@@ -25,7 +25,7 @@ def test_a_load_of_one_sign_presses_on_one_flank() -> None:
 
 
 @pytest.mark.parametrize(
-    ("groups", "shown", "known"),
+    ("groups", "visible", "known"),
     [
         ([(0,), (1,)], 4, True),
         ([(0,), (1,)], 3, False),
@@ -34,19 +34,19 @@ def test_a_load_of_one_sign_presses_on_one_flank() -> None:
     ],
 )
 def test_joint_by_joint_most_crossings_have_to_show(
-    groups: Sequence[Sequence[int]], shown: int, known: bool
+    groups: Sequence[Sequence[int]], visible: int, known: bool
 ) -> None:
     """The first link crosses five times, so often fast enough for its strike to show."""
     gears = build_geared_arm(build_two_link(), Gears(half=0.05, inertia=[0.08, 0.03]))
     x, path = np.zeros((60, 8)), np.zeros((60, 3, 2))
     x[:, 0] = 0.06 * np.repeat([1, -1, 1, -1, 1, -1], 10)
     for crossing in range(5):
-        x[10 * crossing + 9, 4] = 1.0 if crossing < shown else 1e-6
+        x[10 * crossing + 9, 4] = 1.0 if crossing < visible else 1e-6
     detector = StrikeDetector(groups, np.full(2, 0.01), 0.2, 1e-3, np.full(2, 1e-4), 50.0)
     verdict = gap_identifiability(gears, gears.values, x, path, 1e-3, detector)[0]
     assert verdict.width == known
-    assert verdict.crossings == shown
-    if shown and not known:
+    assert verdict.crossings == visible
+    if visible and not known:
         assert "2 of 5 crossings show no strike: its link floats in the gap" in verdict.reasons[0]
 
 
@@ -55,6 +55,6 @@ def test_a_joint_is_free_of_torque_where_its_link_stands_upright_or_hangs() -> N
     arm = build_arm(build_two_link())
     for first in (-2.0, -0.7, 0.4):
         for upright in (-0.5, 0.5):
-            wanted = upright * np.pi - first
-            found = torque_free_position(arm, arm.values, np.array([first, wanted + 0.9]), 1)
-            assert found == pytest.approx(wanted, abs=1e-5)
+            upright_angle = upright * np.pi - first
+            found = torque_free_position(arm, arm.values, np.array([first, upright_angle + 0.9]), 1)
+            assert found == pytest.approx(upright_angle, abs=1e-5)

@@ -513,17 +513,17 @@ def test_only_readings_that_arrive_count(time: str) -> None:
         scenario = scene(sensor={"dropout": dropout}, simulation=simulation)
         run = simulate(scenario, check_step=False)
         (verdict,) = run.info.identifiable
-        asked = check(scenario).summary()
-        for judged in (verdict, asked["identifiable"]):
+        summary = check(scenario).summary()
+        for judged in (verdict, summary["identifiable"]):
             assert [judged[name] for name in ("right", "left", "width", "centre")] == [known] * 4
         if not known:
             assert "too few readings arrive from beyond d_r" in verdict["reasons"][0]
-            assert "too few readings arrive from beyond d_r" in asked["reasons"][0]
+            assert "too few readings arrive from beyond d_r" in summary["reasons"][0]
 
 
 def test_lost_readings_widen_by_the_root_of_their_share() -> None:
     checks = (check(scene(sensor={"noise": 0.01, "dropout": p})) for p in (0.0, 0.75))
-    whole, half = (checked.known[0].std for checked in checks)
+    whole, half = (verdict.known[0].std for verdict in checks)
     assert half["right"] == pytest.approx(2 * whole["right"], rel=1e-9)
 
 
@@ -603,9 +603,9 @@ def test_a_linear_plant_and_the_same_as_formulas_get_one_verdict() -> None:
         assert "practically not" in verdict["reasons"][0]
         deviations.append(verdict["std"]["centre"])
     assert deviations[0] == pytest.approx(deviations[1], rel=0.02)
-    asked = check(scene(plant=plants[0], **common)).summary()
-    assert not asked["identifiable"]["centre"]
-    assert "practically not" in asked["reasons"][-1]
+    summary = check(scene(plant=plants[0], **common)).summary()
+    assert not summary["identifiable"]["centre"]
+    assert "practically not" in summary["reasons"][-1]
 
 
 def test_a_slow_random_disturbance_is_no_worse_than_an_offset_of_its_rms() -> None:

@@ -24,7 +24,7 @@ SLOW = {"kind": "sine", "amplitude": 0.2, "frequency": 0.125}
 SAMPLED = {"duration": 20.0, "time": "sampled", "step": 0.01}
 
 
-def told(**changes: Any) -> Any:
+def assess_only_output(**changes: Any) -> Any:
     """What `check` knows of the only output."""
     given = {"sensor": {"noise": 0.01}, "simulation": SAMPLED} | changes
     (known,) = check(scene(**given)).known
@@ -38,7 +38,7 @@ def test_no_yes_leaves_out_another_truth(kind: str, tmp_path: Path) -> None:
         one = two_truths.pair(kind, seed, tmp_path)
         assert one.unlike < 1e-11
         for truth in (one.first, one.second):
-            assert truth is None or not two_truths.claimed(truth, one.apart, tmp_path)
+            assert truth is None or not two_truths.is_certified_apart(truth, one.apart, tmp_path)
 
 
 def readings(scenario: Scenario, moved: dict[str, Any] | None, u: Floats, t: Floats) -> Floats:
@@ -63,7 +63,9 @@ def test_a_second_truth_that_nothing_tells_has_exactly_the_same_readings(
     time: str, disturbance: dict[str, Any] | None, integrates: bool
 ) -> None:
     plant = {"A": [[0, 1], [-1.0 * (not integrates), -2]], "B": [[0], [1]], "C": [[1, 0]]}
-    known = told(plant=plant, disturbance=disturbance, simulation={**SAMPLED, "time": time})
+    known = assess_only_output(
+        plant=plant, disturbance=disturbance, simulation={**SAMPLED, "time": time}
+    )
     t = np.arange(0.0, 10.0, 0.01)
     u = 20.0 * np.cos(1.5 * t)
     if disturbance is None and not integrates:
@@ -80,7 +82,9 @@ def test_a_second_truth_that_nothing_tells_has_exactly_the_same_readings(
 
 def test_a_second_truth_within_the_noise_lies_at_the_end_of_the_interval() -> None:
     """A cosine that swings once over the run may be a constant of its rms: d_r +- .42, no less."""
-    known = told(disturbance={"kind": "sine", "amplitude": 0.3, "frequency": 0.05, "phase": 1.57})
+    known = assess_only_output(
+        disturbance={"kind": "sine", "amplitude": 0.3, "frequency": 0.05, "phase": 1.57}
+    )
     assert known.centre
     assert known.second["right"] - 1.0 == pytest.approx(HALF_95 * known.std["right"], rel=0.01)
     assert known.second["right"] - 1.0 == pytest.approx(HALF_95 * 0.3 / np.sqrt(2), rel=0.01)
@@ -93,7 +97,7 @@ def test_a_second_truth_within_the_noise_lies_at_the_end_of_the_interval() -> No
 
 
 def test_no_width_of_a_second_truth_is_negative() -> None:
-    known = told(
+    known = assess_only_output(
         sensor={"right": 0.1, "left": 0.05, "noise": 0.01},
         disturbance={"kind": "sine", "amplitude": 2.0, "frequency": 0.05},
     )
@@ -104,7 +108,7 @@ def test_no_width_of_a_second_truth_is_negative() -> None:
 
 def test_an_edge_that_is_never_reached_may_lie_anywhere() -> None:
     offset = {"kind": "sine", "amplitude": 2.0, "frequency": 0.2, "offset": 2.0}
-    known = told(reference=offset, sensor={"left": 2.5, "noise": 0.01})
+    known = assess_only_output(reference=offset, sensor={"left": 2.5, "noise": 0.01})
     assert (known.right, known.left) == (True, False)
     assert known.second["left"] != 2.5
     assert known.second["right"] == pytest.approx(1.0, abs=1e-6)
@@ -114,10 +118,15 @@ def test_an_edge_that_is_never_reached_may_lie_anywhere() -> None:
 def test_a_tone_hides_most_of_the_width_at_the_frequency_of_the_reference() -> None:
     """A random signal of its rms, of which little is at that frequency, hides less."""
     tone = {"kind": "sine", "amplitude": 0.3}
-    locked = told(disturbance={**tone, "frequency": 1.0}).std["width"]
-    apart = told(disturbance={**tone, "frequency": 0.7}).std["width"]
+    locked = assess_only_output(disturbance={**tone, "frequency": 1.0}).std["width"]
+    apart = assess_only_output(disturbance={**tone, "frequency": 0.7}).std["width"]
     noisy = {"kind": "random", "rms": 0.3 / np.sqrt(2), "correlation_time": 0.25}
-    assert told().std["width"] < apart < told(disturbance=noisy).std["width"] < locked
+    assert (
+        assess_only_output().std["width"]
+        < apart
+        < assess_only_output(disturbance=noisy).std["width"]
+        < locked
+    )
 
 
 def test_of_a_nonlinear_plant_a_disturbance_counts_as_a_constant_of_its_rms() -> None:
@@ -129,7 +138,7 @@ def test_of_a_nonlinear_plant_a_disturbance_counts_as_a_constant_of_its_rms() ->
         "controller": {"method": "state_feedback", "poles": [-5.0, -6.0]},
         "simulation": {**SAMPLED, "duration": 8.0},
     }
-    alone, pushed = told(**changes), told(**changes, disturbance=SLOW)
+    alone, pushed = assess_only_output(**changes), assess_only_output(**changes, disturbance=SLOW)
     assert alone.second is None
     assert pushed.std["right"] > 5 * alone.std["right"]
     constants, rms = unknown_constants(Sine(amplitude=[0.3, 0.0], frequency=1.0), 2, 10.0)

@@ -467,9 +467,9 @@ def test_nothing_certified_is_nearer(seed: int) -> None:
 
 
 def test_nearest_keeps_what_is_certified_and_serves_several_outputs() -> None:
-    kept = nearest_certified_gains(PAPER, column(1, 1.5), np.array([10.0]))
-    assert kept.distance == 0
-    assert kept.certificate.dynamics.L.tolist() == [[1.0], [1.5]]
+    nearest = nearest_certified_gains(PAPER, column(1, 1.5), np.array([10.0]))
+    assert nearest.distance == 0
+    assert nearest.certificate.dynamics.L.tolist() == [[1.0], [1.5]]
     slower = nearest_certified_gains(zoh(PAPER, 0.01), column(1, 1.5), np.array([500.0]), 0.01)
     assert slower.certificate.dynamics.gamma[0, 0] == pytest.approx(100)
     rng = np.random.default_rng(0)

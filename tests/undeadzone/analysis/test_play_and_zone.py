@@ -131,11 +131,11 @@ def test_without_a_zone_it_is_the_play() -> None:
     gaps = {"right": 0.5, "left": 0.3}
     narrow = {"method": "kalman", "right": [0.0, 1e-9], "disturbance": 0.8, "noise": 0.01}
     run = simulate(both({"right": 0.0, "left": 0.0}, narrow, model=RANGES))
-    claim = narrow | {"right": [0.0, 1.0]}
+    ranges = narrow | {"right": [0.0, 1.0]}
     alone = simulate(slow({"kind": "play"} | gaps, NAIVE))
     naive = simulate(both({"right": 0.0, "left": 0.0}, NAIVE))
     np.testing.assert_array_equal(naive.y, alone.y)
-    of_play = follow(run, slow({"kind": "play"} | gaps, claim))
+    of_play = follow(run, slow({"kind": "play"} | gaps, ranges))
     assert run.c_hat is not None
     np.testing.assert_allclose(run.c_hat[-1], of_play.d_hat[-1], atol=5e-3)
 
@@ -334,14 +334,14 @@ def brute(linear: Matrices, z: Floats, sensor: dict[str, Any], noise: float) -> 
         before, level = level, max(min(level, now + c_l), now - c_r)
         right, left = level > sensor["right"], level < -sensor["left"]
         if (right or left) and level != before:
-            taken = [-1.0 * (level > before), level < before, -1.0 * right, left]
-            row = np.r_[(linear.C @ power)[0], np.array(taken, float)]
+            values = [-1.0 * (level > before), level < before, -1.0 * right, left]
+            row = np.r_[(linear.C @ power)[0], np.array(values, float)]
             total += np.outer(row, row) / noise**2
         power = linear.A @ power
     return total
 
 
-def told(scenario: Scenario, gaps_known: bool = False) -> tuple[Any, Floats]:
+def assess_both(scenario: Scenario, gaps_known: bool = False) -> tuple[Any, Floats]:
     """What `told_of_both` says along the reference, and the information of its readings."""
     problem = resolve_scenario(scenario)
     t = np.arange(problem.steps) * 0.01
@@ -357,7 +357,7 @@ def told(scenario: Scenario, gaps_known: bool = False) -> tuple[Any, Floats]:
 
 def test_deviations_are_those_of_all_readings() -> None:
     """Of the combinations that can be told, by the pseudo-inverse of the information."""
-    one, information = told(both({}, KALMAN, disturbance=None))
+    one, information = assess_both(both({}, KALMAN, disturbance=None))
     scale = 1 / np.sqrt(np.diag(information))
     values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
     assert (values < 1e-9 * values[-1]).sum() == 1
@@ -373,7 +373,7 @@ def test_deviations_are_those_of_all_readings() -> None:
 
 
 def test_known_gaps_leave_nothing_hidden() -> None:
-    one, information = told(both({}, KALMAN, disturbance=None), gaps_known=True)
+    one, information = assess_both(both({}, KALMAN, disturbance=None), gaps_known=True)
     cov = np.linalg.inv(information[np.ix_([0, 1, 4, 5], [0, 1, 4, 5])])
     assert one.zone.right
     assert one.zone.left
@@ -398,7 +398,7 @@ def test_one_direction_alone_does_not_tell_the_gap() -> None:
         disturbance=None,
         reference={"kind": "sine", "amplitude": 5.0, "frequency": 0.02, "phase": -np.pi / 2},
     )
-    one, _ = told(scenario)
+    one, _ = assess_both(scenario)
     assert not one.gap.width
     assert one.zone.width
     assert any("moves right alone" in reason for reason in one.zone.reasons)
@@ -418,12 +418,12 @@ def test_an_edge_that_is_not_reached_is_named_with_its_gap(amplitude: float, wor
 
 def test_check_and_run_say_the_same_in_words() -> None:
     scenario = both({"noise": 0.02}, KALMAN, model=RANGES)
-    checked, run = uz.check(scenario), simulate(scenario)
-    for text in (str(checked), str(run)):
+    verdict, run = uz.check(scenario), simulate(scenario)
+    for text in (str(verdict), str(run)):
         assert "right NO, left NO, width yes, centre NO" in text
         assert "cannot be told from one of the zone" in text
-    assert "model.play = [c_r, c_l]" in str(checked)
-    assert checked.states == (True, True)  # what mixes the centres moves no state
+    assert "model.play = [c_r, c_l]" in str(verdict)
+    assert verdict.states == (True, True)  # what mixes the centres moves no state
     known = uz.check(both({"noise": 0.02}, KALMAN))
     assert known.affirmed
 
@@ -548,9 +548,9 @@ def test_gaps_and_ranges_have_one_shape_for_any_number_of_outputs() -> None:
     assert three is not None
     np.testing.assert_array_equal(three.right, [0.5] * 3)
     pair = [[0.0, 1.0], [0.0, 2.0]]
-    claimed = resolve(Sensor(right=1.0, left=1.0, play=pair), 3, 0.01).play
-    assert claimed is not None
-    np.testing.assert_array_equal(claimed.left, [1.0] * 3)
+    resolved = resolve(Sensor(right=1.0, left=1.0, play=pair), 3, 0.01).play
+    assert resolved is not None
+    np.testing.assert_array_equal(resolved.left, [1.0] * 3)
     two = resolve(Sensor(right=1.0, left=1.0, play=pair), 2, 0.01).play  # one pair per output
     assert two is not None
     assert two.ranges is None

@@ -278,7 +278,7 @@ def test_a_gripper_is_left_out_by_naming_where_it_begins(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "expected"),
     [
         (["--at", "1,two"], "at: expected numbers with commas between"),
         (["--at", "1"], "at: "),
@@ -288,10 +288,10 @@ def test_a_gripper_is_left_out_by_naming_where_it_begins(tmp_path: Path) -> None
         (["--joints", "elbow,shoulder"], "from base to tip: shoulder, elbow"),
     ],
 )
-def test_wrong_options_are_explained(tmp_path: Path, words: list[str], told: str) -> None:
+def test_wrong_options_are_explained(tmp_path: Path, words: list[str], expected: str) -> None:
     done = undeadzone("arm", two(tmp_path), *words)
     assert done.returncode == 2
-    assert told in done.stderr
+    assert expected in done.stderr
     assert len(done.stderr.strip().split("\n")) == 1
 
 

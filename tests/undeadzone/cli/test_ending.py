@@ -73,7 +73,7 @@ def test_every_end_has_its_code_and_its_line(
     assert capfd.readouterr().err == words
 
 
-SAID = {signal.SIGINT: ("interrupted", 130), signal.SIGTERM: ("terminated", 143)}
+ENDINGS = {signal.SIGINT: ("interrupted", 130), signal.SIGTERM: ("terminated", 143)}
 FIRST = "as modules are imported"
 WHEN = {
     FIRST: "import builtins\nreal = builtins.__import__\n"
@@ -92,7 +92,7 @@ WHEN = {
 
 
 # The system itself ends a process that SIGTERM reaches before it has begun.
-MOMENTS = [(when, number) for when in WHEN for number in SAID if (when, number) != (FIRST, 15)]
+MOMENTS = [(when, number) for when in WHEN for number in ENDINGS if (when, number) != (FIRST, 15)]
 
 
 @pytest.mark.parametrize(("when", "number"), MOMENTS)
@@ -104,7 +104,7 @@ def test_a_signal_at_any_time_is_one_line(when: str, number: int) -> None:
         f"{WHEN[when]}from undeadzone.__main__ import main\nsys.argv[1:] = ['--version']\nmain()\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    word, exit_code = SAID[number]
+    word, exit_code = ENDINGS[number]
     assert (done.returncode, done.stderr) == (exit_code, f"undeadzone: {word}\n")
 
 
@@ -128,11 +128,11 @@ def test_an_unexpected_exception_is_one_line_and_its_own_code(
     capfd: pytest.CaptureFixture[str], error: Exception
 ) -> None:
     assert run_to_exit_code(raising(error)) == 70
-    said = capfd.readouterr().err
-    assert said.count("\n") == 1
-    assert "internal error at test_ending.py:" in said
-    assert type(error).__name__ in said
-    assert "UNDEADZONE_DEBUG=1" in said
+    stderr_text = capfd.readouterr().err
+    assert stderr_text.count("\n") == 1
+    assert "internal error at test_ending.py:" in stderr_text
+    assert type(error).__name__ in stderr_text
+    assert "UNDEADZONE_DEBUG=1" in stderr_text
 
 
 def test_an_error_of_the_system_is_not_blamed_on_stdout(
@@ -254,11 +254,11 @@ def test_sigterm_says_what_is_kept(tmp_path: Path, workers: int) -> None:
         assert running.stdout is not None
         running.stdout.readline()
         os.killpg(running.pid, signal.SIGTERM)
-        _, said = running.communicate()
+        _, stderr_text = running.communicate()
     assert running.returncode == 143
-    assert said.startswith("undeadzone: terminated: ")
-    assert said.endswith(f"0 of 605 runs are kept in {path}; continue with --resume\n")
-    assert said.count("\n") == 1
+    assert stderr_text.startswith("undeadzone: terminated: ")
+    assert stderr_text.endswith(f"0 of 605 runs are kept in {path}; continue with --resume\n")
+    assert stderr_text.count("\n") == 1
 
 
 def test_sigterm_stays_ignored_where_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -279,7 +279,7 @@ def test_dollars_in_a_title_lose_no_report(scenario: Path, text: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("message", "shown"),
+    ("message", "expected"),
     [
         ("kept; continue with resume=True", "kept; continue with --resume"),
         ('by columns="y=NAME,u=NAME"', "by --columns y=NAME,u=NAME"),
@@ -287,5 +287,5 @@ def test_dollars_in_a_title_lose_no_report(scenario: Path, text: str) -> None:
         ("columns: y is named twice", "columns: y is named twice"),
     ],
 )
-def test_messages_name_options_for_arguments(message: str, shown: str) -> None:
-    assert name_options(message) == shown
+def test_messages_name_options_for_arguments(message: str, expected: str) -> None:
+    assert name_options(message) == expected

@@ -74,18 +74,18 @@ def whole(table: str, group: list[str]) -> Iterator[Alternative]:
         yield Alternative(table, group)
 
 
-def taken(choice: Alternative) -> str:
+def scenario_text(choice: Alternative) -> str:
     """The template with an alternative in place of what it stands against, and nothing else."""
     text = []
     for name, lines in tables().items():
-        kept = [line for line in lines if re.match(KEY, line)]
+        selected = [line for line in lines if re.match(KEY, line)]
         if name == choice.table and name not in (*ADDED, "controller"):
-            against = AGAINST.get(name, tuple(line.split(" = ")[0] for line in kept))
-            kept = [line for line in kept if line.split(" = ")[0] not in against]
+            against = AGAINST.get(name, tuple(line.split(" = ")[0] for line in selected))
+            selected = [line for line in selected if line.split(" = ")[0] not in against]
         if name == choice.table:
-            kept += choice.lines
-        if kept:
-            text += [f"[{name}]"] * bool(name) + kept
+            selected += choice.lines
+        if selected:
+            text += [f"[{name}]"] * bool(name) + selected
     return "\n".join(text)
 
 
@@ -102,7 +102,7 @@ def test_the_template_offers_what_it_should() -> None:
 @pytest.mark.parametrize("choice", CHOICES, ids=lambda choice: f"{choice.table}-{choice.lines[0]}")
 def test_every_alternative_runs_when_it_is_taken(choice: Alternative, tmp_path: Path) -> None:
     (tmp_path / "reference.csv").write_text("0.0,0.0\n1.0,2.0\n30.0,-2.0\n")
-    scenario = parse(taken(choice), tmp_path)
+    scenario = parse(scenario_text(choice), tmp_path)
     if scenario.ensemble is not None:
         require_bound(scenario)
     run = uz.simulate(scenario | {"simulation": {"duration": 0.5}, "ensemble": None})

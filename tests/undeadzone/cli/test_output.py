@@ -69,8 +69,8 @@ def test_only_methods_without_a_sampled_form_are_replaced(
 
 def test_nothing_is_proposed_where_nothing_helps() -> None:
     repaired = example_as_repaired(5.0)
-    told = msgspec.structs.replace(repaired, observer=FullState())
-    assert export_command(Path("mine.toml"), told) == []
+    full_state = msgspec.structs.replace(repaired, observer=FullState())
+    assert export_command(Path("mine.toml"), full_state) == []
     sampled = Simulation(time="sampled", step=1e-2)
     (plain,) = export_command(Path("m.toml"), msgspec.structs.replace(repaired, simulation=sampled))
     assert plain == "undeadzone export m.toml"

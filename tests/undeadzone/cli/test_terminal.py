@@ -43,12 +43,12 @@ def on_terminal(columns: int, **variables: str) -> str:
         env=plain | variables,
     ) as process:
         os.close(its)
-        shown_there = b""
+        displayed = b""
         while piece := _read(ours):
-            shown_there += piece
+            displayed += piece
         process.wait(60)
     os.close(ours)
-    return shown_there.decode().replace("\r\n", "\n")
+    return displayed.decode().replace("\r\n", "\n")
 
 
 REMOVED = ("NO_COLOR", "COLUMNS", "LINES", "TERM", "JPY_PARENT_PID")
@@ -110,14 +110,14 @@ def test_tables_fold_to_records() -> None:
     ],
 )
 def test_shells_complete(words: str, number: int, found: set[str]) -> None:
-    asked = {
+    completion = {
         "_UNDEADZONE_COMPLETE": "bash_complete",
         "COMP_WORDS": words,
         "COMP_CWORD": str(number),
     }
     program = Path(sys.executable).with_name("undeadzone")
     done = subprocess.run(
-        [program], env=os.environ | asked, capture_output=True, text=True, check=False
+        [program], env=os.environ | completion, capture_output=True, text=True, check=False
     )
     assert {line.partition(",")[2] for line in done.stdout.split()} == found
 
@@ -127,21 +127,21 @@ def test_the_page_names_what_shells_are_told(shell: str) -> None:
     page = (ROOT / "docs/command_line.md").read_text(encoding="utf-8")
     assert f"_UNDEADZONE_COMPLETE={shell}_source undeadzone" in page
     program = Path(sys.executable).with_name("undeadzone")
-    told = subprocess.run(
+    completed = subprocess.run(
         [program],
         env=os.environ | {"_UNDEADZONE_COMPLETE": f"{shell}_source"},
         capture_output=True,
         text=True,
         check=False,
     )
-    assert "_UNDEADZONE_COMPLETE" in told.stdout
+    assert "_UNDEADZONE_COMPLETE" in completed.stdout
 
 
 def test_large_tables_are_left_out_and_named() -> None:
     assert decide_table(False, LARGE, "run.csv") == (True, {})
     assert decide_table(True, 10 * LARGE, "run.csv") == (True, {})
-    wanted, line = decide_table(False, 2.4e7, "run.csv")
-    assert not wanted
+    is_decided, line = decide_table(False, 2.4e7, "run.csv")
+    assert not is_decided
     assert line == {"left out": "run.csv, about 24 MB: --csv writes it"}
 
 

@@ -163,9 +163,9 @@ def test_a_relative_folder_is_ignored(
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
     monkeypatch.setenv(variable, "here")
     monkeypatch.chdir(tmp_path)
-    kept = cache_folder.cache_directory()
-    assert kept is None or kept.is_relative_to(tmp_path / "home")
-    assert (kept is None) == (variable == "HOME")
+    directory = cache_folder.cache_directory()
+    assert directory is None or directory.is_relative_to(tmp_path / "home")
+    assert (directory is None) == (variable == "HOME")
     assert computed() == (6.0, False)
     assert not (tmp_path / "here").exists()
 

@@ -232,12 +232,15 @@ def test_missing_samples_run_the_same(time: str) -> None:
 
 def test_simulate_takes_an_engine() -> None:
     scenario = small()
-    told: list[int] = []
-    interpreted, run = simulate(scenario), simulate(scenario, engine="lanes", progress=told.append)
+    progress: list[int] = []
+    interpreted, run = (
+        simulate(scenario),
+        simulate(scenario, engine="lanes", progress=progress.append),
+    )
     for name, column in interpreted.columns().items():
         assert identical(run.columns()[name], column), name
     assert run.info.integration_error == interpreted.info.integration_error
-    assert sum(told) == 301 + 601
+    assert sum(progress) == 301 + 601
     with pytest.raises(InputError, match="lane"):
         simulate(scenario, engine="lane")  # type: ignore[arg-type]
 
@@ -525,8 +528,8 @@ def test_fused_sums_mean_the_same_to_rounding(
     fused = fused_once(step, np.array(states))
     plain = machine_once(step, np.array(states))
     largest = np.abs(plain).max(axis=1, keepdims=True)
-    kept = np.isfinite(largest[:, 0]) & (largest[:, 0] < 1e6)
-    np.testing.assert_array_less((np.abs(fused - plain) / (1 + largest) ** 2)[kept], 1e-12)
+    finite = np.isfinite(largest[:, 0]) & (largest[:, 0] < 1e6)
+    np.testing.assert_array_less((np.abs(fused - plain) / (1 + largest) ** 2)[finite], 1e-12)
 
 
 def test_lanes_are_computed_by_vector_instructions(folder: Path) -> None:
@@ -583,9 +586,9 @@ def doubled(factor: float = 2.0) -> tuple[float, bool]:
 
 def test_the_same_graph_compiles_once_and_a_changed_one_again(folder: Path) -> None:
     assert doubled() == (6.0, False)
-    kept = list(folder.glob("*.kernel"))
+    kernels = list(folder.glob("*.kernel"))
     assert doubled() == (6.0, True)
-    assert list(folder.iterdir()) == kept
+    assert list(folder.iterdir()) == kernels
     assert doubled(2.5) == (7.5, False)
     assert len(list(folder.glob("*.kernel"))) == 2
 
@@ -639,7 +642,7 @@ print(values.tobytes().hex())
 
 
 def test_a_kernel_from_disk_has_every_bit_of_one_that_was_just_compiled(folder: Path) -> None:
-    def shown() -> str:
+    def run_kernel() -> str:
         return subprocess.run(
             [sys.executable, "-c", IN_A_PROCESS],
             capture_output=True,
@@ -648,9 +651,9 @@ def test_a_kernel_from_disk_has_every_bit_of_one_that_was_just_compiled(folder: 
             env=path_of_tests(),
         ).stdout
 
-    compiled = shown()
+    compiled = run_kernel()
     assert len(list(folder.iterdir())) == 1
-    assert shown() == compiled
+    assert run_kernel() == compiled
     assert len(list(folder.iterdir())) == 1
 
 

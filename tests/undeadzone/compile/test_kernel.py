@@ -78,13 +78,13 @@ MACHINES = {
 CEILING, SPILLED = 420, 220
 
 
-KEPT = os.environ["UNDEADZONE_CACHE"]  # kernels of earlier runs, of the engine as it is
+EARLIER_CACHE = os.environ["UNDEADZONE_CACHE"]  # kernels of earlier runs, of the engine as it is
 
 
 @pytest.fixture
-def kept_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
+def earlier_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
     """For tests of what code does, not of how it is made."""
-    monkeypatch.setenv("UNDEADZONE_CACHE", KEPT)
+    monkeypatch.setenv("UNDEADZONE_CACHE", EARLIER_CACHE)
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -114,7 +114,7 @@ def of_params(step: ca.Function, shared: bool) -> ca.Function:
     return ca.Function("step", [s, w, p], [following, mixed])
 
 
-@pytest.mark.usefixtures("kept_kernels")
+@pytest.mark.usefixtures("earlier_kernels")
 @pytest.mark.parametrize("form", FORMS.values(), ids=FORMS.keys())
 def test_every_instruction_means_the_same_in_every_form(form: Form) -> None:
     step = every_instruction()
@@ -128,7 +128,7 @@ def test_every_instruction_means_the_same_in_every_form(form: Form) -> None:
     )
 
 
-@pytest.mark.usefixtures("kept_kernels")
+@pytest.mark.usefixtures("earlier_kernels")
 @pytest.mark.parametrize("shared", [False, True], ids=["params", "inputs"])
 @pytest.mark.parametrize("fused", [False, True])
 def test_what_all_lanes_share_means_the_same_as_what_each_has(shared: bool, fused: bool) -> None:
@@ -154,7 +154,7 @@ def test_what_all_lanes_share_means_the_same_as_what_each_has(shared: bool, fuse
             assert all(map(identical, found, expected)), form
 
 
-@pytest.mark.usefixtures("kept_kernels")
+@pytest.mark.usefixtures("earlier_kernels")
 @settings(max_examples=8)
 @given(
     graphs(),
@@ -173,7 +173,7 @@ def test_random_graphs_mean_the_same_in_every_form(
     assert all(map(identical, found, lanes.run_lanes(usual, np.array(states), *nothing)))
 
 
-@pytest.mark.usefixtures("kept_kernels")
+@pytest.mark.usefixtures("earlier_kernels")
 @pytest.mark.parametrize(("name", "fused"), [*zip(FORMS, itertools.cycle([False, True]))])
 def test_a_loop_with_rare_parts_has_the_same_bits_in_every_form(name: str, fused: bool) -> None:
     """19 lanes, of which some change sides alone, some together, and some never."""
@@ -304,10 +304,10 @@ def test_code_is_made_for_other_machines(machine: Machine, width: int, register:
     binding.initialize_all_asmprinters()
     loop = prepare(resolve_scenario(small()))[0]
     assert loop.parts is not None
-    made = source_of(*loop.parts, machine=machine)
-    module = binding.parse_assembly(made.text)
+    source = source_of(*loop.parts, machine=machine)
+    module = binding.parse_assembly(source.text)
     module.verify()
-    assert made.form.lanes == width
+    assert source.form.lanes == width
     assert len(re.findall(register, machine.build_target().emit_assembly(module))) > 100
 
 
@@ -329,8 +329,8 @@ def test_machine_code_of_a_loop_stays_short() -> None:
         simulation={"duration": 3.0, "step": 1e-2, "switching": "plain"},
     )
     step = parts(scenario)[0]
-    made = source_of(step, (), machine)
-    code = machine.build_target().emit_assembly(binding.parse_assembly(made.text))
+    source = source_of(step, (), machine)
+    code = machine.build_target().emit_assembly(binding.parse_assembly(source.text))
     loop = max(re.split(r"\n(?=\.LBB)", code), key=lambda block: block.count("zmm"))
     counted = re.findall(r"\n\tv(?:fn?m(?:add|sub)|mul|add|sub|min|max|cmp)\w*pd\t", loop)
     assert 0 < len(counted) <= CEILING
@@ -342,8 +342,8 @@ def test_compiled_code_calls_nothing_but_the_c_library() -> None:
     sizes = (2, 0, 0)
     shape = Shape(sizes, (), (), tuple(range(step.size1_out(1))))
     functions = kernel.build_graphs(step, (), shape, {}, {})
-    made = kernel.print_kernel(functions, shape, host_machine(), Arithmetic(), 8)
-    assert "sin" in compile_text(made.text).calls
+    source = kernel.print_kernel(functions, shape, host_machine(), Arithmetic(), 8)
+    assert "sin" in compile_text(source.text).calls
     fused = kernel.print_kernel(functions, shape, host_machine(), Arithmetic(fused=True), 8)
     assert not {"sin", "cos", "exp", "log", "erf", "tanh"} & set(compile_text(fused.text).calls)
 
@@ -426,7 +426,7 @@ def test_another_code_has_to_win_clearly(
     eager: Path, monkeypatch: pytest.MonkeyPatch, costs: tuple[float, ...], fastest: str
 ) -> None:
     """Whatever happens to single calls; calls of odd lanes go to the first code."""
-    now, noise, kept, calls = [0.0], itertools.cycle([1.0, 1.7, 5.0]), [], []
+    now, noise, chosen, calls = [0.0], itertools.cycle([1.0, 1.7, 5.0]), [], []
 
     class Fake:
         def __init__(self, cost: float) -> None:
@@ -443,13 +443,13 @@ def test_another_code_has_to_win_clearly(
     monkeypatch.setattr(cache, "CALLS", 12)
     own: Any = Fake(costs[0])
     others = {name: partial(Fake, cost) for name, cost in zip("bc", costs[1:], strict=True)}
-    trial = cache.Trial(own, cast(Any, others), 16, kept.append)
+    trial = cache.Trial(own, cast(Any, others), 16, chosen.append)
     trial(10, 32)
     compiled_beside()
-    while not kept:
+    while not chosen:
         trial(10, 24)
         trial(10, 32)
-    assert kept == [fastest]
+    assert chosen == [fastest]
     assert {cost for cost, lanes in calls if lanes == 24} == {costs[0]}
     calls.clear()
     trial(10, 32)
@@ -465,8 +465,8 @@ def test_an_answer_is_kept_for_steps_of_the_same_size(
     again = lanes.build_kernel(step, fused=True)
     assert (again.form, again.block.trial) == (Form(4, 1, False, 0), None)
     monkeypatch.setenv("UNDEADZONE_FORM", "2,2,0,9")
-    told = lanes.build_kernel(step, fused=True)
-    assert (told.form, told.block.trial) == (Form(2, 2, False, 9), None)
+    rebuilt = lanes.build_kernel(step, fused=True)
+    assert (rebuilt.form, rebuilt.block.trial) == (Form(2, 2, False, 9), None)
     monkeypatch.delenv("UNDEADZONE_FORM")
     assert lanes.build_kernel(step, fused=True, width=16).form == host_machine().choose_form(
         1, 16

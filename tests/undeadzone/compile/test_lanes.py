@@ -61,11 +61,11 @@ def test_inputs_may_be_supplied_as_they_are_needed(monkeypatch: pytest.MonkeyPat
     kernel = lanes.build_kernel(step, exogenous=[5, 3], record=[0, 4], width=8)
     inputs = shocks(len(exogenous))
     expected = lanes.run_lanes(kernel, state, exogenous, params, inputs)
-    asked: list[tuple[int, int, int]] = []
+    requested: list[tuple[int, int, int]] = []
 
     def supply(chosen: Any) -> Callable[[int, int], Floats]:
         def source(first: int, count: int) -> Floats:
-            asked.append((int(chosen[0]), first, count))
+            requested.append((int(chosen[0]), first, count))
             return inputs[first : first + count, :, chosen]
 
         return source
@@ -75,7 +75,7 @@ def test_inputs_may_be_supplied_as_they_are_needed(monkeypatch: pytest.MonkeyPat
     assert all(map(identical, lanes.run_lanes(kernel, states, exogenous, params, supply), expected))
     in_order = [(k, min(40, 301 - k)) for k in range(0, 301, 40)]
     for lane in (0, 8, 16):
-        assert [(first, count) for which, first, count in asked if which == lane] == in_order
+        assert [(first, count) for which, first, count in requested if which == lane] == in_order
 
 
 @pytest.mark.parametrize("time", BOTH)

@@ -100,12 +100,14 @@ def test_minus_one_times_a_number_is_no_product() -> None:
 
 def calling_outputs() -> list[ca.SX]:
     """Results of a function that stays a call, called twice, and that calls another one twice."""
-    w, kept = ca.SX.sym("w", 3), {"never_inline": True}
+    w, options = ca.SX.sym("w", 3), {"never_inline": True}
     wave = ca.sin(w[0]) * w[1] + ca.exp(-(w[0] ** 2)) + ca.erf(w[0])
-    inner = ca.Function("inner", [w], [ca.vertcat(wave, w[2] / 3, w[0], 2.0)], ["w"], ["o"], kept)
+    inner = ca.Function(
+        "inner", [w], [ca.vertcat(wave, w[2] / 3, w[0], 2.0)], ["w"], ["o"], options
+    )
     deeper = inner(ca.vertcat(w[0], inner(w)[0], 0.5))
     outer = ca.Function("outer", [w], [deeper + w[1], ca.if_else(w[0] > 0, 1.0, w[1])],
-                        ["w"], ["o", "more"], kept)  # fmt: skip
+                        ["w"], ["o", "more"], options)  # fmt: skip
     first, more = outer(ca.vertcat(A, B, 0.1))
     second, _ = outer(ca.vertcat(first[0], more, B))
     return [first, second, more, inner(ca.vertcat(B, A, 1.0))]
@@ -131,20 +133,20 @@ def test_calls_that_the_graph_keeps_are_functions_of_the_same_bits(
 
 def test_instructions_of_a_call_count_at_each_call() -> None:
     x = ca.SX.sym("x")
-    kept = ca.Function("kept", [x], [ca.sin(x) + x], {"never_inline": True})
+    inner = ca.Function("kept", [x], [ca.sin(x) + x], {"never_inline": True})
     once, twice = (
-        count_instructions(ca.Function("f", [x], [whole])) for whole in (kept(x), kept(kept(x)))
+        count_instructions(ca.Function("f", [x], [whole])) for whole in (inner(x), inner(inner(x)))
     )
-    own = count_instructions(kept)
-    assert own == kept.n_instructions() - 1  # that of the output is not counted
+    own = count_instructions(inner)
+    assert own == inner.n_instructions() - 1  # that of the output is not counted
     assert twice - once == own + 1  # and the one that takes the result of a call
 
 
 def test_a_call_with_a_number_that_may_be_missing_is_written_out() -> None:
     """A function computes with numbers alone; NaN would show in none of its comparisons."""
-    w, kept = ca.SX.sym("w", 2), {"never_inline": True}
+    w, options = ca.SX.sym("w", 2), {"never_inline": True}
     seen = ca.if_else(w[0] == w[0], w[0] + w[1], -w[1])
-    called = ca.Function("called", [w], [seen], ["w"], ["o"], kept)
+    called = ca.Function("called", [w], [seen], ["w"], ["o"], options)
     reading = ca.if_else(ca.fabs(A) < 1e300, A, np.nan)
     step = stateless([A, B], [called(ca.vertcat(reading, B))])
     assert not build_code(step, False).parts
@@ -314,10 +316,10 @@ def test_a_literal_means_its_number(value: float) -> None:
         size = text.lstrip("-")
         number = limits[size] if size in limits else real(size.removesuffix("f"))
         sign = -1 if text.startswith("-") else 1
-        kept = round_to_type(value, kind)
-        assert real(number) * sign == kept
-        assert np.isfinite(kept)
-        assert (kept == 0) == (value == 0)
+        rounded = round_to_type(value, kind)
+        assert real(number) * sign == rounded
+        assert np.isfinite(rounded)
+        assert (rounded == 0) == (value == 0)
 
 
 def test_an_unknown_instruction_is_named() -> None:

@@ -124,14 +124,14 @@ def test_random_graphs_keep_their_numbers(monkeypatch: pytest.MonkeyPatch) -> No
         pool = inputs(nodes, 6)
         for _ in range(3):
             offsets, ops = random.integers(1, 4, size=12), random.choice([*FOLD], size=12)
-            made = []
+            new_nodes = []
             for _ in range(int(random.integers(2, 5))):
                 own = [pool[int(k)] for k in random.integers(0, len(pool), size=3)]
                 for op, offset in zip(ops.tolist(), offsets.tolist(), strict=True):
                     pair = [own[-1], own[-offset]]
                     own.append(nodes.intern(op, *pair[:: int(random.choice([1, -1]))]))
-                made += own[-2:]
-            pool += made
+                new_nodes += own[-2:]
+            pool += new_nodes
         results = [pool[-4:], pool[-6:-3]]
         parts: list[Part] = []
         outlined = outline_repeats(results, parts)

@@ -41,10 +41,10 @@ def test_a_brief_run_changes_to_machine_code_with_the_same_bits(
 def calling_step() -> ca.Function:
     """A step that calls a function twice, which calls another one twice."""
     w = ca.SX.sym("w", 2)
-    kept = {"never_inline": True}
-    inner = ca.Function("inner", [w], [ca.sin(w) + w[0] * w[1]], ["w"], ["out"], kept)
+    options = {"never_inline": True}
+    inner = ca.Function("inner", [w], [ca.sin(w) + w[0] * w[1]], ["w"], ["out"], options)
     middle = inner(inner(ca.vertcat(w[1], 0.5))) + ca.if_else(w[0] > 0, w, 3.0)
-    outer = ca.Function("outer", [w], [middle, w[0] / 3], ["w"], ["out", "more"], kept)
+    outer = ca.Function("outer", [w], [middle, w[0] / 3], ["w"], ["out", "more"], options)
     s, given, p = ca.SX.sym("s", 2), ca.SX.sym("w", 1), ca.SX.sym("p", 1)
     one, third = outer(ca.vertcat(s[0], given))
     other, _ = outer(one)

@@ -38,8 +38,8 @@ def run(controller: Any, simulation: dict[str, Any] | None = None, **tables: Any
 def test_the_objects_of_other_packages_are_taken_as_their_numbers() -> None:
     numerator, denominator = [2.0, 5.0], [0.05, 1.0, 0.0]
     space = control.ss(control.tf(numerator, denominator))
-    taken = LinearController(space)
-    np.testing.assert_array_equal(np.asarray(taken.A), space.A)
+    controller = LinearController(space)
+    np.testing.assert_array_equal(np.asarray(controller.A), space.A)
     expected = run({"method": "linear", "numerator": numerator, "denominator": denominator})
     systems = [
         space,

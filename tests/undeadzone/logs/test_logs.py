@@ -99,8 +99,8 @@ def test_a_reference_is_found_beside_what_is_needed_and_never_in_its_place() -> 
         assert layout.columns == [0, *layout.readings, *layout.inputs, layout.reference]
         assert "r from" in layout.columns_text
     assert layout_of_titles(titles("t,u,y,r"), 1, 1, {"r": "r"}, "log").columns == [0, 2, 1]
-    for taken in ("y=r,u=u", "y=y,u=r"):
-        chosen = parse_columns(taken)
+    for columns in ("y=r,u=u", "y=y,u=r"):
+        chosen = parse_columns(columns)
         assert layout_of_titles(titles("t,u,y,r"), None, None, chosen, "log").reference is None
     with pytest.raises(FileError, match="used twice"):
         layout_of_titles(titles("t,u,y,r"), None, None, parse_columns("r=u"), "log")

@@ -220,8 +220,8 @@ def test_the_moments_of_what_enters_are_exact(u: float) -> None:
 
 def test_widths_in_a_narrow_range_are_known_widths() -> None:
     narrow = {"right": [RIGHT - 1e-7, RIGHT + 1e-7], "left": [LEFT - 1e-7, LEFT + 1e-7]}
-    told = {"right": RIGHT, "left": LEFT}
-    runs = [outputs(loop(model={"actuator": one}, compensator=INVERSE)) for one in (narrow, told)]
+    known = {"right": RIGHT, "left": LEFT}
+    runs = [outputs(loop(model={"actuator": one}, compensator=INVERSE)) for one in (narrow, known)]
     np.testing.assert_allclose(runs[0].estimate.x, runs[1].estimate.x, atol=1e-4)
 
 

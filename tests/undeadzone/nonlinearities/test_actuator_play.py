@@ -56,9 +56,9 @@ def late(errors: Floats) -> float:
 def test_a_command_drags_its_level_along_a_record_within_its_limits() -> None:
     drive = resolve_actuator(Actuator(kind="play", right=0.5, left=0.3, limit=[-2.0, 1.5]), 1)
     u = np.cumsum(np.random.default_rng(1).standard_normal(400))[:, None]
-    kept, passed = command_memory(drive, 1, True), []
+    memory, passed = command_memory(drive, 1, True), []
     for command in u:
-        kept, now = pass_command(np, command, kept, drive, 0.01)
+        memory, now = pass_command(np, command, memory, drive, 0.01)
         passed.append(through_zone(np, now, drive))
     clipped = np.clip(u, -2.0, 1.5)
     assert np.array_equal(passed, levels(clipped, drive.gap_right, drive.gap_left, np.zeros(1)))
@@ -133,8 +133,8 @@ def test_a_play_needs_samples() -> None:
 
 
 def test_a_gap_that_is_told_wrongly_is_a_false_claim() -> None:
-    told = {"actuator": {"kind": "play", "right": 1.0, "left": 1.0}}
-    run = simulate(loop(model=told, simulation={"duration": 3.0}))
+    assumed_model = {"actuator": {"kind": "play", "right": 1.0, "left": 1.0}}
+    run = simulate(loop(model=assumed_model, simulation={"duration": 3.0}))
     assert "model.actuator excludes" in str(run)
     assert "model.actuator" not in str(simulate(loop(simulation={"duration": 3.0})))
 

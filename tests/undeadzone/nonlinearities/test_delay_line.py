@@ -26,7 +26,7 @@ ACTUATOR = (
 
 def late(
     samples: int = LATE,
-    told: int | None = None,
+    assumed: int | None = None,
     *,
     plant: str = LINEAR,
     sensor: str = ZONE,
@@ -36,7 +36,7 @@ def late(
     time: str = "sampled",
 ) -> uz.Scenario:
     """A loop that steps to 1, whose input acts some samples late."""
-    model = "" if told is None else f"[model]\ndelay = {told}\n"
+    model = "" if assumed is None else f"[model]\ndelay = {assumed}\n"
     return parse(
         f"[plant]\n{plant}delay = {samples}\n[sensor]\n{sensor}\n"
         '[reference]\nkind = "step"\namplitude = 1.0\n'
@@ -75,8 +75,8 @@ def test_the_loop_is_the_one_without_a_delay_some_samples_later(loop: str) -> No
 
 def test_a_delay_that_is_told_wrong_shows() -> None:
     right = uz.simulate(late())
-    for told in (LATE - 1, LATE + 1):
-        wrong = uz.simulate(late(LATE, told))
+    for assumed in (LATE - 1, LATE + 1):
+        wrong = uz.simulate(late(LATE, assumed))
         assert np.abs(wrong.z - right.z).max() > 0.01
         assert np.abs(wrong.z - wrong.z_hat).max() > 2 * np.abs(right.z - right.z_hat).max() + 0.01
 
@@ -114,7 +114,7 @@ def test_certified_gains_are_certified_whatever_the_delay() -> None:
     [
         ({"time": "continuous"}, 'plant.delay: .*Set simulation.time = "sampled"'),
         ({"samples": -1}, "plant.delay: expected 0 to 1000 samples, found -1"),
-        ({"told": 2000}, "model.delay: expected 0 to 1000 samples, found 2000"),
+        ({"assumed": 2000}, "model.delay: expected 0 to 1000 samples, found 2000"),
         ({"controller": 'method = "pd"\nk_p = 1.0\nk_d = 0.1'}, "'pd' feeds back the innovation"),
         ({"observer": 'method = "moving_horizon"\nright = [0.1, 0.5]'}, "computes in Python"),
     ],

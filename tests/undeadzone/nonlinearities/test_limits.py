@@ -282,8 +282,8 @@ def test_a_limit_that_the_estimate_is_beyond_says_nothing(method: str) -> None:
         state, beyond = step(state, 5.0, np.nan, 0.0)
     assert beyond.z > 4.5
     missed, _ = step(state, 5.0, np.nan, 0.0)
-    heard, _ = step(state, 5.0, 0.5, 2.0)
-    one, other = (step(after, 5.0, np.nan, 0.0)[1] for after in (missed, heard))
+    updated, _ = step(state, 5.0, 0.5, 2.0)
+    one, other = (step(after, 5.0, np.nan, 0.0)[1] for after in (missed, updated))
     for name in ("x", "right", "left", "x_std"):
         assert getattr(one, name) == pytest.approx(getattr(other, name), abs=1e-6), name
 
@@ -314,10 +314,12 @@ def test_a_limit_that_the_estimate_contradicts_moves_it(method: str) -> None:
 def test_a_bound_is_the_conditional_mean_and_variance(method: str, end: float) -> None:
     """Of z - d + v >= y, against the formulas of a truncated Gaussian computed by SciPy."""
     sensor = zone()
-    claims = {"right": [0.1, 1.9], "x_std": 0.8, "disturbance": 0.0, "glitches": 0.0}
+    assumptions = {"right": [0.1, 1.9], "x_std": 0.8, "disturbance": 0.0, "glitches": 0.0}
     if method == "censored":
-        claims |= {"bias": 0.0, "tolerance": 0.0, "calibrated": 0.0, "levels": 1}
-    options = scene(observer={"method": method} | claims, simulation={"time": "sampled"}).observer
+        assumptions |= {"bias": 0.0, "tolerance": 0.0, "calibrated": 0.0, "levels": 1}
+    options = scene(
+        observer={"method": method} | assumptions, simulation={"time": "sampled"}
+    ).observer
     model = first_order()
     observer = require_graph(options.build(model, sensor))
     y = 0.5 if end > 0 else -0.6
@@ -538,9 +540,9 @@ def test_estimate_asks_for_the_range() -> None:
     run = simulate(limited)
     silent_about_it = small("sampled", sensor=sensor, observer=observer)
     for scenario, remarks in ((limited, 0), (silent_about_it, 1)):
-        told = uz.estimate(scenario, t=run.t, y=run.y, u=run.u, smoothing=False).info
-        assert len(told.remarks) == remarks
-    assert "sensor.range = [-0.4, 0.6]" in told.remarks[0]
+        info = uz.estimate(scenario, t=run.t, y=run.y, u=run.u, smoothing=False).info
+        assert len(info.remarks) == remarks
+    assert "sensor.range = [-0.4, 0.6]" in info.remarks[0]
 
 
 def test_watch_asks_for_the_range(tmp_path: Path) -> None:

@@ -216,9 +216,9 @@ def test_a_young_line_asks_for_as_many_deviations_as_an_old_one(window: int) -> 
 def test_a_side_that_is_made_out_is_the_true_one(reading: str) -> None:
     run = simulate(slow(READINGS[reading], KALMAN))
     followed = uz.estimate(slow(READINGS[reading], KALMAN), t=run.t, y=run.y, u=run.u)
-    heard = followed.side[200:, 0] * run.side[200:, 0]
-    assert (heard > 0).sum() > 60
-    assert (heard < 0).sum() == 0
+    sides = followed.side[200:, 0] * run.side[200:, 0]
+    assert (sides > 0).sum() > 60
+    assert (sides < 0).sum() == 0
 
 
 def test_a_log_gives_what_the_run_gave() -> None:
@@ -248,10 +248,10 @@ def test_the_gap_is_found(reading: str, observer: dict[str, Any], most: float) -
 def test_a_wrong_model_is_as_bad_as_none() -> None:
     """A play that is taken for a dead zone leaves the gap's error, and the observer is wrong."""
     right = simulate(slow({"noise": 0.01}, KALMAN))
-    taken = uz.estimate(
+    estimated = uz.estimate(
         slow({"noise": 0.01, "kind": "deadzone"}, KALMAN), t=right.t, y=right.y, u=right.u
     )
-    wrong = taken.z_hat[:, 0] - right.z[:, 0]
+    wrong = estimated.z_hat[:, 0] - right.z[:, 0]
     assert late(right, wrong) > 10 * late(right, right.z[:, 0] - right.z_hat[:, 0])
 
 

@@ -79,10 +79,10 @@ def test_describing_function_is_one_minus_that_of_saturation(
 
 @given(reals, widths, widths, gains)
 def test_decomposition_and_inverse(z: float, right: float, left: float, slope: float) -> None:
-    y, taken = deadzone(z, right, left, slope), sensor.saturation(z, right, left)
-    assert y == slope * (z - taken)
-    assert -left <= taken <= right
-    assert abs(taken) <= sensor.saturation_bound(right, left)
+    y, clipped = deadzone(z, right, left, slope), sensor.saturation(z, right, left)
+    assert y == slope * (z - clipped)
+    assert -left <= clipped <= right
+    assert abs(clipped) <= sensor.saturation_bound(right, left)
     side = sensor.side(y)
     if y == 0:
         assert -left <= z <= right

@@ -13,19 +13,19 @@ from undeadzone.util.arrays import Floats
 TURN = np.array([[0.0, 1.0], [-4.0, -0.3]])
 
 
-def moved(A: Floats, told: Floats, x: Floats, h: float, steps: int) -> Floats:
+def moved(A: Floats, jacobian: Floats, x: Floats, h: float, steps: int) -> Floats:
     """x after steps of x' = A x - 0.2 x^3, with a matrix that the method is told."""
-    inverse = np.linalg.inv(np.eye(2) - GAMMA * h * told)
+    inverse = np.linalg.inv(np.eye(2) - GAMMA * h * jacobian)
     for _ in range(steps):
         x = x + rosenbrock_change(lambda z: A @ z - 0.2 * z**3, lambda b: inverse @ b, x, h)
     return x
 
 
-@pytest.mark.parametrize("told", [TURN, 0.3 * TURN, np.zeros((2, 2))])
-def test_the_error_falls_with_the_square_of_the_step_whatever_it_is_told(told: Floats) -> None:
+@pytest.mark.parametrize("jacobian", [TURN, 0.3 * TURN, np.zeros((2, 2))])
+def test_the_error_falls_with_the_square_of_the_step_whatever_it_is_told(jacobian: Floats) -> None:
     start, ends = np.array([1.0, 0.0]), []
     for steps in (40, 80, 160):
-        ends.append(moved(TURN, told, start, 2.0 / steps, steps))
+        ends.append(moved(TURN, jacobian, start, 2.0 / steps, steps))
     first, second = (np.abs(a - b).max() for a, b in itertools.pairwise(ends))
     assert first / second == pytest.approx(4.0, rel=0.15)
 

@@ -39,7 +39,7 @@ def zone(kind: Any = "deadzone", right: float = 1.0, left: float = 0.6) -> Zone:
 
 
 @pytest.mark.parametrize(
-    ("claims", "model", "kind", "expected"),
+    ("options", "model", "kind", "expected"),
     [
         ({}, MODEL, "deadzone", Censored),
         ({}, MODEL, "jump", Censored),
@@ -57,15 +57,15 @@ def zone(kind: Any = "deadzone", right: float = 1.0, left: float = 0.6) -> Zone:
     ],
 )
 def test_which_observer_is_chosen(
-    claims: dict[str, Any], model: System, kind: str, expected: type
+    options: dict[str, Any], model: System, kind: str, expected: type
 ) -> None:
-    chosen = Auto(right=RANGE, **claims).choose_observer(model, zone(kind))
+    chosen = Auto(right=RANGE, **options).choose_observer(model, zone(kind))
     assert type(chosen) is expected
     chosen.build(model, zone(kind))
 
 
 def test_every_claim_is_passed_on() -> None:
-    claims = {
+    options = {
         "right": RANGE,
         "left": [0.1, 1.0],
         "noise": 0.02,
@@ -75,10 +75,10 @@ def test_every_claim_is_passed_on() -> None:
         "correlation_time": 0.3,
         "bias": 0.4,
     }
-    claims |= {"calibrated": 0.2, "tolerance": {"A[1,0]": 0.1}, "glitches": 0.1, "centre": 0.0}
-    assert set(claims) == set(Auto.__struct_fields__)
-    chosen = Auto(**claims).choose_observer(MODEL, zone())
-    assert {name: getattr(chosen, name) for name in claims} == claims
+    options |= {"calibrated": 0.2, "tolerance": {"A[1,0]": 0.1}, "glitches": 0.1, "centre": 0.0}
+    assert set(options) == set(Auto.__struct_fields__)
+    chosen = Auto(**options).choose_observer(MODEL, zone())
+    assert {name: getattr(chosen, name) for name in options} == options
 
 
 @pytest.mark.parametrize("time", ["continuous", "sampled"])

@@ -235,8 +235,8 @@ def test_bias_and_centre_cannot_be_told_apart_and_it_says_so() -> None:
 
     The same readings, whatever is believed; the prior decides.
     """
-    told = {"bias": 0.35, "calibrated": 0.0, "tolerance": 0.1, "x_std": [10.0, 10.0]}
-    options = Censored(**EXACT | told)
+    prior_options = {"bias": 0.35, "calibrated": 0.0, "tolerance": 0.1, "x_std": [10.0, 10.0]}
+    options = Censored(**EXACT | prior_options)
     u = tones(30.0, 8.0)
     shifted = watch(options, MODEL, zone(right=1.3, left=0.6), u, np.array([0.5, 0.0]))
     biased = watch(
@@ -267,9 +267,9 @@ def test_a_calibrated_input_is_a_mixture_that_is_only_shown() -> None:
     )
     centres = [float(estimate.right[0] - estimate.left[0]) / 2 for estimate in (wide, small, mixed)]
     prior = PRIOR / np.sqrt(2)
-    shown = centres[1] * (prior**2 + 0.008**2) / prior**2  # what readings show of s
+    apparent_centre = centres[1] * (prior**2 + 0.008**2) / prior**2  # what readings show of s
     chances = [
-        weight * np.exp(-(shown**2) / (prior**2 + rms**2) / 2) / np.hypot(prior, rms)
+        weight * np.exp(-(apparent_centre**2) / (prior**2 + rms**2) / 2) / np.hypot(prior, rms)
         for weight, rms in ((0.3, 0.8), (0.7, 0.008))
     ]
     share = chances[1] / sum(chances)
@@ -311,8 +311,8 @@ def test_a_wrong_model_is_found_out() -> None:
     rng, u, x = np.random.default_rng(2), tones(30.0, 8.0), np.array([0.5, 0.0])
     errors = []
     for tolerance in (0.0, {"A[1,0]": 0.1}):
-        claims = EXACT | {"tolerance": tolerance, "glitches": 0.0}
-        observer = Censored(**claims).build(MODEL, where)
+        options = EXACT | {"tolerance": tolerance, "glitches": 0.0}
+        observer = Censored(**options).build(MODEL, where)
         step, state, z = OnNumbers(observer, MODEL), observer.init(observer.params), x
         for drive in u:
             y = sensor.deadzone(plant.linear.C @ z, where.right, where.left) + 0.01 * rng.normal(
@@ -781,8 +781,8 @@ def test_intervals_of_ambiguous_levels_hold_95_percent(shares: list[float]) -> N
     wide = wider_component_weights(ca.SX(share))
     assert float(ca.sum1(wide)) == pytest.approx(1.0)
     std = float(mixture_std(ca.SX(share), wide, [0.0] * 3, stds))
-    held = share @ (2 * norm.cdf(1.96 * std / stds) - 1)
-    assert 0.949 <= held <= 0.985
+    probability = share @ (2 * norm.cdf(1.96 * std / stds) - 1)
+    assert 0.949 <= probability <= 0.985
 
 
 def test_levels_lie_about_the_claim_and_wider_about_the_default(
@@ -796,8 +796,8 @@ def test_levels_lie_about_the_claim_and_wider_about_the_default(
 
     found: list[list[float]] = []
     monkeypatch.setattr(multiple_models, "build_multiple_models", levels)
-    told: dict[str, Any] = {"disturbance": 1.0}
-    for options in (told, told | {"levels": 2}, {}):
+    disturbance_alone: dict[str, Any] = {"disturbance": 1.0}
+    for options in (disturbance_alone, disturbance_alone | {"levels": 2}, {}):
         Censored(right=[0, 2], **options).build(MODEL, zone())
     stds = [np.sqrt(variances) for variances in found]
     np.testing.assert_allclose(stds[0], [4, 1, 1 / 4])
@@ -815,14 +815,14 @@ def test_intervals_of_an_ambiguous_bias_hold_95_percent(
     stronger, weaker = (
         gaussian.Gaussian(ca.SX(m), ca.SX(s**2)) for m, s in ((gap, narrow), (0.0, 1.0))
     )
-    shown = mix_two_gaussians(stronger, weaker, share)
-    mean, std = float(shown.mean), float(shown.cov) ** 0.5
+    mixture = mix_two_gaussians(stronger, weaker, share)
+    mean, std = float(mixture.mean), float(mixture.cov) ** 0.5
 
     def below(x: float) -> float:
         return float(share * norm.cdf((x - gap) / narrow) + (1 - share) * norm.cdf(x))
 
-    held = below(mean + 1.96 * std) - below(mean - 1.96 * std)
-    assert 0.949 <= held <= 0.985
+    probability = below(mean + 1.96 * std) - below(mean - 1.96 * std)
+    assert 0.949 <= probability <= 0.985
 
 
 def test_a_narrow_range_is_a_claim_that_lasts() -> None:
@@ -848,8 +848,8 @@ def test_mirrored_problems_have_mirrored_answers(seed: int) -> None:
     y = np.where(np.abs(y) < 0.5, 0.01 * rng.normal(size=200), y)
     y[::17], y[::31] = np.nan, 20.0
     plant = uz.Plant(A=[[0, 1], [-1, -2]], B=[0, 1], C=[1, 0])
-    told = uz.Sensor(right=1.0, left=1.0, noise=0.01)
-    here, there = (uz.Online(Censored(right=[0.0, 2.0]), plant, told, TS) for _ in range(2))
+    known_sensor = uz.Sensor(right=1.0, left=1.0, noise=0.01)
+    here, there = (uz.Online(Censored(right=[0.0, 2.0]), plant, known_sensor, TS) for _ in range(2))
     for k in range(200):
         one, other = here.update(y[k], u[k]), there.update(-y[k], -u[k])
         scale = 1 + abs(one.z[0])
@@ -878,8 +878,8 @@ def test_noise_ahead_of_the_zone_makes_no_silent_sensor_read() -> None:
 def test_a_long_correlation_makes_no_filter_deaf() -> None:
     """An edge rests for a quarter period at most, and for a 25th at least."""
 
-    def rest(**claims: Any) -> float:
-        return float(Censored(right=RANGE, **claims).build(MODEL, zone(noise=0.01)).params.rest)
+    def rest(**options: Any) -> float:
+        return float(Censored(right=RANGE, **options).build(MODEL, zone(noise=0.01)).params.rest)
 
     quarter = time_scale(MODEL.flow, TS) / TS
     assert rest(correlation_time=1e3) == rest(correlation_time=1e3, disturbance=0.0)

@@ -264,7 +264,7 @@ def test_a_tenth_of_wrong_readings_keeps_kalman_in_size() -> None:
 
 
 @pytest.mark.parametrize(
-    ("world", "least"), [(honest_problems.World(), 0.95), (honest_problems.CLAIMED, 0.8)]
+    ("world", "least"), [(honest_problems.World(), 0.95), (honest_problems.ASSUMED, 0.8)]
 )
 def test_what_the_extended_filter_is_not_told_it_doubts(
     world: honest_problems.World, least: float
@@ -287,17 +287,17 @@ def test_what_the_extended_filter_is_not_told_it_doubts(
 def test_a_gust_four_times_the_claim_is_followed() -> None:
     """Without a level above the claim z^ is off by a third more, and intervals are far wider."""
     posed = honest_problems.problems(honest_problems.Kind(gust=4.0), 2, 40, 6)
-    told = glitches.observe(glitches.doubting, posed)
+    outcome = glitches.observe(glitches.doubting, posed)
 
     def right(known: coverage.Problems, k: int) -> Any:
-        claims = glitches.doubting(known, k)
-        return msgspec.structs.replace(claims, disturbance=4.0 * known.disturbance[k])
+        observer = glitches.doubting(known, k)
+        return msgspec.structs.replace(observer, disturbance=4.0 * known.disturbance[k])
 
     knowing = glitches.observe(right, posed)
-    assert told.verdict.covered().min() >= 0.88
-    assert np.mean(told.consistent == 0) <= 0.3
-    assert np.median(told.rms / knowing.rms) < 1.1
-    widths = told.verdict.stds[:, :2] / knowing.verdict.stds[:, :2]
+    assert outcome.verdict.covered().min() >= 0.88
+    assert np.mean(outcome.consistent == 0) <= 0.3
+    assert np.median(outcome.rms / knowing.rms) < 1.1
+    widths = outcome.verdict.stds[:, :2] / knowing.verdict.stds[:, :2]
     assert np.median(widths) < 1.3
 
 
@@ -373,10 +373,10 @@ def test_a_width_beyond_its_range_refutes_the_claims_and_gains_variance(
 ) -> None:
     q: Any = SimpleNamespace(ranges=np.array([[0.0, 3.0]]))
     belief = Gaussian(ca.SX([0.0, 3.0 + excess]), ca.SX(np.diag([1.0, 1 / FAR**2])))
-    shown, consistent = clip_to_ranges(1, q, belief, doubts=True)
+    clipped, consistent = clip_to_ranges(1, q, belief, doubts=True)
     variance = 1 / FAR**2 + (excess**2 if refuted else 0.0)
-    np.testing.assert_allclose(ca.DM(shown.mean).full().ravel(), [0.0, 3.0])
-    np.testing.assert_allclose(np.diag(ca.DM(shown.cov).full()), [1.0, variance])
+    np.testing.assert_allclose(ca.DM(clipped.mean).full().ravel(), [0.0, 3.0])
+    np.testing.assert_allclose(np.diag(ca.DM(clipped.cov).full()), [1.0, variance])
     assert bool(ca.DM(consistent)) is not refuted
 
 
@@ -424,23 +424,23 @@ def test_a_filter_whose_claims_are_refuted_gains_the_offset() -> None:
         opened=none,
         scores=start_scores(1),
     )
-    shown = Estimate(*[ca.SX(0.0)] * len(Estimate._fields))._replace(
+    estimate = Estimate(*[ca.SX(0.0)] * len(Estimate._fields))._replace(
         x=ca.SX([0.0, 0.0]), right_std=ca.SX(0.1), x_std=ca.SX([0.0, 0.0])
     )
-    found = widen_intervals(SimpleNamespace(n=2, p=1), q, record, shown)  # type: ignore[arg-type]
+    found = widen_intervals(SimpleNamespace(n=2, p=1), q, record, estimate)  # type: ignore[arg-type]
     assert ca.DM(found.x_std).full()[:, 0] == pytest.approx([0.3, 0.15])
     assert float(found.right_std) == pytest.approx(0.5)  # root of (4 * 0.1)^2 + 0.3^2
 
 
 def test_what_readings_alone_say_is_the_belief_without_its_prior() -> None:
     """A uniform prior's variance on [0, 2], readings that say 5 +- .1: 3 beyond the range."""
-    low, high, told, noise = 0.0, 2.0, 5.0, 0.01
+    low, high, reading, noise = 0.0, 2.0, 5.0, 0.01
     prior = (high - low) ** 2 / 12
     variance = 1 / (1 / prior + 1 / noise)
-    mean = variance * (1.0 / prior + told / noise)
+    mean = variance * (1.0 / prior + reading / noise)
     q: Any = SimpleNamespace(ranges=np.array([[low, high]]))
     belief = Gaussian(ca.SX([0.0, mean]), ca.diag(ca.SX([1.0, variance])))
-    assert float(width_excess_square(1, q, belief)) == pytest.approx((told - high) ** 2)
+    assert float(width_excess_square(1, q, belief)) == pytest.approx((reading - high) ** 2)
 
 
 @pytest.mark.parametrize(("times", "gained"), [(0.9, False), (1.1, True)])

@@ -34,8 +34,8 @@ def test_unknowns_behind_gaps_are_taken_for_told() -> None:
     zones = SimpleNamespace(middle=np.zeros(2))
     doubt = SimpleNamespace(std=np.ones(3))
     q: Any = SimpleNamespace(doubt=doubt, gaps=SimpleNamespace(std=np.ones(1)), zones=zones)
-    told = ca.DM(information_shares(q, model, cov)).full()[:, 0]
-    np.testing.assert_allclose(told, [1.0, 0.5, 0.0, 1.0, np.sqrt(0.5), 1.0, 1.0])
+    shares = ca.DM(information_shares(q, model, cov)).full()[:, 0]
+    np.testing.assert_allclose(shares, [1.0, 0.5, 0.0, 1.0, np.sqrt(0.5), 1.0, 1.0])
 
 
 def test_friction_of_one_of_two_loads_that_is_not_known_becomes_an_unknown() -> None:
@@ -57,8 +57,8 @@ def test_a_parameter_is_shown_with_its_deviation() -> None:
         model=SimpleNamespace(n=1, p=1), augmentation=augmentation, shape=SimpleNamespace(first=4)
     )
     q: Any = SimpleNamespace(model=np.array([5.0, 3.0]))
-    shown = Gaussian(ca.SX([1.0, 0.1, 0.1, 7.0]), ca.SX(np.diag([1.0, 4.0, 9.0, 0.04])))
+    belief = Gaussian(ca.SX([1.0, 0.1, 0.1, 7.0]), ca.SX(np.diag([1.0, 4.0, 9.0, 0.04])))
     nothing = Estimate(*[np.zeros(0)] * len(Estimate._fields))
-    found = add_unknown_estimates(setup, q, nothing, shown, ca.SX(0.0))
+    found = add_unknown_estimates(setup, q, nothing, belief, ca.SX(0.0))
     assert float(found.theta) == 10.0
     assert float(found.theta_std) == pytest.approx(0.2)

@@ -137,31 +137,36 @@ def passages(samples: int, speed: float, spread: float) -> tuple[Any, Any, Any]:
     rng = np.random.default_rng(1)
     place = rng.normal(-1.0, spread, 200_000)
     h, slack = ca.DM([[1.0]]), 1e-8
-    true, told, cut = [], [], []
-    whole, kept = Gaussian(ca.SX(-1.0), ca.SX(spread**2)), Gaussian(ca.SX(-1.0), ca.SX(spread**2))
+    true, by_shares, cut = [], [], []
+    whole, truncated = (
+        Gaussian(ca.SX(-1.0), ca.SX(spread**2)),
+        Gaussian(ca.SX(-1.0), ca.SX(spread**2)),
+    )
     waiting = place <= 0
     for _ in range(samples):
         before = chance_beyond(whole, h, whole.mean, slack)
         place, whole = place + speed, Gaussian(whole.mean + speed, whole.cov)
         true.append(np.mean(place[waiting] > 0))
         waiting &= place <= 0
-        told.append(
+        by_shares.append(
             float(
                 ca.evalf(arrival_shares([before], [chance_beyond(whole, h, whole.mean, slack)])[0])
             )
         )
-        kept = Gaussian(kept.mean + speed, kept.cov)
-        cut.append(float(ca.evalf(chance_beyond(kept, h, kept.mean, slack))))
-        shift, lost, _ = truncate_to_range(kept.mean, kept.cov, -1e3, 0.0)
-        kept = Gaussian(kept.mean + kept.cov * shift, kept.cov - lost * kept.cov**2)
-    return np.array(true), np.array(told), np.array(cut)
+        truncated = Gaussian(truncated.mean + speed, truncated.cov)
+        cut.append(float(ca.evalf(chance_beyond(truncated, h, truncated.mean, slack))))
+        shift, lost, _ = truncate_to_range(truncated.mean, truncated.cov, -1e3, 0.0)
+        truncated = Gaussian(
+            truncated.mean + truncated.cov * shift, truncated.cov - lost * truncated.cov**2
+        )
+    return np.array(true), np.array(by_shares), np.array(cut)
 
 
 def test_shares_of_first_passage_are_those_of_monte_carlo_and_cuts_are_not() -> None:
     """A belief that is cut in every sample narrows without news: its shares run away."""
-    true, told, cut = passages(60, 0.03, 0.4)
+    true, by_shares, cut = passages(60, 0.03, 0.4)
     near = 4 * np.sqrt(true / 200_000 / np.maximum(np.cumprod(1 - true), 1e-3)) + 1e-4
-    assert (np.abs(told - true) < near).all()
+    assert (np.abs(by_shares - true) < near).all()
     assert np.abs(cut[-10:] / true[-10:] - 1).min() > 0.1
 
 
@@ -207,11 +212,11 @@ def test_gap_payload_and_friction_are_found_on_the_way(run: uz.Run) -> None:
 def test_a_contact_that_is_told_far_too_slow_is_found_firm() -> None:
     """Wind-up that is not there would put the link elsewhere: 1.7 mrad where firmness is known."""
     slow = {"parameters": {"payload": 0.0, "contact1": 60.0}}
-    told = uz.simulate(servo(model=slow, observer={"centre": 0.0}))
-    half, std = float(told.d_hat[-1].ravel()[0]), float(told.d_std[-1].ravel()[0])
+    slow_run = uz.simulate(servo(model=slow, observer={"centre": 0.0}))
+    half, std = float(slow_run.d_hat[-1].ravel()[0]), float(slow_run.d_std[-1].ravel()[0])
     assert abs(half / 0.03 - 1) < 0.05
     assert abs(half - 0.03) < 2 * std
-    assert np.sqrt(np.mean((told.z - told.z_hat)[-2000:] ** 2)) < 0.0016
+    assert np.sqrt(np.mean((slow_run.z - slow_run.z_hat)[-2000:] ** 2)) < 0.0016
 
 
 def test_engines_agree() -> None:
@@ -223,8 +228,8 @@ def test_engines_agree() -> None:
 
 def test_before_a_first_reading_nothing_is_foretold() -> None:
     """A run whose first reading is missing begins with the next one."""
-    told = servo(simulation={"duration": 0.05}, sensor={"dropout": 0.5})
-    run = uz.simulate(told)
+    scenario = servo(simulation={"duration": 0.05}, sensor={"dropout": 0.5})
+    run = uz.simulate(scenario)
     assert np.isfinite(run.z_hat).all()
     assert np.abs(run.z_hat - run.z)[-1] < 0.06
 
@@ -234,9 +239,9 @@ def test_before_a_first_reading_nothing_is_foretold() -> None:
 
 def test_one_joint_alone_is_the_coupled_filter() -> None:
     """Where its payload is told, which bends its dynamics; gravity is linear within a sample."""
-    short, told = {"duration": 0.2}, {"payload": [0.2, 0.2]}
-    coupled = uz.simulate(servo(simulation=short, observer=told))
-    alone = uz.simulate(servo(simulation=short, observer=told | {"joints": "separate"}))
+    short, options = {"duration": 0.2}, {"payload": [0.2, 0.2]}
+    coupled = uz.simulate(servo(simulation=short, observer=options))
+    alone = uz.simulate(servo(simulation=short, observer=options | {"joints": "separate"}))
     assert np.allclose(alone.z_hat, coupled.z_hat, rtol=0, atol=1e-6)
     assert np.allclose(alone.d_std, coupled.d_std, rtol=1e-4)
 
@@ -272,13 +277,15 @@ def test_joint_by_joint_gaps_are_less_sure_by_their_coupling() -> None:
     reading = Reading(ca.SX(problem.x0[:2]), ca.SX.zeros(2))
     for coupling in ([1.0, 2.6], [8.0 * 1.3, 2.0], [1e3, 1e3]):
         now = first._replace(modes=surer, coupling=np.array(coupling))
-        after, shown = observer.step(observer.params, now, ca.SX.zeros(2), reading)
-        stds.append(np.asarray(ca.evalf(shown.width_std)).ravel())
+        after, estimate = observer.step(observer.params, now, ca.SX.zeros(2), reading)
+        stds.append(np.asarray(ca.evalf(estimate.width_std)).ravel())
         assert (np.asarray(ca.evalf(after.coupling)).ravel() >= coupling).all()
-    claimed = 2 * np.ptp(np.broadcast_to(example["observer"]["half"], (2, 2)), axis=1) / np.sqrt(12)
-    assert (stds[0] < claimed / 3).all()
+    range_std = (
+        2 * np.ptp(np.broadcast_to(example["observer"]["half"], (2, 2)), axis=1) / np.sqrt(12)
+    )
+    assert (stds[0] < range_std / 3).all()
     assert stds[1] == pytest.approx(stds[0] * [2.0, 1.0], rel=1e-3)
-    assert stds[2] == pytest.approx(claimed, rel=1e-3)
+    assert stds[2] == pytest.approx(range_std, rel=1e-3)
 
 
 def test_what_a_motor_tells_of_its_gears_moves_the_free_links_of_others() -> None:
@@ -286,11 +293,11 @@ def test_what_a_motor_tells_of_its_gears_moves_the_free_links_of_others() -> Non
     gears = build_geared_arm(build_two_link(), Gears(half=0.05, inertia=[0.08, 0.03]))
     mean = ca.DM([0.3, 0.8, 0.3, 0.8, *[0.0] * 17])
     belief = Gaussian(ca.SX(11, 1), ca.SX.eye(11))
-    told = Posterior((), (belief,) * 3, belief, belief.mean, 0.0, 1.0)
+    posterior = Posterior((), (belief,) * 3, belief, belief.mean, 0.0, 1.0)
     arm = mean_posture(gears, gears.values, mean, ca.DM.zeros(2))
     news, impulse = ca.SX(21, 1), 0.2
     news[5] = -impulse / 0.03  # the second motor, slower than was foretold
-    first, second = apply_gear_impulses([(0,), (1,)], [told, told], news, arm)
+    first, second = apply_gear_impulses([(0,), (1,)], [posterior, posterior], news, arm)
     right, free, left = (float(one.mean[3]) for one in first.beliefs)
     answer = np.asarray(ca.evalf(build_drive(gears, 1e-3, 1).mobility(gears.values, mean)))
     assert free == pytest.approx(PASSED * impulse * answer[2, 1])
@@ -305,8 +312,8 @@ def test_three_filters_find_a_gap_that_one_of_them_had_locked_on() -> None:
     row = next(row for row in gears.rows() if row.label == "servo, horizontal")
     seed = 14079
     arm = row.draw(np.random.default_rng(seed))
-    told = gears.changed(row.scenario, observer={"centre": 0.0})
-    three = gears.outcome(gears.bench(told), arm, seed)
+    centred = gears.changed(row.scenario, observer={"centre": 0.0})
+    three = gears.outcome(gears.bench(centred), arm, seed)
     assert abs(three.score[0]) < 3
     assert three.half[0] == pytest.approx(1.0, abs=0.25)
 
@@ -314,10 +321,12 @@ def test_three_filters_find_a_gap_that_one_of_them_had_locked_on() -> None:
 def test_filters_count_by_their_shares_and_one_that_overflows_is_renewed() -> None:
     rng, entries = np.random.default_rng(0), Layout(1).entry_count
     beliefs = [Gaussian(ca.SX(rng.normal(size=entries)), ca.SX.eye(entries)) for _ in range(2)]
-    told = []
+    posteriors = []
     for belief, e in zip(beliefs, (1.0, 3.0), strict=True):
-        told.append(Posterior((0.2, 0.3, 0.5), (belief,) * 3, belief, belief.mean, e, 2.0, 0.0))
-    both = mix_posteriors(told, (ca.SX([0.5, 0.5]), ca.SX([0.25, 0.75])))
+        posteriors.append(
+            Posterior((0.2, 0.3, 0.5), (belief,) * 3, belief, belief.mean, e, 2.0, 0.0)
+        )
+    both = mix_posteriors(posteriors, (ca.SX([0.5, 0.5]), ca.SX([0.25, 0.75])))
     first, second = (np.asarray(ca.evalf(belief.mean)).ravel() for belief in beliefs)
     mean, off = 0.25 * first + 0.75 * second, first - second
     assert np.asarray(ca.evalf(both.whole.mean)).ravel() == pytest.approx(mean)
@@ -329,9 +338,11 @@ def test_filters_count_by_their_shares_and_one_that_overflows_is_renewed() -> No
     assert float(both.e) == pytest.approx(2.0)
     assert float(both.std) == pytest.approx(np.sqrt(4 + 1))
     runaway = Gaussian(ca.SX(np.full(entries, np.nan)), beliefs[0].cov)
-    lost = told[0]._replace(beliefs=(runaway,) * 3, whole=runaway, news=runaway.mean, log=LOST)
-    kept = replace_diverged([told[1], lost])
-    for one in kept:
+    lost = posteriors[0]._replace(
+        beliefs=(runaway,) * 3, whole=runaway, news=runaway.mean, log=LOST
+    )
+    renewed = replace_diverged([posteriors[1], lost])
+    for one in renewed:
         assert (np.asarray(ca.evalf(one.whole.mean)).ravel() == second).all()
         assert (np.asarray(ca.evalf(one.beliefs[2].mean)).ravel() == second).all()
 
@@ -344,8 +355,8 @@ def test_a_joint_has_up_to_three_filters() -> None:
         resolve_scenario(servo(observer={"starts": 4}))
 
 
-@pytest.mark.parametrize(("speed", "heard"), [(0.0, 0.0), (2.0, 1.0)])
-def test_joint_by_joint_a_gap_is_not_told_by_a_link_that_rests(speed: float, heard: float) -> None:
+@pytest.mark.parametrize(("speed", "share"), [(0.0, 0.0), (2.0, 1.0)])
+def test_joint_by_joint_a_gap_is_not_told_by_a_link_that_rests(speed: float, share: float) -> None:
     """A link that comes upon a flank, 10 mrad later than foretold; the motor has a speed."""
     gears = build_geared_arm(build_two_link(), Gears(half=0.05, inertia=[0.08, 0.03]))
     of, mean = Layout(2).slice_of, ca.DM.zeros(Layout(2).entry_count)
@@ -353,13 +364,13 @@ def test_joint_by_joint_a_gap_is_not_told_by_a_link_that_rests(speed: float, hea
     mean[of("half")], mean[of("motor_speed").start], mean[of("link").start] = 0.05, speed, -0.06
     belief = Gaussian(ca.SX(mean), 1e-4 * ca.SX.eye(Layout(2).entry_count))
 
-    def told(apart: bool) -> float:
+    def gap_shift(apart: bool) -> float:
         q = SimpleNamespace(model=gears.values, slack=1e-8, impact=0.3)
         drive = build_drive(gears, 1e-3, 1, apart)
         return float(condition_on_impact(drive, q, 0, -1, belief).mean[place]) - 0.05
 
-    assert abs(told(False)) > 1e-3
-    assert told(True) == pytest.approx(heard * told(False), abs=1e-9)
+    assert abs(gap_shift(False)) > 1e-3
+    assert gap_shift(True) == pytest.approx(share * gap_shift(False), abs=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -380,8 +391,8 @@ def test_a_half_gap_drifts_up_to_a_share_of_its_claim(spread: float, part: float
     gears = build_geared_arm(build_two_link(), Gears(half=0.05, inertia=[0.08, 0.03]))
     drive = build_drive(gears, 1e-3, 1)
     entries, half = drive.layout.entry_count, drive.layout.slice_of("half").start
-    claim, Q = 0.06, np.full(entries, 1e-9)
-    variance = (spread * OPEN * claim) ** 2
+    half_range, Q = 0.06, np.full(entries, 1e-9)
+    variance = (spread * OPEN * half_range) ** 2
     cov = ca.SX.zeros(entries, entries)
     cov[half, half] = variance
     q = SimpleNamespace(
@@ -389,7 +400,7 @@ def test_a_half_gap_drifts_up_to_a_share_of_its_claim(spread: float, part: float
         Q=Q,
         rest=np.zeros(2),
         least=np.zeros(2),
-        most=np.full(entries, (OPEN * claim) ** 2),
+        most=np.full(entries, (OPEN * half_range) ** 2),
     )
     belief = Gaussian(ca.SX(ca.DM.zeros(entries)), cov)
     after = _move_mode(drive, q, (0, 0), Mode(ca.SX(1.0), belief), ca.DM.zeros(2)).belief.cov
@@ -459,10 +470,10 @@ def test_exported_C_has_every_bit_and_fits_a_microcontroller(
 ) -> None:
     """Its self-test compares the bits with the reference's; step and flash are estimates."""
     monkeypatch.setattr(exporting, "STEPS", 200)  # of the comparison with double
-    said: list[str] = []
+    messages: list[str] = []
     three = servo(simulation={"duration": 0.01})
-    report = exporting.export(three, out=tmp_path / "three", notify=said.append).report
-    assert said[0].endswith(" to write, compile and compare; observer.starts = 1 takes less")
+    report = exporting.export(three, out=tmp_path / "three", notify=messages.append).report
+    assert messages[0].endswith(" to write, compile and compare; observer.starts = 1 takes less")
     assert "Cortex-M4F (STM32F4)" in report["leaner"]["starts = 1"]
     one = servo(simulation={"duration": 0.2}, observer={"starts": 1})
     done = uz.export(one, out=tmp_path / "fw")
@@ -476,15 +487,15 @@ def test_exported_C_has_every_bit_and_fits_a_microcontroller(
 
 def test_starts_that_found_other_gaps_widen_what_is_shown() -> None:
     """By a tenth of their odds; a start that was wrong by far counts no more."""
-    half, told = Layout(1).slice_of("half").start, []
+    half, posteriors = Layout(1).slice_of("half").start, []
     for gap, std in ((0.02, 0.001), (0.03, 0.002)):
         mean, cov = ca.SX.zeros(11, 1), ca.SX.eye(11)
         mean[half], cov[half, half] = gap, std**2
-        told.append(Posterior((), (), Gaussian(mean, cov), mean, 0.0, 1.0))
-    shown = ca.SX.zeros(11, 1)
-    shown[half] = 0.02
+        posteriors.append(Posterior((), (), Gaussian(mean, cov), mean, 0.0, 1.0))
+    estimate = ca.SX.zeros(11, 1)
+    estimate[half] = 0.02
     for log, share in ((0.0, 0.5), (-10.0, 1 / (1 + np.e)), (-60.0, 0.0025)):
-        found = variance_of_starts(Layout(1), [(0,)], [told], [ca.SX([0.0, log])], shown)
+        found = variance_of_starts(Layout(1), [(0,)], [posteriors], [ca.SX([0.0, log])], estimate)
         expected = (1 - share) * 0.001**2 + share * (0.002**2 + 0.01**2)
         assert float(found) == pytest.approx(expected, rel=0.03)
 
@@ -536,15 +547,15 @@ def test_claims_become_ranges_and_deviations_of_a_uniform_law() -> None:
     tables["plant"]["arm"]["gears"]["centre"] = 0.003
     tables["observer"] |= {"half": [0.01, 0.05], "centre": 0.002}
     observer = resolve_scenario(convert(tables)).observer
-    wanted = [[0.007, 0.059], [0.001, 0.053]]
-    np.testing.assert_allclose(observer.traits.ranges, wanted, rtol=1e-12)
+    expected = [[0.007, 0.059], [0.001, 0.053]]
+    np.testing.assert_allclose(observer.traits.ranges, expected, rtol=1e-12)
     start, layout = observer.params.start[0][0], Layout(1)
     assert layout.slice_of("payload").stop == layout.entry_count  # so its variance comes last
     np.testing.assert_allclose([cov[-1] for cov in start.covs], 0.5**2 / 12, rtol=1e-12)
 
 
 def test_a_gap_is_shown_with_its_deviation(run: uz.Run) -> None:
-    [[shown, _]] = final_width_rows(run)
+    [[gap, _]] = final_width_rows(run)
     assert run.width_std is not None
-    assert shown.std == run.width_std[-1, 0] > 0
-    assert shown.value == pytest.approx(float(run.d_hat[-1].sum()))
+    assert gap.std == run.width_std[-1, 0] > 0
+    assert gap.value == pytest.approx(float(run.d_hat[-1].sum()))

@@ -40,13 +40,13 @@ def test_a_link_moves_the_motors_that_joints_of_other_filters_touch(groups: Any)
 
 
 def test_payloads_of_joints_count_by_their_variance_and_err_alike() -> None:
-    stds, payloads, told = np.array([0.1, 0.3]), np.array([0.4, 0.8]), []
+    stds, payloads, posteriors = np.array([0.1, 0.3]), np.array([0.4, 0.8]), []
     for std, payload in zip(stds, payloads, strict=True):
         mean, cov = ca.SX(Layout(1).entry_count, 1), ca.SX.eye(Layout(1).entry_count)
         mean[-1], cov[-1, -1] = payload, std**2
         news, e, one = ca.SX(mean.shape[0], 1), ca.SX(0.0), ca.SX(1.0)
-        told.append(Posterior((), (), Gaussian(mean, cov), news, e, one))
-    whole = join_posteriors(Layout(2), ALONE, told).whole
+        posteriors.append(Posterior((), (), Gaussian(mean, cov), news, e, one))
+    whole = join_posteriors(Layout(2), ALONE, posteriors).whole
     weights = stds**-2.0 / np.sum(stds**-2.0)
     assert float(whole.mean[-1]) == pytest.approx(weights @ payloads)
     assert float(whole.cov[-1, -1]) == pytest.approx((weights @ stds) ** 2)
@@ -88,9 +88,9 @@ def test_the_coupling_in_a_posture_is_that_of_the_verdict() -> None:
         gears=SimpleNamespace(joint_count=3), mass=ca.SX(mass), inverse=ca.SX(inverse)
     )
     for groups in (((0,), (1,), (2,)), ((0, 2), (1,))):
-        told = largest_couplings(cast("Any", body), np.zeros(0), np.zeros((1, 3)), groups)
+        expected = largest_couplings(cast("Any", body), np.zeros(0), np.zeros((1, 3)), groups)
         found = ca.evalf(group_couplings(groups, cast("Any", arm)))
-        assert np.asarray(found).ravel() == pytest.approx([each.ratio for each in told])
+        assert np.asarray(found).ravel() == pytest.approx([each.ratio for each in expected])
     mass, inverse = mass[:2, :2], np.linalg.inv(mass[:2, :2])
     pair = SimpleNamespace(
         gears=SimpleNamespace(joint_count=2), mass=ca.SX(mass), inverse=ca.SX(inverse)

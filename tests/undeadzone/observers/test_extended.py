@@ -388,15 +388,15 @@ def test_an_unknown_payload_is_found_and_does_not_harm_the_widths() -> None:
         "correlation_time": 0.1,
     }
     loaded = believed.params + 0.5 * np.array([name == "payload" for name in believed.names])
-    told, untold, trusting = (
+    informed, untold, trusting = (
         watcher(Extended(**options, uncertain=uncertain, glitches=share), believed, zone(2))(
             path, 2, widths, params=loaded
         )
         for uncertain, share in (({"payload": 0.5}, 0.05), ({}, 0.05), ({}, 0.0))
     )
-    assert told.extra[-1] == pytest.approx(0.5, abs=0.01)
-    assert (np.abs(told.right(widths)) < 3).all()
-    assert told.estimate.consistent[-1] == 1
+    assert informed.extra[-1] == pytest.approx(0.5, abs=0.01)
+    assert (np.abs(informed.right(widths)) < 3).all()
+    assert informed.estimate.consistent[-1] == 1
     # untold it is wrong, and knows it unless it takes all readings for right
     assert (np.abs(untold.right(widths)) < 3).all()
     assert untold.estimate.consistent[-1] == 0

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from benchmarks import claims as benchmark
-from benchmarks.honesty import CLAIMS as CLAIMED
+from benchmarks.honesty import ASSUMPTIONS
 
 import undeadzone as uz
 from undeadzone.interfaces import (
@@ -50,8 +50,8 @@ def test_the_likeliest_is_told_in_full_and_the_others_by_name() -> None:
     assert describe_rejected_assumptions([]) == []
     gust = f"{ASSUMPTION_CHECKS['gust'].words}: {ASSUMPTION_CHECKS['gust'].cure()}"
     assert describe_rejected_assumptions(["gust"]) == [gust]
-    told = describe_rejected_assumptions(["gust", "noise", "range"])
-    assert told == [gust, "the same readings speak against noise, range"]
+    described = describe_rejected_assumptions(["gust", "noise", "range"])
+    assert described == [gust, "the same readings speak against noise, range"]
 
 
 def test_no_option_is_advised_that_the_method_does_not_have() -> None:
@@ -63,8 +63,8 @@ def test_no_option_is_advised_that_the_method_does_not_have() -> None:
 
 
 def test_a_filter_says_what_it_cannot_be_told() -> None:
-    said = describe_unknowns(uz.Kalman.__struct_fields__)
-    assert "a constant at the input (observer.bias) or an error of the model" in said
+    described = describe_unknowns(uz.Kalman.__struct_fields__)
+    assert "a constant at the input (observer.bias) or an error of the model" in described
     for knowing in (uz.Censored, uz.Auto, uz.Extended, uz.Luenberger):
         assert not describe_unknowns(knowing.__struct_fields__)
 
@@ -109,12 +109,12 @@ def followed(regress: Callable[[Any], Any], count: int = 400) -> dict[str, list[
     state: list[Any] = list(start_scores(lanes))
     for _ in range(count):
         own = Scores(*[ca.DM(part).full().ravel() for part in state])
-        shown = rng.normal(size=(2, lanes))
-        state = step.call([*state, rng.normal(size=lanes) + regress(own), *shown])
-    kept = [ca.DM(part).full().ravel() for part in state]
+        draws = rng.normal(size=(2, lanes))
+        state = step.call([*state, rng.normal(size=lanes) + regress(own), *draws])
+    parts = [ca.DM(part).full().ravel() for part in state]
     found: dict[str, list[float]] = {}
     for lane in range(lanes):
-        one = Scores(*[ca.SX(part[lane]) for part in kept])
+        one = Scores(*[ca.SX(part[lane]) for part in parts])
         for name, ratio in assumption_ratios(doubt, one).items():
             found.setdefault(name, []).append(float(ratio))
     return found
@@ -173,8 +173,8 @@ def test_readings_are_refused_in_rows_again_and_again(
     after = update_scores(q, each, e, e, 1 - refuse, refuse, Reading(read, 0.0), ca.SX(0.0))
     step = ca.Function("step", [*each, e, refuse, read], list(after))
     state: list[Any] = list(start_scores(1))
-    rng, told = np.random.default_rng(0), np.resize(refused, 650)
-    for k, one in enumerate(told):
+    rng, is_refused = np.random.default_rng(0), np.resize(refused, 650)
+    for k, one in enumerate(is_refused):
         state = step.call([*state, 9.0 if one else rng.normal(), float(one), y[k % 2]])
     ratio = assumption_ratios(doubt, Scores(*[ca.SX(part) for part in state]))["sensor"]
     assert (float(ratio) > 1) is found
@@ -187,22 +187,22 @@ def log(lag: float = 0.0, noise: float = 1.0, offset: float = 0.0) -> tuple[Any,
     """Readings and inputs of a plant of first order, with something that nobody claims."""
     rng, t = np.random.default_rng(0), TS * np.arange(N)
     u = 6.0 * np.sin(1.3 * t) + 3.0 * np.sin(3.1 * t + 1.0)
-    kept = np.exp(-TS / lag) if lag else 0.0
+    decay = np.exp(-TS / lag) if lag else 0.0
     x = moved = 0.0
     y = np.empty(N)
     for k in range(N):
         y[k] = x - min(max(x, -LEFT), RIGHT) + offset + noise * NOISE * rng.normal()
-        moved = kept * moved + (1 - kept) * u[k]
+        moved = decay * moved + (1 - decay) * u[k]
         x = np.exp(-RATE * TS) * x + (1 - np.exp(-RATE * TS)) * moved
     return y, u
 
 
-def scenario(**claims: Any) -> uz.Scenario:
+def scenario(**options: Any) -> uz.Scenario:
     """The filter of that plant, which is told all else."""
     return uz.Scenario(
         plant=uz.Plant(A=[[-RATE]], B=[[RATE]], C=[[1]]),
         sensor=uz.Sensor(right=RIGHT, left=LEFT, noise=NOISE),
-        observer=uz.Extended(**({"right": [0.3, 2.0], "disturbance": 0.1} | claims)),
+        observer=uz.Extended(**({"right": [0.3, 2.0], "disturbance": 0.1} | options)),
         reference=uz.Sine(amplitude=1.0, frequency=0.3),
         controller=uz.StateFeedback(poles=[-3.0]),
         simulation=uz.Simulation(duration=1.0, time="sampled", step=TS),
@@ -210,7 +210,7 @@ def scenario(**claims: Any) -> uz.Scenario:
 
 
 @pytest.mark.parametrize(
-    ("name", "wrong", "claims"),
+    ("name", "wrong", "options"),
     [
         ("", {}, {}),
         ("noise", {"noise": 4.0}, {}),
@@ -220,24 +220,24 @@ def scenario(**claims: Any) -> uz.Scenario:
     ],
 )
 def test_a_log_names_the_claim_that_is_false(
-    name: str, wrong: dict[str, float], claims: dict[str, Any]
+    name: str, wrong: dict[str, float], options: dict[str, Any]
 ) -> None:
     y, u = log(**wrong)
-    result = uz.estimate(scenario(**claims), y=y, u=u, smoothing=False)
+    result = uz.estimate(scenario(**options), y=y, u=u, smoothing=False)
     assert result.info.claims[:1] == [name][: bool(name)]
     assert result.consistent is not bool(name)
     if name:
-        told = describe_rejected_assumptions([name], uz.Extended.__struct_fields__)
-        assert told[0] in repr(result)
+        described = describe_rejected_assumptions([name], uz.Extended.__struct_fields__)
+        assert described[0] in repr(result)
         assert result.summary()["claims"][0] == name
 
 
-@pytest.mark.parametrize(("claims", "least"), [("told", 0.75), ("ranges alone", 0.85)])
-def test_logs_that_are_glued_are_named_and_held(claims: str, least: float) -> None:
+@pytest.mark.parametrize(("assumptions", "least"), [("told", 0.75), ("ranges alone", 0.85)])
+def test_logs_that_are_glued_are_named_and_held(assumptions: str, least: float) -> None:
     """Their states jump: where z has gone since is hardly known, and the intervals show that."""
     glued = benchmark.ROWS["glued from 21 pieces"]
-    posed = benchmark.posed_of(glued, 1, 40, 77, benchmark.CLAIMED_WORLDS[0])
-    found = benchmark.part(CLAIMED[claims], posed)
+    posed = benchmark.posed_of(glued, 1, 40, 77, benchmark.ASSUMED_WORLDS[0])
+    found = benchmark.part(ASSUMPTIONS[assumptions], posed)
     named = found.suspects == 1 + list(ASSUMPTION_CHECKS).index("sensor")
     assert np.mean(found.suspects > 0) >= 0.7
     assert named.mean() >= 0.7
@@ -274,9 +274,9 @@ def test_where_readings_stay_is_told_in_units_of_z() -> None:
     assert float(of_scores(8.0, 8.0, 4.0).rest) == pytest.approx(0.5 * 2.0)
 
 
-@pytest.mark.parametrize(("y", "held"), [(8.0, 0.5), (0.0, 0.0)])
-def test_a_silent_sensor_is_not_held_for_a_stuck_one(y: float, held: float) -> None:
-    assert float(of_scores(y, y, 1.0).held) == held
+@pytest.mark.parametrize(("y", "expected"), [(8.0, 0.5), (0.0, 0.0)])
+def test_a_silent_sensor_is_not_held_for_a_stuck_one(y: float, expected: float) -> None:
+    assert float(of_scores(y, y, 1.0).held) == expected
 
 
 def test_scores_of_small_inputs_are_normal_numbers_too() -> None:

@@ -456,9 +456,9 @@ def test_a_scenario_runs_and_is_kept_with_its_standard_deviations(tmp_path: Any)
     assert (run.d_std[-1] < 0.02).all()
     assert (np.abs(run.d_hat[-1] - [1.3, 0.6]) < 4 * run.d_std[-1]).all()
     for suffix in ("npz", "csv"):
-        kept = Run.load(run.save(tmp_path / f"run.{suffix}"))
+        loaded = Run.load(run.save(tmp_path / f"run.{suffix}"))
         assert all(
-            np.array_equal(getattr(run, name), getattr(kept, name))
+            np.array_equal(getattr(run, name), getattr(loaded, name))
             for name in ("x_std", "d_std", "width_std", "innovation_std")
         )
     assert simulate(scene()).d_std is None
@@ -547,11 +547,11 @@ def test_widths_within_their_ranges_have_the_mean_of_a_cut_gaussian() -> None:
     mean, std = np.array([3.0, 1.3, 0.3]), np.array([1.0, 0.4, 0.1])
     params = Params(*[None] * len(Params._fields))._replace(ranges=ranges)
 
-    def shown(mean: Any, cov: Any) -> list[Any]:
+    def cut_moments(mean: Any, cov: Any) -> list[Any]:
         belief, chance = truncate_to_ranges(params, 1, Gaussian(mean, cov))
         return [*belief, chance]
 
-    cut_mean, cov, chance = evaluate(shown, mean, np.diag(std**2))
+    cut_mean, cov, chance = evaluate(cut_moments, mean, np.diag(std**2))
     a, b = (ranges.T - mean[1:]) / std[1:]
     expected = truncnorm.mean(a, b, loc=mean[1:], scale=std[1:])
     assert cut_mean[:, 0] == pytest.approx([3.0, *expected])

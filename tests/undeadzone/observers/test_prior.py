@@ -65,14 +65,14 @@ def known(run: Run) -> tuple[bool, bool]:
     return verdict["width"], verdict["right"] and verdict["left"] and verdict["centre"]
 
 
-@pytest.mark.parametrize("claimed", [0.0, [-0.1, 0.1], [[0.05, 0.2]]])
-def test_the_prior_is_that_of_ranges_given_the_centre(claimed: Any) -> None:
+@pytest.mark.parametrize("centre", [0.0, [-0.1, 0.1], [[0.05, 0.2]]])
+def test_the_prior_is_that_of_ranges_given_the_centre(centre: Any) -> None:
     """Of many draws from the ranges as Gaussians, weighed by the claim on (d_r - d_l)/2."""
     where = resolve(Sensor(right=0.1, left=0.1, noise=0.01), 1, 0.01)
     ranges = {"right": [0.2, 1.0], "left": [0.0, 0.6]}
-    prior = build_prior(Assumptions(**ranges, x_std=1.0, drift=0.0), MODEL, where, centre=claimed)
+    prior = build_prior(Assumptions(**ranges, x_std=1.0, drift=0.0), MODEL, where, centre=centre)
     mean, cov = prior.width_moments()
-    low, high = np.broadcast_to(np.ravel(claimed), 2)
+    low, high = np.broadcast_to(np.ravel(centre), 2)
     spread = max((high - low) / np.sqrt(12), 0.01)
     rng = np.random.default_rng(0)
     drawn = rng.normal([0.6, 0.3], np.array([0.8, 0.6]) / np.sqrt(12), (400_000, 2))
@@ -120,16 +120,16 @@ def test_homing_tells_the_centre_of_a_linear_plant(x_std: list[float], tells: bo
 
 
 @pytest.mark.parametrize(
-    ("claimed", "error", "words"),
+    ("centre", "error", "words"),
     [
         ([0.2, 0.1], InputError, "lo <= hi"),
         (0.35, InputError, "overlap the range of those of d_r and d_l"),
         ([0.0, 0.1, 0.2], ShapeError, r"the range .lo, hi. of \(d_r - d_l\)/2"),
     ],
 )
-def test_impossible_centres_are_refused(claimed: Any, error: type[Exception], words: str) -> None:
+def test_impossible_centres_are_refused(centre: Any, error: type[Exception], words: str) -> None:
     with pytest.raises(error, match=f"observer.centre: .*{words}"):
-        simulate(motor(centre=claimed))
+        simulate(motor(centre=centre))
 
 
 # --- One word, one meaning
@@ -151,8 +151,8 @@ def test_identify_gives_the_middle_in_python_in_json_and_on_the_screen() -> None
     assert found.centre.value == pytest.approx(CENTRE, abs=0.01)
     assert found.centre.value == (found.right.value - found.left.value) / 2
     assert json.loads(json.dumps(found.numbers()))["centre"] == list(found.centre)
-    (shown,) = re.findall(r"^centre +([-.\d]+) \[", str(found), re.M)
-    assert float(shown) == pytest.approx(CENTRE, abs=0.01)
+    (printed,) = re.findall(r"^centre +([-.\d]+) \[", str(found), re.M)
+    assert float(printed) == pytest.approx(CENTRE, abs=0.01)
 
 
 def test_gears_have_the_same_centre_as_the_zone_that_they_are() -> None:
@@ -168,8 +168,8 @@ def test_gears_have_the_same_centre_as_the_zone_that_they_are() -> None:
 
 def test_a_claimed_centre_is_the_middle_of_the_zone_that_filters_begin_with() -> None:
     where = resolve(Sensor(right=RIGHT, left=LEFT, noise=0.01), 1, 0.01)
-    claims = Assumptions(right=[0.0, 2.0], left=[0.0, 2.0], x_std=1.0, drift=0.0)
-    (right, left), _ = build_prior(claims, MODEL, where, centre=CENTRE).width_moments()
+    ranges = Assumptions(right=[0.0, 2.0], left=[0.0, 2.0], x_std=1.0, drift=0.0)
+    (right, left), _ = build_prior(ranges, MODEL, where, centre=CENTRE).width_moments()
     assert (right - left) / 2 == pytest.approx(CENTRE, rel=1e-12)
 
 
@@ -287,15 +287,15 @@ def test_a_command_says_it_in_one_line(tmp_path: Path) -> None:
 @pytest.mark.parametrize("suffix", ["npz", "csv"])
 def test_a_run_of_an_old_file_has_its_deviations_halved(suffix: str, tmp_path: Path) -> None:
     run = simulate(motor(centre=[-0.05, 0.05]))
-    (told,) = run.info.identifiable
+    (verdict,) = run.info.identifiable
     path = run.save(tmp_path / f"run.{suffix}")
-    assert Run.load(path).info.identifiable == [told]
-    before = told | {"std": told["std"] | {"centre": 2 * told["std"]["centre"]}}
+    assert Run.load(path).info.identifiable == [verdict]
+    before = verdict | {"std": verdict["std"] | {"centre": 2 * verdict["std"]["centre"]}}
     info = msgspec.structs.replace(run.info, identifiable=[before], schema=None)
     old = Run(info, run.signals).save(tmp_path / f"old.{suffix}")
     with pytest.warns(EarlierMeaning, match=f"old.{suffix}: std.centre of schema 2"):
         loaded = Run.load(old)
-    assert (loaded.info.identifiable, loaded.info.schema) == ([told], SCHEMA)
+    assert (loaded.info.identifiable, loaded.info.schema) == ([verdict], SCHEMA)
 
 
 def test_a_design_of_an_old_file_has_its_deviations_halved(tmp_path: Path) -> None:
@@ -321,10 +321,8 @@ def test_the_least_noise_is_a_share_of_the_wider_range() -> None:
     model = sample_plant(PAPER_PLANT, 0.01)
     sensor = resolve(Sensor(right=0.5, left=0.5), 1, 0.01)
     for right, left in (([0.0, 1.0], [0.0, 3.0]), ([0.0, 3.0], [0.0, 1.0])):
-        claimed = build_prior(
-            Assumptions(right=right, left=left), model, sensor, floor=0.1, wear=0.0
-        )
-        np.testing.assert_allclose(claimed.R, 0.3**2)
+        prior = build_prior(Assumptions(right=right, left=left), model, sensor, floor=0.1, wear=0.0)
+        np.testing.assert_allclose(prior.R, 0.3**2)
 
 
 def test_one_output_without_noise_is_no_claim() -> None:

@@ -216,13 +216,13 @@ def test_a_reading_or_a_glitch_is_the_mixture_by_bayes(e: float, R: float, share
     assert likely[0, 0] == pytest.approx((regular + wrong) / (1 - share))
 
 
-@pytest.mark.parametrize("held", [[], [2], [1, 3]])
+@pytest.mark.parametrize("fixed", [[], [2], [1, 3]])
 @pytest.mark.parametrize("k", [1, 2])
-def test_what_a_covariance_loses_where_some_variables_are_held(held: list[int], k: int) -> None:
+def test_what_a_covariance_loses_where_some_variables_are_held(fixed: list[int], k: int) -> None:
     """The formula of the docstring, entry by entry of the upper triangle."""
     rng = np.random.default_rng(k)
     g, share = rng.normal(size=(5, k)), np.ones((5, 1))
-    share[held] = rng.uniform(size=(len(held), 1))
+    share[fixed] = rng.uniform(size=(len(fixed), 1))
     certain, between = (np.cov(rng.normal(size=(k, 9))).reshape(k, k) for _ in range(2))
     s = share * g
     expected = g @ certain @ g.T - (g - s) @ certain @ (g - s).T - s @ between @ s.T
@@ -238,9 +238,9 @@ def test_what_outputs_foretell_leaves_the_range_of_no_number(size: float) -> Non
     belief = Gaussian(ca.SX(1.0), ca.SX(1.0))
     one = gaussian.RobustUpdate(belief, ca.SX(0.0), ca.SX(1.0), ca.SX(1.0), ca.SX(size), ca.SX(0.0))
     both = gaussian.stack_updates([one, one])
-    heard = Corrected(belief, ca.SX(0), both.trust, both.likely)
+    corrected = Corrected(belief, ca.SX(0), both.trust, both.likely)
     setup: Any = SimpleNamespace(doubts=True)
-    (log,) = numbers(log_likelihood(setup, both, heard))
+    (log,) = numbers(log_likelihood(setup, both, corrected))
     assert log[0, 0] == pytest.approx(2 * math.log(size))
 
 

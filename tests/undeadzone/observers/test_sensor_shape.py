@@ -77,10 +77,10 @@ def readings() -> tuple[Floats, Floats]:
     return y, u
 
 
-def last_numbers(method: str, **told: Any) -> list[float]:
+def last_numbers(method: str, **sensor_options: Any) -> list[float]:
     """z, d_r, d_l and the deviations of x and of the width after all readings."""
     y, u = readings()
-    online = uz.Online(FILTERS[method], PLANT, uz.Sensor(**WIDTHS, **told), TS)
+    online = uz.Online(FILTERS[method], PLANT, uz.Sensor(**WIDTHS, **sensor_options), TS)
     last, _ = online.update_many(y[:, None], u[:, None])
     return [
         float(part[-1, 0]) for part in (last.z, last.right, last.left, last.x_std, last.width_std)
@@ -112,16 +112,16 @@ def test_edges_are_round_by_default_as_the_page_of_filters_says() -> None:
 @pytest.mark.parametrize("method", FILTERS)
 def test_by_default_only_what_is_shown_is_wider_and_edges_are_heard_later(method: str) -> None:
     exact = last_numbers(method, **EXACT_SENSOR)
-    told, lost = last_numbers(method, rounding=0.0), last_numbers(method)
-    assert told[:3] == pytest.approx(exact[:3], rel=1e-9)  # slope and delay move no mean
-    assert told[4] > 1.1 * exact[4]
-    assert lost[4] > told[4]
+    informed, lost = last_numbers(method, rounding=0.0), last_numbers(method)
+    assert informed[:3] == pytest.approx(exact[:3], rel=1e-9)  # slope and delay move no mean
+    assert informed[4] > 1.1 * exact[4]
+    assert lost[4] > informed[4]
     assert np.abs(np.array(lost[1:3]) - [1.0, 0.7]).max() < 3 * max(lost[4], 0.05)
 
 
-def follow(options: Any, y: Floats, u: Floats, **told: Any) -> Estimate:
+def follow(options: Any, y: Floats, u: Floats, **sensor_options: Any) -> Estimate:
     """The estimates along readings, of a sensor of which that is told, and no more is doubted."""
-    sensor = uz.Sensor(**WIDTHS, **(EXACT_SENSOR | told))
+    sensor = uz.Sensor(**WIDTHS, **(EXACT_SENSOR | sensor_options))
     estimates, _ = uz.Online(options, PLANT, sensor, TS).update_many(y[:, None], u[:, None])
     return estimates
 
@@ -144,13 +144,13 @@ def test_what_is_shown_is_how_far_a_mean_would_move(name: str, std: float, units
 
 
 @pytest.mark.parametrize("name", ["honest", "edges rounded 0.1", "slope 1.1", "mean of 3"])
-@pytest.mark.parametrize("claims", ["told", "ranges alone"])
-def test_intervals_hold_whatever_the_shape_is(name: str, claims: str) -> None:
+@pytest.mark.parametrize("assumptions", ["told", "ranges alone"])
+def test_intervals_hold_whatever_the_shape_is(name: str, assumptions: str) -> None:
     """Of those that take the sensor for exact few do, but where it is."""
     posed = problems(KINDS["both edges"], 1, 50, 5, ratios=(0.8, 1.25))
     y = shape.SENSORS[name](np.random.default_rng(3), posed.z, posed.d, posed.noise)
-    wide = shape.solve(claims, posed._replace(y=y), {})
-    sharp = shape.solve(claims, posed._replace(y=y), shape.EXACT)
+    wide = shape.solve(assumptions, posed._replace(y=y), {})
+    sharp = shape.solve(assumptions, posed._replace(y=y), shape.EXACT)
     assert wide.verdict.covered().min() >= 0.84
     assert np.median(wide.rms / sharp.rms) < 1.03
     if name in ("edges rounded 0.1", "slope 1.1"):
@@ -186,16 +186,16 @@ def test_a_log_says_that_its_readings_repeat() -> None:
         reference=uz.Sine(amplitude=1.0, frequency=0.3),
         simulation=uz.Simulation(duration=1.0, time="sampled", step=TS),
     )
-    said, quiet = (
+    remarks, quiet = (
         " ".join(uz.estimate(scenario, y=seen, u=u, smoothing=False).info.remarks)
         for seen in (repeats, y)
     )
-    assert "10 % of the readings of output 0 repeat the one before" in said
+    assert "10 % of the readings of output 0 repeat the one before" in remarks
     assert "polls faster" not in quiet
 
 
 @pytest.mark.parametrize(
-    ("told", "kind", "words"),
+    ("options", "kind", "words"),
     [
         ({"rounding": -0.1}, InputError, "sensor.rounding"),
         ({"slope_std": [0.1, 0.1]}, ShapeError, "one per output"),
@@ -204,6 +204,6 @@ def test_a_log_says_that_its_readings_repeat() -> None:
         ({"rounding": 0.1, "kind": "jump"}, InputError, "leave it out"),
     ],
 )
-def test_what_cannot_be_is_refused(told: dict[str, Any], kind: type, words: str) -> None:
+def test_what_cannot_be_is_refused(options: dict[str, Any], kind: type, words: str) -> None:
     with pytest.raises(kind, match=words):
-        resolve(Sensor(right=1.0, left=1.0, **told), 1, TS)
+        resolve(Sensor(right=1.0, left=1.0, **options), 1, TS)

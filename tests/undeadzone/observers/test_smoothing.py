@@ -24,7 +24,7 @@ from undeadzone.simulation.estimate import smooth
 from undeadzone.simulation.online import build_observer
 from undeadzone.util.arrays import Floats
 
-CLAIMS = {"right": [0.0, 2.0], "disturbance": 0.0, "drift": 0.0, "glitches": 0.0}
+ASSUMPTIONS = {"right": [0.0, 2.0], "disturbance": 0.0, "drift": 0.0, "glitches": 0.0}
 PENDULUM = uz.Plant(
     states=["q", "v"],
     inputs=["u"],
@@ -91,7 +91,11 @@ def test_where_all_is_linear_and_sure_both_filters_smooth_alike() -> None:
     found = []
     exact = msgspec.structs.replace(scenario().sensor, **EXACT_SENSOR)
     bare = {"bias": 0.0, "tolerance": 0.0, "levels": 1, "silence": False}
-    for options in (uz.Kalman(**CLAIMS), uz.Censored(**CLAIMS, **bare), uz.Extended(**CLAIMS)):
+    for options in (
+        uz.Kalman(**ASSUMPTIONS),
+        uz.Censored(**ASSUMPTIONS, **bare),
+        uz.Extended(**ASSUMPTIONS),
+    ):
         if isinstance(options, uz.Extended):
             options = msgspec.structs.replace(options, silence=False)
         parts = (options, scenario().plant, exact, 0.01, 10)
@@ -164,12 +168,13 @@ def test_the_command_smooths_unless_told_not_to(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("claims", "kind", "seed"), [(doubting, "both edges", 11), (from_ranges, "30 % missing", 13)]
+    ("assumptions", "kind", "seed"),
+    [(doubting, "both edges", 11), (from_ranges, "30 % missing", 13)],
 )
-def test_it_is_better_than_the_filter_and_as_honest(claims: Any, kind: str, seed: int) -> None:
-    rms, held = part(claims, kind, 2, seed)[::-1]
+def test_it_is_better_than_the_filter_and_as_honest(assumptions: Any, kind: str, seed: int) -> None:
+    rms, covered = part(assumptions, kind, 2, seed)[::-1]
     assert (rms[:, 1] <= 1.02 * rms[:, 0]).all()
-    z, widths = held[:, :, 0].mean(axis=0), held[:, :, 1:].mean(axis=(0, 2))
+    z, widths = covered[:, :, 0].mean(axis=0), covered[:, :, 1:].mean(axis=(0, 2))
     assert z[2] > 0.93
     assert abs(widths[2] - widths[1]) < 0.05
 
@@ -179,8 +184,8 @@ def test_looking_back_says_how_far_a_mean_would_move_with_the_sensor() -> None:
     run, small, std = uz.simulate(scenario()), 1e-6, 0.1
     options = uz.Kalman(right=[0.0, 2.0], disturbance=0.0, glitches=0.0)
 
-    def looked_back(y: Floats, **told: float) -> uz.Estimation:
-        sensor = msgspec.structs.replace(scenario().sensor, **(EXACT_SENSOR | told))
+    def looked_back(y: Floats, **sensor_options: float) -> uz.Estimation:
+        sensor = msgspec.structs.replace(scenario().sensor, **(EXACT_SENSOR | sensor_options))
         return uz.estimate(scenario(observer=options, sensor=sensor), t=run.t, y=y, u=run.u)
 
     plain, wide = looked_back(run.y), looked_back(run.y, slope_std=std)

@@ -472,11 +472,11 @@ def test_the_page_plays_the_arm_from_itself_alone(both: tuple[Run, Run], tmp_pat
     assert not re.search(
         r"fetch\(|XMLHttpRequest|import|https?:|url\(", text.replace("!important", "")
     )
-    told = json.loads(
+    page_data = json.loads(
         re.search(r"play\(document\.currentScript\.parentElement, (.*)\);</script>", text)[1]
     )  # type: ignore[index]
-    np.testing.assert_allclose(told["arms"][1]["frames"], both[0].poses, atol=5.1e-5)
-    assert len(told["arms"]) == 2
+    np.testing.assert_allclose(page_data["arms"][1]["frames"], both[0].poses, atol=5.1e-5)
+    assert len(page_data["arms"]) == 2
     assert "extended, blind" in found.text
 
 
@@ -493,10 +493,10 @@ def test_a_gif_is_written_and_other_names_are_refused(
     both: tuple[Run, Run], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     image = pytest.importorskip("PIL.Image")
-    told: list[int] = []
-    path = animation.write_movie(both[0], both[1], tmp_path / "arm.gif", told.append)
+    frames: list[int] = []
+    path = animation.write_movie(both[0], both[1], tmp_path / "arm.gif", frames.append)
     with image.open(path) as gif:
-        assert gif.n_frames == sum(told) == animation.count_frames(both[0]) > 2
+        assert gif.n_frames == sum(frames) == animation.count_frames(both[0]) > 2
         assert gif.info["duration"] == 1000 * animation.SKIPPED / FRAMES
     with pytest.raises(FileError, match=r"It must end in \.gif or \.mp4"):
         animation.write_movie(both[0], None, tmp_path / "arm.txt")
@@ -591,7 +591,7 @@ substeps = 1
 """
 
 
-def told_by(scenario: Scenario) -> tuple[bool, str]:
+def verdict_of(scenario: Scenario) -> tuple[bool, str]:
     """Whether a run tells the widths, and why not."""
     run = simulate(scenario)
     return run.fully_identifiable, " ".join(run.info.identifiable[0]["reasons"])
@@ -599,20 +599,20 @@ def told_by(scenario: Scenario) -> tuple[bool, str]:
 
 def test_a_verdict_names_the_position_at_which_both_edges_are_reached() -> None:
     scenario = parse(SWING)
-    known, why = told_by(scenario)
+    known, why = verdict_of(scenario)
     assert not known
     found = re.search(r"plant\.arm\.reference = (\S+) would do, as any from (\S+) to (\S+):", why)
     assert found is not None
     for reference in map(float, found.groups()):
-        known, why = told_by(scenario.replace("plant.arm.reference", reference))
+        known, why = verdict_of(scenario.replace("plant.arm.reference", reference))
         assert known, why
     least, most = float(found[2]), float(found[3])
     for reference in (least - 0.04, most + 0.04):
-        assert not told_by(scenario.replace("plant.arm.reference", reference))[0]
+        assert not verdict_of(scenario.replace("plant.arm.reference", reference))[0]
 
 
 def test_a_verdict_says_where_no_position_helps() -> None:
     scenario = parse(SWING) | {"sensor": {"right": 0.5, "left": 0.4}}
-    known, why = told_by(scenario | {"observer": {"right": [0.0, 1.0]}})
+    known, why = verdict_of(scenario | {"observer": {"right": [0.0, 1.0]}})
     assert not known
     assert "whatever plant.arm.reference is: move further" in why

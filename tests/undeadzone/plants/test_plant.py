@@ -130,8 +130,8 @@ def test_interop_round_trips_and_refusals() -> None:
     )
     assert from_scipy(to_scipy(plant), x0=[1, 2, 3]).x0 == [1, 2, 3]
     of_scipy = scipy.signal.TransferFunction([2.0], [1.0, 3.0, 5.0])
-    for taken in (from_control(theirs), from_scipy(of_scipy)):
-        assert response(linear_matrices(taken), 2j)[0, 0] == pytest.approx(theirs(2j))
+    for converted in (from_control(theirs), from_scipy(of_scipy)):
+        assert response(linear_matrices(converted), 2j)[0, 0] == pytest.approx(theirs(2j))
     with pytest.raises(InputError, match=r"uz\.Plant\(A=\.\.\., B=\.\.\., C=\.\.\.\)"):
         from_control([[0, 1], [-1, -2]])
     with pytest.raises(InputError, match="no state space"):

@@ -299,7 +299,7 @@ def test_a_part_of_a_tree(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("joints", "tip", "said"),
+    ("joints", "tip", "expected"),
     [
         (
             ["shoulder", "elbo"],
@@ -328,14 +328,14 @@ def test_a_part_of_a_tree(tmp_path: Path) -> None:
     ],
 )
 def test_joints_and_tips_that_do_not_fit(
-    tmp_path: Path, joints: list[str] | None, tip: str | None, said: str
+    tmp_path: Path, joints: list[str] | None, tip: str | None, expected: str
 ) -> None:
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=expected):
         load_urdf_chain(written(tmp_path, SMALL), joints, tip)
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "expected"),
     [
         ("</robot>", "", "not XML"),
         ("robot", "mujoco", "not a URDF: its first element is not <robot>"),
@@ -393,9 +393,11 @@ def test_joints_and_tips_that_do_not_fit(
         ),
     ],
 )
-def test_files_that_do_not_describe_an_arm(tmp_path: Path, old: str, new: str, said: str) -> None:
+def test_files_that_do_not_describe_an_arm(
+    tmp_path: Path, old: str, new: str, expected: str
+) -> None:
     assert old in SMALL
-    with pytest.raises(FileError, match=rf"plant\.arm\.path: .*arm\.urdf: .*{said}"):
+    with pytest.raises(FileError, match=rf"plant\.arm\.path: .*arm\.urdf: .*{expected}"):
         load_urdf_chain(written(tmp_path, SMALL.replace(old, new)))
 
 

@@ -202,7 +202,7 @@ def test_a_run_knows_how_to_repeat_itself(run: Run, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "shown"),
+    ("text", "expected"),
     [
         ("z^ and x~", "z\u0302 and x\u0303"),
         ("d_r^ − d_l", "d\u0302<sub>r</sub> − d<sub>l</sub>"),
@@ -210,8 +210,8 @@ def test_a_run_knows_how_to_repeat_itself(run: Run, tmp_path: Path) -> None:
         ("m/s^2, d_right, z^2, A_d_r", "m/s^2, d_right, z^2, A_d_r"),
     ],
 )
-def test_symbols_are_those_of_the_figures(text: str, shown: str) -> None:
-    assert format_html(text) == shown
+def test_symbols_are_those_of_the_figures(text: str, expected: str) -> None:
+    assert format_html(text) == expected
 
 
 def test_figures_on_a_page_stay_legible_on_a_phone(run: Run) -> None:

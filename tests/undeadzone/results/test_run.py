@@ -64,9 +64,9 @@ def test_saved_and_loaded_runs_are_the_same_to_the_last_bit(
     run: Run, tmp_path: Path, suffix: str
 ) -> None:
     assert run.V is not None
-    for name, kept in (("full", run), ("bare", replace(run, V=None))):
-        path = kept.save(tmp_path / f"{name}{suffix}")
-        assert same(Run.load(path), kept)
+    for name, original in (("full", run), ("bare", replace(run, V=None))):
+        path = original.save(tmp_path / f"{name}{suffix}")
+        assert same(Run.load(path), original)
 
 
 @pytest.mark.parametrize("suffix", [".npz", ".csv"])
@@ -229,6 +229,6 @@ def test_files_that_are_not_runs(run: Run, tmp_path: Path) -> None:
 @pytest.mark.parametrize(("sensor", "word"), [("play", "holding"), ("dead_zone", "silent")])
 def test_a_play_holds_and_another_sensor_is_silent(run: Run, sensor: str, word: str) -> None:
     other = replace(run, info=msgspec.structs.replace(run.info, sensor=sensor))
-    shown = blocks_from_run(other)[0]
-    assert isinstance(shown, dict)
-    assert shown.keys() & {"holding", "silent"} == {word}
+    block = blocks_from_run(other)[0]
+    assert isinstance(block, dict)
+    assert block.keys() & {"holding", "silent"} == {word}

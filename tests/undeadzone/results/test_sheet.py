@@ -34,11 +34,11 @@ UNITS = Units(output="rad", input="V", state=["rad", "rad/s"])
 
 def signals(layout: Layout) -> dict[str, Floats]:
     """Every signal of a layout, with other numbers in each column."""
-    made = {}
+    table = {}
     for k, name in enumerate(layout.names):
         shape = (N,) if name in SERIES else (N, 4)
-        made[name] = 10.0 * k + np.arange(np.prod(shape), dtype=float).reshape(shape)
-    return made
+        table[name] = 10.0 * k + np.arange(np.prod(shape), dtype=float).reshape(shape)
+    return table
 
 
 @pytest.mark.parametrize("layout", [RUN, LOG])

@@ -25,7 +25,7 @@ PARTS: dict[str, Any] = {
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
+    ("old", "new", "expected"),
     [
         (A, "A = [0 1; -4 -2]", "write A = [[0, 1], [-4, -2]], or put MATLAB's matrix in quotes"),
         (A, "A = [0 1\n -4 -2]", "rows in brackets, commas between numbers"),
@@ -57,9 +57,9 @@ PARTS: dict[str, Any] = {
         ("[plant]", "[Plant]", "Did you mean 'plant'?"),
     ],
 )
-def test_a_mistake_in_a_scenario_names_its_cure(old: str, new: str, told: str) -> None:
+def test_a_mistake_in_a_scenario_names_its_cure(old: str, new: str, expected: str) -> None:
     assert old in TEMPLATE
-    with pytest.raises(InputError, match=re.escape(told)) as caught:
+    with pytest.raises(InputError, match=re.escape(expected)) as caught:
         uz.simulate(parse(TEMPLATE.replace(old, new, 1)))
     assert "\n" not in str(caught.value)
 
@@ -70,7 +70,7 @@ def test_an_unknown_table_gets_no_wild_guess() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "content", "told"),
+    ("name", "content", "expected"),
     [
         ("log.csv", "t,u,y\n0,1,2\n", "a log goes to undeadzone identify"),
         ("a.py", "import undeadzone\n", "run a program with python"),
@@ -81,12 +81,12 @@ def test_an_unknown_table_gets_no_wild_guess() -> None:
     ],
 )
 def test_another_file_than_a_scenario_is_told_where_to_go(
-    tmp_path: Path, name: str, content: str | bytes, told: str
+    tmp_path: Path, name: str, content: str | bytes, expected: str
 ) -> None:
     path = tmp_path / name
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
     for reader in (read, read_for_logs):
-        with pytest.raises(InputError, match=re.escape(told)) as caught:
+        with pytest.raises(InputError, match=re.escape(expected)) as caught:
             reader(path)
         assert str(caught.value).startswith(str(path))
 
@@ -108,7 +108,7 @@ def test_what_editors_do_changes_nothing(tmp_path: Path, content: bytes) -> None
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "expected"),
     [
         (["mine.toml"], "to run this scenario: undeadzone run mine.toml"),
         (["simulate", "mine.toml"], "Did you mean 'run'?"),
@@ -120,18 +120,18 @@ def test_what_editors_do_changes_nothing(tmp_path: Path, content: bytes) -> None
     ],
 )
 def test_a_mistake_on_the_command_line_names_its_cure(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any, words: list[str], told: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any, words: list[str], expected: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mine.toml").write_text(TEMPLATE)
     (tmp_path / "log.csv").write_text("t,u,y\n0,1,2\n0.01,1,2\n")
     code = run_to_exit_code(lambda: group.main(words, standalone_mode=False))
     assert code == 2
-    assert told in capsys.readouterr().err
+    assert expected in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
-    ("parts", "told"),
+    ("parts", "expected"),
     [
         ({"plant": 5}, "plant: expected uz.Plant"),
         ({"sensor": 1.0}, "sensor: expected uz.Sensor"),
@@ -154,8 +154,8 @@ def test_a_mistake_on_the_command_line_names_its_cure(
         ({"sensor": uz.Sensor(right="1", left=1.0)}, "sensor.right: expected numbers"),
     ],
 )
-def test_a_part_of_the_wrong_kind_is_named(parts: dict[str, Any], told: str) -> None:
-    with pytest.raises(InputError, match=re.escape(told)):
+def test_a_part_of_the_wrong_kind_is_named(parts: dict[str, Any], expected: str) -> None:
+    with pytest.raises(InputError, match=re.escape(expected)):
         uz.Scenario(**(PARTS | parts))
 
 
@@ -170,7 +170,7 @@ def test_tracked_outputs_are_numbers_of_outputs(tracked: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "expected"),
     [
         ({"seed": -1}, "seed: expected a whole number from 0 to 2^63 - 2, found -1"),
         ({"seed": 1.5}, "seed: expected a whole number"),
@@ -184,9 +184,9 @@ def test_tracked_outputs_are_numbers_of_outputs(tracked: Any) -> None:
         ({"maximise": uz.Weights(noise=-1.0)}, "maximise.noise: must be at least 0"),
     ],
 )
-def test_an_option_of_design_is_refused_by_its_name(options: dict[str, Any], told: str) -> None:
+def test_an_option_of_design_is_refused_by_its_name(options: dict[str, Any], expected: str) -> None:
     scenario = uz.Scenario(**PARTS, controller=uz.StateFeedback())
-    with pytest.raises(InputError, match=re.escape(told)):
+    with pytest.raises(InputError, match=re.escape(expected)):
         uz.design(scenario, **options)
 
 
@@ -242,7 +242,7 @@ def test_a_state_of_another_size_is_refused_and_changes_nothing(state: Any) -> N
 
 def test_check_says_that_widths_without_gain_keep_their_error() -> None:
     """Rate and bounds are of x^ alone then; the oracle has no error to keep."""
-    told = {}
+    reasons_of = {}
     for name, observer in {
         "still": uz.Certified(gamma=0.0),
         "adapting": uz.Certified(gamma=1.0),
@@ -250,9 +250,9 @@ def test_check_says_that_widths_without_gain_keep_their_error() -> None:
         "oracle": uz.Oracle(),
     }.items():
         check = uz.check(uz.Scenario(**PARTS, observer=observer))
-        told[name] = [reason for reason in check.reasons if reason.startswith("gamma = 0")]
-        assert all(reason in str(check) for reason in told[name])
-    assert [name for name, reasons in told.items() if reasons] == ["still"]
+        reasons_of[name] = [reason for reason in check.reasons if reason.startswith("gamma = 0")]
+        assert all(reason in str(check) for reason in reasons_of[name])
+    assert [name for name, reasons in reasons_of.items() if reasons] == ["still"]
 
 
 def test_a_claim_that_excludes_the_truth_is_called_false() -> None:
@@ -274,10 +274,10 @@ def test_a_claim_about_the_actuator_that_excludes_the_truth_is_called_false() ->
     path = Path(__file__).parents[3] / "examples" / "valve_both_ends.toml"
     valve = parse(path.read_text()) | {"simulation": {"duration": 3.0}}
     assert valve.actuator.right == 1.2
-    told, short = "a false claim: model.actuator excludes", {"simulation": {"duration": 3.0}}
+    message, short = "a false claim: model.actuator excludes", {"simulation": {"duration": 3.0}}
     for width, is_false in (([0.0, 1.0], True), (1.0, True), ([0.0, 3.0], False), (1.2, False)):
         left = 0.8 if isinstance(width, float) else [0.0, 3.0]
-        claims = {"model": {"actuator": {"right": width, "left": left}}}
-        (verdict,) = uz.simulate(valve | claims | short).info.identifiable
-        assert any(reason.startswith(told) for reason in verdict["reasons"]) == is_false
+        assumptions = {"model": {"actuator": {"right": width, "left": left}}}
+        (verdict,) = uz.simulate(valve | assumptions | short).info.identifiable
+        assert any(reason.startswith(message) for reason in verdict["reasons"]) == is_false
         assert not (is_false and verdict["right"])

@@ -40,10 +40,10 @@ def motor(sensor: dict[str, Any], **changes: Any) -> Scenario:
 
 
 def test_check_prints_the_overrun_number() -> None:
-    checked = uz.check(motor({"load_inertia": 1e-3, "load_friction": 0.02}))
-    assert checked.overrun == (pytest.approx(1e-3 * TURN / 0.02, rel=1e-3),)
-    assert checked.summary()["overrun"] == checked.overrun[0]
-    assert "J a / f = 0.493" in repr(checked)
+    verdict = uz.check(motor({"load_inertia": 1e-3, "load_friction": 0.02}))
+    assert verdict.overrun == (pytest.approx(1e-3 * TURN / 0.02, rel=1e-3),)
+    assert verdict.summary()["overrun"] == verdict.overrun[0]
+    assert "J a / f = 0.493" in repr(verdict)
     assert "overrun" not in uz.check(motor({"load_friction": 0.02})).summary()
 
 
@@ -59,20 +59,22 @@ def test_live_use_warns_of_a_load_that_coasts(inertia: float, coasts: bool) -> N
     plain = motor({"load_friction": 0.02}).replace("simulation.duration", 3.0)
     run = simulate(plain)
     sensor = plain.replace("sensor.load_inertia", inertia).sensor
-    with warnings.catch_warnings(record=True) as told:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         online = uz.Online(plain.observer, plain.plant, sensor, TS)
         online.update_many(run.y[:1000], run.u[:1000])
         for y, u in zip(run.y[1000:], run.u[1000:], strict=True):
             online.update(y, u)
-    assert ["coasts through its gap" in str(warning.message) for warning in told] == [True] * coasts
+    assert ["coasts through its gap" in str(warning.message) for warning in caught] == [
+        True
+    ] * coasts
 
 
 def test_a_reference_with_corners_tells_no_deceleration() -> None:
     corners = {"kind": "trapezoid", "amplitude": 1.0, "rise": 0.5, "hold": 1.0}
-    checked = uz.check(motor({"load_inertia": 1.0, "load_friction": 0.02}, reference=corners))
-    assert checked.overrun == (None,)
-    assert "corners" in repr(checked)
+    verdict = uz.check(motor({"load_inertia": 1.0, "load_friction": 0.02}, reference=corners))
+    assert verdict.overrun == (None,)
+    assert "corners" in repr(verdict)
     reference = build_exosystem("reference", motor({}, reference=corners).reference, 1)
     for step in (0.007, 0.0073, 0.0204):  # corners lie between samples
         assert np.isnan(decelerations(reference, 8.0, step)).all()
@@ -108,16 +110,18 @@ def test_a_load_that_cannot_be_is_refused(sensor: dict[str, Any], words: str) ->
 
 
 @pytest.mark.parametrize(
-    ("told", "observer", "words"),
+    ("friction", "observer", "words"),
     [
         ([0.2, 0.1], "kalman", "load_friction: expected a number or"),
         ([0.0, 0.1], "adaptive_inverse", "cannot estimate it"),
     ],
 )
-def test_a_friction_that_cannot_be_told_is_refused(told: Any, observer: str, words: str) -> None:
+def test_a_friction_that_cannot_be_told_is_refused(
+    friction: Any, observer: str, words: str
+) -> None:
     options = {"method": observer} | ({"right": [0.0, 0.2]} if observer == "kalman" else {})
     with pytest.raises(InputError, match=words):
-        resolve_scenario(motor({}, observer=options, model={"load_friction": told}))
+        resolve_scenario(motor({}, observer=options, model={"load_friction": friction}))
 
 
 # Friction
@@ -146,8 +150,8 @@ def test_friction_that_is_not_told_makes_the_gap_small_and_estimated_friction_do
     friction = 0.02
     logs = [two_masses(0.1 * friction / TURN, friction, seed) for seed in range(4)]
     untold = np.median([gap_error(log, 0.0) for log in logs])
-    told = np.median([gap_error(log, friction) for log in logs])
+    with_friction = np.median([gap_error(log, friction) for log in logs])
     estimated = np.median([gap_error(log, [0.0, 0.1]) for log in logs])
     assert untold < -0.05
-    assert abs(told) < 0.04
+    assert abs(with_friction) < 0.04
     assert abs(estimated) < 0.04

@@ -873,7 +873,7 @@ def test_a_rival_may_be_like_the_observer() -> None:
 
 
 @pytest.mark.parametrize(
-    ("compare", "observed", "told"),
+    ("compare", "observed", "expected"),
     [
         ('like = "controller"', OBSERVED, 'compare.like: expected "observer"'),
         ('like = "observer"\nmethod = "kalman"', OBSERVED, "Leave out like, or compare.method"),
@@ -881,6 +881,6 @@ def test_a_rival_may_be_like_the_observer() -> None:
         ('like = "observer"\nblnd = true', OBSERVED, "compare.blnd"),
     ],
 )
-def test_a_rival_is_like_nothing_else(compare: str, observed: str, told: str) -> None:
-    with pytest.raises(InputError, match=re.escape(told)):
+def test_a_rival_is_like_nothing_else(compare: str, observed: str, expected: str) -> None:
+    with pytest.raises(InputError, match=re.escape(expected)):
         parse(with_compare(compare, observed))

@@ -91,15 +91,15 @@ def log(run: uz.Run, header: str = "t,y,u", **columns: np.ndarray) -> str:
     ],
 )
 def test_the_estimates_are_those_of_the_run_that_made_the_log(observer: object) -> None:
-    made = uz.simulate(
+    recorded = uz.simulate(
         scenario(
             observer, simulation=uz.Simulation(duration=2.0, time="sampled", step=0.01, seed=3)
         )
     )
-    result = uz.estimate(scenario(observer), t=made.t, y=made.y, u=made.u)
-    np.testing.assert_allclose(result.x_hat, made.x_hat, rtol=0, atol=1e-10)
-    np.testing.assert_allclose(result.d_hat, made.d_hat, rtol=0, atol=1e-10)
-    np.testing.assert_array_equal(result.side, made.side)
+    result = uz.estimate(scenario(observer), t=recorded.t, y=recorded.y, u=recorded.u)
+    np.testing.assert_allclose(result.x_hat, recorded.x_hat, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(result.d_hat, recorded.d_hat, rtol=0, atol=1e-10)
+    np.testing.assert_array_equal(result.side, recorded.side)
 
 
 def test_every_source_gives_the_same(run: uz.Run, folder: Path) -> None:

@@ -112,13 +112,13 @@ def test_only_a_line_behind_a_gap_waits() -> None:
 def test_another_step_is_refused_before_anything_is_answered(lever: Path) -> None:
     times = [2 * t for t in regular(50)]
     for cuts in ([], list(range(500))):
-        out, said = fed(lever, stream(times), cuts)
+        out, message = fed(lever, stream(times), cuts)
         assert out == b""
-        assert "0.02 s apart" in said
+        assert "0.02 s apart" in message
     with pytest.raises(FileError, match=r"t \[ms\]"):
         placed([1000 * t for t in regular(5)])
-    out, said = fed(lever, stream([1.05 * t for t in regular(1500)]), [])
-    assert "0.0105 s apart" in said
+    out, message = fed(lever, stream([1.05 * t for t in regular(1500)]), [])
+    assert "0.0105 s apart" in message
     assert out
 
 
@@ -151,8 +151,8 @@ def test_strict_ends_at_the_first_fault_and_answers_what_was_good(lever: Path) -
 
 
 def test_after_a_jump_the_observer_is_as_new(lever: Path) -> None:
-    jumped, said = fed(lever, stream(regular(100, 7.0) + regular(100)), [])
-    assert "'jump': 1" in said
+    jumped, message = fed(lever, stream(regular(100, 7.0) + regular(100)), [])
+    assert "'jump': 1" in message
     before, _ = fed(lever, stream(regular(100, 7.0)), [])
     after, _ = fed(lever, stream(regular(100)), [])
     assert jumped == before + after
@@ -206,10 +206,10 @@ def test_a_state_goes_on_to_the_last_bit(lever: Path, tmp_path: Path, at: int) -
     second.follower.go_on()
     waits = at == 1  # a line that waits for the next is not kept
     second.feed(stream(times[at - waits :]))
-    out, said = second.ended()
+    out, message = second.ended()
     expected, words = whole.ended()
     assert answered + out == expected
-    counts = said.replace(f"line {52 - at}", "line 52")  # they are counted anew
+    counts = message.replace(f"line {52 - at}", "line 52")  # they are counted anew
     assert counts.partition("samples=")[2] == words.partition("samples=")[2]
 
 
@@ -293,11 +293,11 @@ def test_kill_9_loses_no_more_than_what_was_not_saved(lever: Path, tmp_path: Pat
     rest = lines[start : start + 100]
     done = watch(lever, "--state", state, stdin=b"t,y,u\n" + b"".join(rest))
     gone = set(lost)
-    kept = [row for k, row in enumerate(lines[: start + 100]) if k not in gone]
-    whole = watch(lever, stdin=b"t,y,u\n" + b"".join(kept))
+    rows_left = [row for k, row in enumerate(lines[: start + 100]) if k not in gone]
+    whole = watch(lever, stdin=b"t,y,u\n" + b"".join(rows_left))
     assert done.stdout.splitlines()[-100:] == whole.stdout.splitlines()[-100:]
-    table = [[row for row in said.splitlines() if b"apart" not in row]
-             for said in (done.stderr, whole.stderr)]  # fmt: skip
+    table = [[row for row in stderr.splitlines() if b"apart" not in row]
+             for stderr in (done.stderr, whole.stderr)]  # fmt: skip
     assert table[0] == table[1]
 
 

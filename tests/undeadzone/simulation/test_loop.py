@@ -324,9 +324,9 @@ def test_sampled_loop_equals_a_plain_loop(silence: bool) -> None:
         return Ad, np.linalg.solve(A, (Ad - np.eye(2)) @ B)
 
     (Ad, Bd), (Am, Bm) = hold(true_A, true_B), hold(A, B)
-    wanted = np.poly(np.exp([-10.0 * h, -12.0 * h]))
+    polynomial = np.poly(np.exp([-10.0 * h, -12.0 * h]))
     K = np.linalg.solve(np.stack([Bm, Am @ Bm]), [0.0, 1.0]) @ (
-        Am @ Am + wanted[1] * Am + wanted[2] * np.eye(2)
+        Am @ Am + polynomial[1] * Am + polynomial[2] * np.eye(2)
     )
     state_response = np.linalg.solve(np.exp(1j * W * h) * np.eye(2) - Am, Bm)
     x, x_hat, d = np.array([1.0, 0.0]), np.zeros(2), np.array([0.2, 0.2])
@@ -429,7 +429,7 @@ def test_motion_decides_the_zone_on_an_edge(edge: float, rising: int, zone: floa
     before = Mode(ca.DM(9), ca.DM(9))
     after = branch_after_crossing(before, crossing, ca.DM(edge), ca.DM(1.0), ca.DM(0.5))
     assert (float(after.zone), float(after.side)) == (zone, 1.0)
-    kept = branch_after_crossing(
+    unchanged = branch_after_crossing(
         before, crossing._replace(changed=ca.DM(0)), ca.DM(edge), ca.DM(1), ca.DM(1)
     )
-    assert (float(kept.zone), float(kept.side)) == (9.0, 9.0)
+    assert (float(unchanged.zone), float(unchanged.side)) == (9.0, 9.0)

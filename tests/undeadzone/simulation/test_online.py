@@ -66,12 +66,12 @@ def test_missing_samples_are_predicted_and_counted(missing: float) -> None:
 
 
 def test_missing_input_is_held() -> None:
-    held, given = (uz.Online(OBSERVER, PLANT, SENSOR, STEP) for _ in range(2))
-    held.update(2.0, 3.0)
+    holding, given = (uz.Online(OBSERVER, PLANT, SENSOR, STEP) for _ in range(2))
+    holding.update(2.0, 3.0)
     given.update(2.0, 3.0)
-    held.update(2.0, np.nan)
+    holding.update(2.0, np.nan)
     given.update(2.0, 3.0)
-    np.testing.assert_array_equal(held.update(2.0, 0.0).x, given.update(2.0, 0.0).x)
+    np.testing.assert_array_equal(holding.update(2.0, 0.0).x, given.update(2.0, 0.0).x)
 
 
 def test_peek_is_the_next_estimate_and_changes_nothing() -> None:
@@ -87,9 +87,9 @@ def test_peek_is_the_next_estimate_and_changes_nothing() -> None:
 def test_estimates_are_copies() -> None:
     online = uz.Online(OBSERVER, PLANT, SENSOR, STEP)
     first = online.update(2.0, 1.0)
-    kept = first.x.copy()
+    earlier = first.x.copy()
     online.update(2.0, 1.0)
-    np.testing.assert_array_equal(first.x, kept)
+    np.testing.assert_array_equal(first.x, earlier)
 
 
 def test_refuses_what_a_scenario_would_refuse() -> None:
@@ -134,8 +134,8 @@ def test_latest_is_a_view_made_once_and_unknown_before_the_first_sample() -> Non
         online.update_into(np.array([2.5]), np.array([1.0]))
         assert latest is online.latest
         assert latest.z != first
-        shown = online.peek(1.0)
-        assert shown.z_inverse != latest.z_inverse
+        preview = online.peek(1.0)
+        assert preview.z_inverse != latest.z_inverse
         assert online.samples == 2
 
 

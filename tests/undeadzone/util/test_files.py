@@ -129,7 +129,7 @@ def limited(size: int) -> Callable[[], None]:
     return limit
 
 
-def said(stderr: str) -> tuple[list[str], str]:
+def split_stderr(stderr: str) -> tuple[list[str], str]:
     """(what an arena says of its size before it starts, the last line)."""
     *announced, last = stderr.splitlines()
     assert all(line.startswith("arena: ") for line in announced)
@@ -159,7 +159,7 @@ def test_a_full_disk_is_one_line_and_leaves_nothing_half_written(
         timeout=120,
     )
     assert done.returncode == 2
-    announced, last = said(done.stderr)
+    announced, last = split_stderr(done.stderr)
     assert len(announced) <= 1
     assert last.startswith("undeadzone: ")
     assert "cannot write: File too large" in done.stderr
@@ -185,10 +185,10 @@ def test_of_two_ensembles_into_one_folder_one_is_refused_or_finds_the_other_done
         subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
         for _ in range(2)
     ]
-    said = [process.communicate()[1] for process in both]
+    stderr_texts = [process.communicate()[1] for process in both]
     ends = [process.returncode for process in both]
     assert 0 in ends
-    for code, words in zip(ends, said, strict=True):
+    for code, words in zip(ends, stderr_texts, strict=True):
         assert code == 0 or "another process is writing it" in words
     assert [path.name for path in out.iterdir()] == ["runs.npz"]
     assert Ensemble.load(out / "runs.npz").info.runs == 50

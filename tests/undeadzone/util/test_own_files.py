@@ -179,7 +179,7 @@ def export(out: Path, *names: str, force: bool = False, text: str = "1") -> None
     write_folder(files | {MANIFEST: manifest_text(REPORT)}, out, force)
 
 
-def held(out: Path) -> dict[str, str]:
+def read_files(out: Path) -> dict[str, str]:
     files = (path for path in out.rglob("*") if path.is_file() and path.name != MANIFEST)
     return {path.relative_to(out).as_posix(): path.read_text() for path in files}
 
@@ -191,7 +191,7 @@ def test_files_beside_an_export_stay(tmp_path: Path) -> None:
     (out / "examples" / "mine.ino").write_text(MINE)
     (out / "link").symlink_to(out / "my_main.c")
     export(out, "other.c", text="2")
-    assert held(out) == {
+    assert read_files(out) == {
         "other.c": "2", "my_main.c": MINE, "examples/mine.ino": MINE, "link": MINE
     }  # fmt: skip
     assert (out / "link").is_symlink()
@@ -208,7 +208,7 @@ def test_an_edited_export_is_refused(tmp_path: Path) -> None:
             export(out, "joint.c", "joint.h")
         assert (out / edit).read_text() == before
         export(out, "joint.c", "joint.h", force=True, text="2")
-        assert held(out) == {"joint.c": "2", "joint.h": "2"}
+        assert read_files(out) == {"joint.c": "2", "joint.h": "2"}
     (out / "joint.h").unlink()
     export(out, "joint.c", "joint.h")  # what is gone is no loss
 
@@ -221,7 +221,7 @@ def test_a_link_in_an_export_leads_nowhere_else(tmp_path: Path) -> None:
     with pytest.raises(FileError, match="a link leads elsewhere"):
         export(out, "joint.c", "examples/a.ino", force=True)
     assert not list(home.iterdir())
-    assert held(out) == {"joint.c": "1"}
+    assert read_files(out) == {"joint.c": "1"}
 
 
 def test_a_file_in_the_place_of_a_new_one_is_refused(tmp_path: Path) -> None:
@@ -230,9 +230,9 @@ def test_a_file_in_the_place_of_a_new_one_is_refused(tmp_path: Path) -> None:
     (out / "main.c").write_text(MINE)
     with pytest.raises(FileError, match=r"main\.c: exists already.*force=True"):
         export(out, "joint.c", "main.c", text="2")
-    assert held(out) == {"joint.c": "1", "main.c": MINE}
+    assert read_files(out) == {"joint.c": "1", "main.c": MINE}
     export(out, "joint.c", "main.c", text="2", force=True)
-    assert held(out) == {"joint.c": "2", "main.c": "2"}
+    assert read_files(out) == {"joint.c": "2", "main.c": "2"}
 
 
 def test_force_puts_files_into_any_folder_and_deletes_none(tmp_path: Path) -> None:
@@ -244,7 +244,7 @@ def test_force_puts_files_into_any_folder_and_deletes_none(tmp_path: Path) -> No
     with pytest.raises(FileError, match="is not replaced"):
         export(out, "joint.c")
     export(out, "joint.c", force=True)
-    assert held(out) == {"notes.txt": MINE, "joint.c": "1"}
+    assert read_files(out) == {"notes.txt": MINE, "joint.c": "1"}
     assert (out / "elsewhere").is_dir()
     assert not (tmp_path / "target").exists()
 

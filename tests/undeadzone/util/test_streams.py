@@ -90,9 +90,9 @@ def test_a_pause_on_stdin_is_no_end_and_a_hangup_saves(scenario: Path) -> None:
         assert process.stdout.readline().startswith(b"0.1,")
         time.sleep(0.5)  # it waits for more by then
         process.send_signal(signal.SIGHUP)
-        _, said = process.communicate()
-    assert process.returncode == 143, said
-    assert state.exists(), said
+        _, stderr_text = process.communicate()
+    assert process.returncode == 143, stderr_text
+    assert state.exists(), stderr_text
     os.close(writing)
 
 
@@ -121,14 +121,14 @@ def test_a_save_that_fails_is_said_and_tried_again(
     part: Any = SimpleNamespace(SAVED=("count",), count=1, digest="d")
     part.clock = part.reader = part
     (tmp_path / "gone").touch()  # no folder can be made there
-    kept = SavedWatch(tmp_path / "gone" / "state.npz", 0.0, part, part)
-    kept.save_state(when_due=True)
-    kept.save_state(when_due=True)
+    watch = SavedWatch(tmp_path / "gone" / "state.npz", 0.0, part, part)
+    watch.save_state(when_due=True)
+    watch.save_state(when_due=True)
     assert "not saved, 2 times by now" in capsys.readouterr().err
     with pytest.raises(FileError):
-        kept.save_state()
+        watch.save_state()
     (tmp_path / "gone").unlink()
-    kept.save_state(when_due=True)
+    watch.save_state(when_due=True)
     assert (tmp_path / "gone" / "state.npz").exists()
 
 

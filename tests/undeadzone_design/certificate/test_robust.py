@@ -72,7 +72,7 @@ def switched(
     """
     n, p = errors.L.shape
     patterns, which = np.unique(np.asarray(sides)[:steps], axis=0, return_inverse=True)
-    maps = [held_map(errors, one, h, E, noise, leak) for one in patterns]
+    maps = [step_map(errors, one, h, E, noise, leak) for one in patterns]
     moves, drives = (np.stack(each) for each in zip(*maps, strict=True))
     given = np.hstack([w[:steps], v[:steps], np.broadcast_to(d0, (steps, 2 * p))])
     which = which.ravel()
@@ -87,7 +87,7 @@ def switched(
     return path
 
 
-def held_map(
+def step_map(
     errors: Dynamics, sides: Floats, h: float, E: Floats, noise: Floats, leak: float
 ) -> tuple[Floats, Floats]:
     """What a step on certain sides makes of [x~; d~], and of [w; v; d0] held over it."""
@@ -108,7 +108,7 @@ def held_map(
     return both[:size, :size], both[:size, size:]
 
 
-def held(rng: np.random.Generator, choices: Any, steps: int, hold: int) -> Floats:
+def draw_levels(rng: np.random.Generator, choices: Any, steps: int, hold: int) -> Floats:
     """A random sequence of rows, each held for about `hold` steps."""
     choices = np.asarray(choices, float)
     picks = rng.integers(len(choices), size=steps)
@@ -138,9 +138,13 @@ def test_disturbance_and_noise_gains_hold(gains: tuple[float, float], Ts: float 
     h = Ts or 0.02
     for trial in range(6):
         steps = 3000
-        sides = held(rng, [[s] for s in SIDES], steps, 1 + 10**trial % 997)
-        w = held(rng, rng.normal(size=(5, 1)), steps, 1 + 7**trial % 211)
-        v = rng.normal(size=(steps, 1)) if trial % 2 else held(rng, [[1.0], [-1.0]], steps, 50)
+        sides = draw_levels(rng, [[s] for s in SIDES], steps, 1 + 10**trial % 997)
+        w = draw_levels(rng, rng.normal(size=(5, 1)), steps, 1 + 7**trial % 211)
+        v = (
+            rng.normal(size=(steps, 1))
+            if trial % 2
+            else draw_levels(rng, [[1.0], [-1.0]], steps, 50)
+        )
         start = rng.normal(size=4) * (trial % 3)
         for found, dist, noise in ((both, w, v), (only_w, w, 0 * v), (only_v, 0 * w, v)):
             path = switched(errors, sides, steps, h, E, dist, np.array([0.3]), noise, start)
@@ -216,9 +220,13 @@ def test_ultimate_bound_holds_with_projection_and_with_leakage(
     h = Ts or 0.05
     for trial in range(8):
         steps = 3000
-        sides = held(rng, [[s] for s in SIDES], steps, 1 + 5**trial % 97)
-        w = held(rng, [[-1.0], [1.0]], steps, 1 + 3**trial % 157) if trial else np.ones((steps, 1))
-        v = held(rng, [[-1.0], [1.0]], steps, 10)
+        sides = draw_levels(rng, [[s] for s in SIDES], steps, 1 + 5**trial % 97)
+        w = (
+            draw_levels(rng, [[-1.0], [1.0]], steps, 1 + 3**trial % 157)
+            if trial
+            else np.ones((steps, 1))
+        )
+        v = draw_levels(rng, [[-1.0], [1.0]], steps, 10)
         start = np.concatenate([5 * rng.normal(size=2), widths * rng.choice([-1, 1], 2)])
         d0 = widths * rng.choice([-1, 1], 2)
         limit = widths if sigma == 0 else None

@@ -147,14 +147,14 @@ def test_check_says_where_the_certificate_fails_and_what_is_near(
     assert near["margin"] >= 0.01
     b0, b1 = 1 + 2 * near["L"][0][0] + near["L"][1][0], 2 + near["L"][0][0]
     assert 2 * b1 > (np.sqrt(b0) - 1) ** 2
-    shown = run("check", path, "--no-figures").out
+    printed = run("check", path, "--no-figures").out
     for words in (
         "NO: 1 + G is not positive real",
         "-0.04167 at 2.49 rad/s",
         "nearest certified",
         "0.02389 1/s",
     ):
-        assert words in shown
+        assert words in printed
 
 
 def test_check_of_integrators_says_no_and_why() -> None:
@@ -169,9 +169,9 @@ def test_check_of_integrators_says_no_and_why() -> None:
     }
     assert "chain of integrators" in done.found["reasons"][0]
     assert "only the width" in done.found["reasons"][1]
-    shown = run("check", EXAMPLES / "integrators.toml", "--no-figures").out
-    assert "right NO, left NO, width yes, centre NO" in shown
-    assert "centre[0]: these errors stay" in shown
+    printed = run("check", EXAMPLES / "integrators.toml", "--no-figures").out
+    assert "right NO, left NO, width yes, centre NO" in printed
+    assert "centre[0]: these errors stay" in printed
 
 
 def test_check_of_an_edge_never_reached_names_the_cure(paper: Callable[..., Path]) -> None:
@@ -207,8 +207,8 @@ def test_check_of_two_outputs_gives_lists() -> None:
     done = run("check", EXAMPLES / "two_outputs.toml", *QUIET)
     assert done.code == 0
     assert [verdict["centre"] for verdict in done.found["identifiable"]] == [True, True]
-    shown = run("check", EXAMPLES / "two_outputs.toml", "--no-figures").out
-    assert re.search(r"identifiable +right.*\n0 +yes.*\n1 +yes", shown)
+    printed = run("check", EXAMPLES / "two_outputs.toml", "--no-figures").out
+    assert re.search(r"identifiable +right.*\n0 +yes.*\n1 +yes", printed)
 
 
 def test_check_writes_a_verdict_figures_and_a_page(
@@ -338,9 +338,9 @@ def test_weights_make_another_trade(
 
 
 def test_design_in_words(paper: Callable[..., Path]) -> None:
-    shown = run("design", paper(), "--maximise", "rate", "--margin", "0.3", "--no-figures").out
+    printed = run("design", paper(), "--maximise", "rate", "--margin", "0.3", "--no-figures").out
     for words in ("yes, margin 0.3 ", "proof P", "proof W", "yours 0.4406", "right yes, left yes"):
-        assert words in shown
+        assert words in printed
 
 
 @pytest.mark.parametrize(
@@ -375,9 +375,9 @@ def test_no_design_where_there_is_no_method(example: str, words: str) -> None:
 
 @pytest.mark.parametrize("command", ["check", "design"])
 def test_help_teaches_by_an_example(command: str) -> None:
-    shown = run(command, "--help").out
-    assert f"Example: undeadzone {command} examples/" in shown
-    assert "Exit code 1" in " ".join(shown.split())
+    printed = run(command, "--help").out
+    assert f"Example: undeadzone {command} examples/" in printed
+    assert "Exit code 1" in " ".join(printed.split())
 
 
 def test_check_imports_no_more_than_it_needs(paper: Callable[..., Path], tmp_path: Path) -> None:

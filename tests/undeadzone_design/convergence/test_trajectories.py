@@ -24,8 +24,8 @@ def test_a_fair_adversary_takes_each_full_mode_in_every_window(
     maps = np.array([0.5, 0.6, 1.1])[:, None, None] * np.eye(2)
     moves = trajectories._Moves(maps, np.array([0, 1]), window)
     V: Any = None
-    taken = trajectories._adversary_modes(V, np.ones(2), moves, fair=True)
-    for one in taken.reshape(-1, window):
+    modes = trajectories._adversary_modes(V, np.ones(2), moves, fair=True)
+    for one in modes.reshape(-1, window):
         assert set(one) >= {0, 1}
     assert set(trajectories._adversary_modes(V, np.ones(2), moves, fair=False)) == {2}
 

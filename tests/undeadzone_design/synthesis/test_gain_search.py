@@ -272,9 +272,9 @@ def test_every_point_of_the_front_is_certified_and_undominated(knee: Design) -> 
 
 
 def test_a_design_is_reproducible_and_tells_its_rounds(quickest: Design) -> None:
-    told: list[int] = []
-    assert design(scene(), "rate", progress=told.append) == quickest
-    assert sum(told) == count_design_rounds("rate") < count_design_rounds("knee")
+    progress: list[int] = []
+    assert design(scene(), "rate", progress=progress.append) == quickest
+    assert sum(progress) == count_design_rounds("rate") < count_design_rounds("knee")
 
 
 def test_what_cannot_be_had_at_once_is_said(

@@ -11,9 +11,9 @@ from undeadzone.simulation.simulate import simulate
 from undeadzone_design.synthesis.check import check
 
 
-def looked_at(**told: float) -> Scenario:
+def looked_at(**sensor_options: float) -> Scenario:
     return scene(
-        sensor={"right": 1.3, "left": 0.6, "noise": 0.02} | told,
+        sensor={"right": 1.3, "left": 0.6, "noise": 0.02} | sensor_options,
         observer={"method": "censored", "right": [0.3, 2.0], "levels": 1, "tolerance": 0.0},
         simulation={"time": "sampled", "step": 0.02, "duration": 6.0},
     )
@@ -22,12 +22,12 @@ def looked_at(**told: float) -> Scenario:
 def test_parts_of_a_widths_interval_are_named() -> None:
     found = check(looked_at())
     (costs,) = found.shape
-    shown = simulate(looked_at(), check_step=False).width_std
+    width_std = simulate(looked_at(), check_step=False).width_std
     sure = simulate(looked_at(slope_std=0.0), check_step=False).width_std
-    assert shown is not None
+    assert width_std is not None
     assert sure is not None
-    assert costs["width"] == pytest.approx(shown[-1, 0])
-    assert costs["slope_std"] == pytest.approx(np.sqrt(shown[-1, 0] ** 2 - sure[-1, 0] ** 2))
+    assert costs["width"] == pytest.approx(width_std[-1, 0])
+    assert costs["slope_std"] == pytest.approx(np.sqrt(width_std[-1, 0] ** 2 - sure[-1, 0] ** 2))
     assert max(costs, key=lambda name: costs[name]) == "width"
     assert "of which rounding" in repr(found)
     assert found.summary()["shape"] == pytest.approx(costs)

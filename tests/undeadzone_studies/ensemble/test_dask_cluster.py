@@ -87,9 +87,9 @@ def test_what_a_block_raises_arrives_and_the_others_are_kept(
         run_blocks.compute_job(
             functools.partial(sines, 605, wrong=40), path, cluster=dask.scheduler_address
         )
-    kept = journal.open_store(path, sines(605).layout, resume=True)
-    kept.close()
-    assert 0 < kept.runs_done < 605
+    store = journal.open_store(path, sines(605).layout, resume=True)
+    store.close()
+    assert 0 < store.runs_done < 605
     make = functools.partial(sines, 605)
     run_blocks.compute_job(make, path, resume=True, cluster=dask.scheduler_address).close()
     assert path.read_bytes() == whole

@@ -95,13 +95,13 @@ def test_rows_in_the_wrong_block_are_not_believed(tmp_path: Path) -> None:
     assert again(store.path, 100) == [1]
 
 
-@pytest.mark.parametrize("kept", [100, 3000, 5000, 6300])
-def test_a_file_cut_short_is_completed(tmp_path: Path, kept: int) -> None:
+@pytest.mark.parametrize("length", [100, 3000, 5000, 6300])
+def test_a_file_cut_short_is_completed(tmp_path: Path, length: int) -> None:
     whole = run_blocks.compute_job(functools.partial(sines, 95), tmp_path / "whole.partial")
     store = stored(tmp_path / "runs.partial")
     store.close()
-    os.truncate(store.path, kept)
-    if kept < 200:  # the header itself is torn
+    os.truncate(store.path, length)
+    if length < 200:  # the header itself is torn
         words = "is not an unfinished ensemble. Choose another name or delete it"
         with pytest.raises(FileError, match=words):
             again(store.path)
@@ -299,14 +299,14 @@ class Interrupted(Sines):
 
 
 def test_ctrl_c_says_what_is_kept_and_how_to_go_on(tmp_path: Path) -> None:
-    path, told = tmp_path / "runs.partial", []
+    path, progress = tmp_path / "runs.partial", []
     words = r"50 of 95 runs are kept in .*runs\.partial; continue with resume=True"
     with pytest.raises(KeyboardInterrupt, match=words):
         run_blocks.compute_job(lambda: Interrupted(layout(95), wrong=5), path)
     store = run_blocks.compute_job(
-        functools.partial(sines, 95), path, resume=True, progress=told.append
+        functools.partial(sines, 95), path, resume=True, progress=progress.append
     )
-    assert told == [50, 10, 10, 10, 10, 5]
+    assert progress == [50, 10, 10, 10, 10, 5]
     assert store.done.all()
 
 

@@ -27,11 +27,11 @@ def whole(tmp_path: Path) -> bytes:
 
 
 def test_they_give_the_same_bits(tmp_path: Path, whole: bytes) -> None:
-    told: list[int] = []
+    progress: list[int] = []
     make, path = functools.partial(sines, 605, 0.002), tmp_path / "runs.partial"
-    run_blocks.compute_job(make, path, workers=2, progress=told.append).close()
+    run_blocks.compute_job(make, path, workers=2, progress=progress.append).close()
     assert path.read_bytes() == whole
-    assert sum(told) == 605
+    assert sum(progress) == 605
 
 
 def test_they_continue_what_one_process_began(tmp_path: Path, whole: bytes) -> None:
@@ -106,9 +106,9 @@ def test_what_a_block_raises_arrives_and_the_others_are_kept(tmp_path: Path, who
     path = tmp_path / "runs.partial"
     with pytest.raises(ArithmeticError, match="a block that fails"):
         run_blocks.compute_job(functools.partial(sines, 605, wrong=40), path, workers=2)
-    kept = journal.open_store(path, sines(605).layout, resume=True)
-    kept.close()
-    assert 0 < kept.runs_done < 605
+    store = journal.open_store(path, sines(605).layout, resume=True)
+    store.close()
+    assert 0 < store.runs_done < 605
     run_blocks.compute_job(functools.partial(sines, 605), path, resume=True, workers=2).close()
     assert path.read_bytes() == whole
 
@@ -255,8 +255,8 @@ def test_ctrl_c_stops_the_workers_quietly(tmp_path: Path, whole: bytes) -> None:
         assert running.stdout is not None
         running.stdout.readline()
         os.killpg(running.pid, signal.SIGINT)  # as a terminal does: to the whole group
-        said, noise = running.communicate()
-    assert "of 605 runs are kept in" in said
+        output, noise = running.communicate()
+    assert "of 605 runs are kept in" in output
     assert noise == ""
     run_blocks.compute_job(functools.partial(sines, 605), path, resume=True).close()
     assert path.read_bytes() == whole

@@ -230,12 +230,12 @@ def test_neither_blocks_nor_threads_nor_the_number_of_runs_change_a_bit(
 
 def test_a_file_holds_the_same_bytes_whatever_computed_it(tmp_path: Path) -> None:
     scenario = named("sampled", 300)
-    told: list[int] = []
-    result = run_ensemble(scenario, tmp_path / "one.npz", progress=told.append)
+    progress: list[int] = []
+    result = run_ensemble(scenario, tmp_path / "one.npz", progress=progress.append)
     run_ensemble(scenario, tmp_path / "two.npz", workers=1)
     assert (tmp_path / "one.npz").read_bytes() == (tmp_path / "two.npz").read_bytes()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["one.npz", "two.npz"]
-    assert sum(told) == 300
+    assert sum(progress) == 300
     in_memory = run_ensemble(scenario)
     parquet = run_ensemble(scenario, tmp_path / "runs.parquet")
     for other in (in_memory, parquet):
@@ -508,8 +508,10 @@ def interrupted(study: Path, path: Path, blocks: int, how: signal.Signals) -> st
     """What an ensemble that gets a signal after so many reports of progress says."""
     command = [sys.executable, "-c", INTERRUPTIBLE, str(study), str(path)]
     # Not ignored, even if this process runs in the background: Python looks when it starts.
-    heard = functools.partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, preexec_fn=heard) as running:
+    restore_sigint = functools.partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, text=True, preexec_fn=restore_sigint
+    ) as running:
         assert running.stdout is not None
         for _ in range(blocks):
             running.stdout.readline()
@@ -525,26 +527,26 @@ def test_killed_again_and_again_it_ends_with_the_same_bytes(study: Path, tmp_pat
     interrupted(study, path, 2, signal.SIGKILL)
     interrupted(study, path, 3, signal.SIGKILL)
     assert not path.exists()
-    said = interrupted(study, path, 1, signal.SIGINT)
-    assert f"runs are kept in {path}.partial; continue with resume=True" in said
+    output = interrupted(study, path, 1, signal.SIGINT)
+    assert f"runs are kept in {path}.partial; continue with resume=True" in output
     run_ensemble(scenario, path, resume=True)
     assert path.read_bytes() == (tmp_path / "whole.npz").read_bytes()
     assert not path.with_name("runs.npz.partial").exists()
 
 
 def test_resume_leaves_a_finished_file_as_it_is(tmp_path: Path) -> None:
-    path, told = tmp_path / "runs.npz", list[int]()
+    path, progress = tmp_path / "runs.npz", list[int]()
     first = run_ensemble(named("sampled"), path, resume=True)
-    again = run_ensemble(named("sampled"), path, resume=True, progress=told.append)
+    again = run_ensemble(named("sampled"), path, resume=True, progress=progress.append)
     assert again.info == first.info
-    assert told == []
+    assert progress == []
     before = path.read_bytes()
     words = (
         r"holds another problem \(runs: 150 there, 151 here.*; leave resume=True out to replace it"
     )
     with pytest.raises(InputError, match=words):
-        run_ensemble(named("sampled", 151), path, resume=True, progress=told.append)
+        run_ensemble(named("sampled", 151), path, resume=True, progress=progress.append)
     assert path.read_bytes() == before
     path.write_bytes(before[:-100])
-    run_ensemble(named("sampled", 151), path, resume=True, progress=told.append)
-    assert told == [151]
+    run_ensemble(named("sampled", 151), path, resume=True, progress=progress.append)
+    assert progress == [151]

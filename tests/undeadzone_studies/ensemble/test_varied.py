@@ -421,7 +421,7 @@ def test_blocks_do_not_matter_to_the_last_bit(sampling: str, first: int, count: 
 # --- the hold of many plants ---
 
 
-def held(AB: Floats, Ts: float) -> Floats:
+def discretise(AB: Floats, Ts: float) -> Floats:
     """[Ad, Bd] of many plants (plants x n x (n + m)) from their [A, B]."""
     plants_last = np.ascontiguousarray(np.moveaxis(AB, 0, -1))
     return np.moveaxis(hold.zoh_of_each(plants_last, Ts), -1, 0)
@@ -437,7 +437,7 @@ def held(AB: Floats, Ts: float) -> Floats:
 def test_many_plants_are_held_as_one(seed: int, n: int, m: int, scale: float) -> None:
     rng = np.random.default_rng(seed)
     plants = [random_plant(rng, n, m) for _ in range(5)]
-    found = held(np.stack([np.hstack(plant.linear[:2]) for plant in plants]), scale)
+    found = discretise(np.stack([np.hstack(plant.linear[:2]) for plant in plants]), scale)
     for plant, AB in zip(plants, found, strict=True):
         expected = sample_plant(plant, scale).linear
         both = np.hstack([expected.A, expected.B])
@@ -453,7 +453,7 @@ def test_the_hold_is_exact_to_rounding_where_it_is_known() -> None:
     chain = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
     wave = np.array([[0.0, w, 0.0], [-w, 0.0, w]])
     decay = np.array([[-a, 0.0, a], [0.0, -1e-9, 1e-9]])
-    found = held(np.stack([chain, wave, decay]), Ts)
+    found = discretise(np.stack([chain, wave, decay]), Ts)
     c, s = np.cos(w * Ts), np.sin(w * Ts)
     np.testing.assert_array_equal(found[0], [[1.0, Ts, Ts**2 / 2], [0.0, 1.0, Ts]])
     np.testing.assert_allclose(found[1], [[c, s, 1 - c], [-s, c, s]], atol=1e-13)
@@ -463,7 +463,7 @@ def test_the_hold_is_exact_to_rounding_where_it_is_known() -> None:
 
 
 def test_a_plant_that_overflows_says_so_by_its_numbers() -> None:
-    found = held(np.array([[[1e6, 1.0]], [[-1.0, 1.0]]]), 1.0)
+    found = discretise(np.array([[[1e6, 1.0]], [[-1.0, 1.0]]]), 1.0)
     assert not np.isfinite(found[0]).all()
     np.testing.assert_allclose(found[1], [[np.exp(-1.0), -np.expm1(-1.0)]], rtol=1e-15)
 
