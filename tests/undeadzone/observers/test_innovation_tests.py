@@ -276,7 +276,7 @@ def test_where_readings_stay_is_told_in_units_of_z() -> None:
 
 @pytest.mark.parametrize(("y", "expected"), [(8.0, 0.5), (0.0, 0.0)])
 def test_a_silent_sensor_is_not_held_for_a_stuck_one(y: float, expected: float) -> None:
-    assert float(of_scores(y, y, 1.0).held) == expected
+    assert float(of_scores(y, y, 1.0).stuck) == expected
 
 
 def test_scores_of_small_inputs_are_normal_numbers_too() -> None:

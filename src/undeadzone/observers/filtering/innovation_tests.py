@@ -44,7 +44,7 @@ class Scores(NamedTuple):
         lift, lift_square: of nu times what inputs of late show in z beyond their mean, and
             variance of that.
         rise, rise_square: of nu times how that changes, likewise.
-        held: share of readings that stay though they were foretold to move.
+        stuck: share of readings that stay though they were predicted to move.
         rest: the same times if they stay [z].
         row: how many readings in a row were refused and agreed.
         rows: how often it were `ROW`.
@@ -59,7 +59,7 @@ class Scores(NamedTuple):
     lift_square: Any
     rise: Any
     rise_square: Any
-    held: Any
+    stuck: Any
     rest: Any
     row: Any
     rows: Any
@@ -119,7 +119,7 @@ def update_scores(
         keep**2 * s.lift_square + lift**2,
         keep * s.rise + nu * rise,
         keep**2 * s.rise_square + rise**2,
-        keep * s.held + (1 - keep) * stays,
+        keep * s.stuck + (1 - keep) * stays,
         keep * s.rest + (1 - keep) * stays * ca.fmin(ca.fabs(y / q.slope), doubt.reach),
         row,
         (1 - (1 - keep) / SPAN) * s.rows + ca.logic_and(refused, row == ROW),
@@ -154,7 +154,7 @@ def stuck_ratio(doubt: Any, s: Scores) -> Any:
 
     Above 1 the sensor is faulty.
     """
-    return s.held / ca.fmax(STUCK, FEWEST * (1 - doubt.keep))
+    return s.stuck / ca.fmax(STUCK, FEWEST * (1 - doubt.keep))
 
 
 def mismatch_ratio(s: Scores) -> Any:
@@ -167,7 +167,7 @@ def mismatch_ratio(s: Scores) -> Any:
 
 def stuck_level(doubt: Any, s: Scores) -> Any:
     """Return the mean abs(y) / m of a stuck sensor (p) [z], 0 if the sensor is sound."""
-    return ca.if_else(stuck_ratio(doubt, s) > 1, s.rest / ca.fmax(s.held, STUCK), 0.0)
+    return ca.if_else(stuck_ratio(doubt, s) > 1, s.rest / ca.fmax(s.stuck, STUCK), 0.0)
 
 
 def assumption_ratios(doubt: Any, s: Scores) -> dict[str, Any]:
