@@ -129,3 +129,14 @@ def test_an_edge_is_widened_by_its_likelihood_about_where_it_is_shown(
     half = 2.0 * 1.96 / 4.0  # 16 is the curvature, and its root the reciprocal deviation
     assert (found.low, found.high) == pytest.approx((value - half, value + half), rel=0.02)
     assert value - found.low == pytest.approx(found.high - value)
+
+
+@pytest.mark.parametrize(("half", "expected"), [(0.3, 0.3), (4.8, 0.06), (0.0, 0.06)])
+def test_a_singular_stage_widens_no_interval(half: float, expected: float) -> None:
+    """Single samples gave 0.75 [-4.0, 5.5], pairs and the filter half intervals of 0.06.
+
+    A half interval of 0 is that of a known width: no other is compared with it.
+    """
+    halves = (0.06, half)
+    stages = [widths._Stage((0.4, 1.1), {"right": one}, {"right": 12.0}) for one in halves]
+    assert widths._widest_stage(stages, "right").halves["right"] == expected

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
@@ -26,6 +27,7 @@ from undeadzone_identify.selection.orders import OrderFit
 FEW_VISITS = 3  # below these an edge is hardly reached
 POINTS = 8  # of a profile, on each side of the edge
 STEPS = 10  # of each climb of a profile
+SINGULAR = 20.0  # ratio of half intervals, from which the Hessian of the wider one is singular
 REACH = 4.0  # usual half intervals, within which its ends are sought
 
 
@@ -75,9 +77,7 @@ def find_widths(
     stages = {name: one.edges for name, one in collected.items()}
     last = list(stages)[-1]
     remarks: list[str] = []
-    by_half = {
-        name: max(collected.values(), key=lambda one: one.halves[name]) for name in DIRECTIONS
-    }
+    by_half = {name: _widest_stage(collected.values(), name) for name in DIRECTIONS}
     widest = {name: one.halves[name] for name, one in by_half.items()}
     degrees = {name: one.degrees[name] for name, one in by_half.items()}
     if any(_stage_gap(stages, DIRECTIONS[name], "L3") > widest[name] for name in ("right", "left")):
@@ -151,6 +151,20 @@ def _collect_stages(chosen: OrderFit, kalman: KalmanFit | None) -> dict[str, _St
     if kalman is not None:
         stages["L3"] = _to_stage(kalman)
     return stages
+
+
+def _widest_stage(stages: Collection[_Stage], name: str) -> _Stage:
+    """Return the stage of the widest interval of a width that another stage does not refute.
+
+    Args:
+        stages: those that were run.
+        name: right, left, width or centre.
+    """
+    narrowest = min(one.halves[name] for one in stages)  # 0: a width that is known
+    limit = SINGULAR * narrowest or math.inf
+    return max(
+        (one for one in stages if one.halves[name] <= limit), key=lambda one: one.halves[name]
+    )
 
 
 def _to_stage(fit: ZoneFit | KalmanFit) -> _Stage:
