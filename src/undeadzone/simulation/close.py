@@ -326,8 +326,8 @@ def no_target(problem: Problem) -> Target:
 def _instant(problem: Problem) -> loop.Exogenous:
     """Return zeros of the shapes of the exogenous inputs at one instant."""
     plant = problem.plant
-    held_inputs = np.zeros((loop.HELD_INPUTS, plant.p))
-    return loop.Exogenous(no_target(problem), np.zeros(plant.m), *held_inputs)
+    zoh_inputs = np.zeros((loop.ZOH_INPUTS, plant.p))
+    return loop.Exogenous(no_target(problem), np.zeros(plant.m), *zoh_inputs)
 
 
 def _first_that_suffices(attempts: list[dense_output.StepAttempt]) -> ca.SX:
@@ -393,21 +393,21 @@ def _plain(step: _Step) -> ca.SX:
 
 
 def exogenous_at(columns: list[ca.SX], c: Any, p: int) -> ca.SX:
-    """Return the exogenous inputs at a fraction of the step: quadratic, but for those that are
-    held.
+    """Return the exogenous inputs at a fraction of the step: quadratic, but for those of zero
+    order.
 
     Args:
         columns: the inputs at the step's start, middle and end.
         c: the fraction: 0.0, 0.5 or 1.0, or a CasADi expression.
         p: number of outputs.
     """
-    first, middle, last = (column[: -loop.HELD_INPUTS * p] for column in columns)
-    held_inputs = columns[0][-loop.HELD_INPUTS * p :]
+    first, middle, last = (column[: -loop.ZOH_INPUTS * p] for column in columns)
+    zoh_inputs = columns[0][-loop.ZOH_INPUTS * p :]
     if isinstance(c, float):
-        return ca.vertcat(columns[round(2 * c)][: -loop.HELD_INPUTS * p], held_inputs)
+        return ca.vertcat(columns[round(2 * c)][: -loop.ZOH_INPUTS * p], zoh_inputs)
     curvature = 2 * (first + last) - 4 * middle
     slope = 4 * middle - 3 * first - last
-    return ca.vertcat(first + c * (slope + c * curvature), held_inputs)
+    return ca.vertcat(first + c * (slope + c * curvature), zoh_inputs)
 
 
 def _located_attempts(step: _Step, order: int) -> list[dense_output.StepAttempt]:

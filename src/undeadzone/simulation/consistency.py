@@ -194,7 +194,7 @@ class Own:
             self.refused = self._before + int(estimate.refused[-1].sum())
 
     @property
-    def claims(self) -> list[str]:
+    def rejected_assumptions(self) -> list[str]:
         """Return the assumptions rejected at the end, else the most suspect one if they seldom
         held.
         """
@@ -252,7 +252,7 @@ def verdict_of(
         for test in tests:
             reasons += _describe_large_sums(test)
     else:
-        reasons += describe_rejected_assumptions(own.claims, options)
+        reasons += describe_rejected_assumptions(own.rejected_assumptions, options)
     for test in tests:
         reasons += _describe_contradictions(test)
     consistent: bool | None = not reasons
@@ -271,7 +271,7 @@ def verdict_of(
         refused,
         sum(test.outside for test in tests),
         list(dict.fromkeys(reasons)),
-        [] if own is None else own.claims,
+        [] if own is None else own.rejected_assumptions,
     )
 
 

@@ -11,7 +11,7 @@ from undeadzone.feedforward.targets import Target, flat_targets, invert_targets,
 from undeadzone.scenario.problem import Problem
 from undeadzone.signals import exosystem as signals
 from undeadzone.signals import noise
-from undeadzone.simulation.loop import HELD_INPUTS, RUNGE_KUTTA, instants
+from undeadzone.simulation.loop import RUNGE_KUTTA, ZOH_INPUTS, instants
 from undeadzone.util.arrays import Floats, Integers, require_vector
 
 NUDGE: Final = 1e-9  # of a step: a reference's corners on the grid belong to the step that follows
@@ -59,15 +59,15 @@ def exogenous(
     plant = problem.plant
     rows = np.arange(problem.steps * refine + 1)
     seed = simulation.seed if seed is None else seed
-    held_inputs = np.zeros((rows.size, HELD_INPUTS * plant.p))
+    zoh_inputs = np.zeros((rows.size, ZOH_INPUTS * plant.p))
     if run is not None:
-        held_inputs[:] = np.hstack(_draw_held_inputs(problem, seed, run))[rows // refine]
+        zoh_inputs[:] = np.hstack(_draw_zoh_inputs(problem, seed, run))[rows // refine]
     grid = _Grid(rows, refine, simulation.step / refine, knots_of(problem, run, seed))
     if plant.Ts is not None:
-        return np.hstack(_at_samples(problem, grid, held_inputs))
+        return np.hstack(_at_samples(problem, grid, zoh_inputs))
     if simulation.order > RUNGE_KUTTA:
-        return np.hstack(_taylor_coefficients(problem, grid, held_inputs))
-    return np.hstack(_at_instants(problem, grid, held_inputs))
+        return np.hstack(_taylor_coefficients(problem, grid, zoh_inputs))
+    return np.hstack(_at_instants(problem, grid, zoh_inputs))
 
 
 def knots_of(problem: Problem, run: int | None, seed: int | None = None) -> Floats:
@@ -91,25 +91,25 @@ def knots_of(problem: Problem, run: int | None, seed: int | None = None) -> Floa
     )
 
 
-def _at_samples(problem: Problem, grid: _Grid, held_inputs: Floats) -> list[Floats]:
+def _at_samples(problem: Problem, grid: _Grid, zoh_inputs: Floats) -> list[Floats]:
     """Return the inputs of each step in sampled time: targets at its start, w at its middle."""
     t = grid.rows * grid.step
     w = _disturbance(problem, grid, t + grid.step / 2, 0.5)
-    return [*targets(problem, t), w, held_inputs]
+    return [*targets(problem, t), w, zoh_inputs]
 
 
-def _at_instants(problem: Problem, grid: _Grid, held_inputs: Floats) -> list[Floats]:
+def _at_instants(problem: Problem, grid: _Grid, zoh_inputs: Floats) -> list[Floats]:
     """Return the inputs at the start, middle and end of each step, one after the other."""
     parts: list[Floats] = []
     for fraction in INSTANTS:
         nudged = min(max(fraction, NUDGE), 1 - NUDGE)
         t = (grid.rows + nudged) * grid.step
         w = _disturbance(problem, grid, t, fraction)
-        parts += [*targets(problem, t), w, held_inputs]
+        parts += [*targets(problem, t), w, zoh_inputs]
     return parts
 
 
-def _taylor_coefficients(problem: Problem, grid: _Grid, held_inputs: Floats) -> list[Floats]:
+def _taylor_coefficients(problem: Problem, grid: _Grid, zoh_inputs: Floats) -> list[Floats]:
     """Return the Taylor coefficients of the inputs over each step, a block (N x inputs) an order.
 
     With the step h, coefficient k is the k-th derivative times h^k / k!. Inputs that are constant
@@ -118,7 +118,7 @@ def _taylor_coefficients(problem: Problem, grid: _Grid, held_inputs: Floats) -> 
     Args:
         problem: the problem to simulate.
         grid: starts of the steps.
-        held_inputs: inputs that are constant over a step (N x 5p).
+        zoh_inputs: inputs that are constant over a step (N x 5p).
     """
     # At a corner of the reference on the grid, the step that follows has its derivatives from the
     # right. They are taken NUDGE steps after the start.
@@ -134,8 +134,8 @@ def _taylor_coefficients(problem: Problem, grid: _Grid, held_inputs: Floats) -> 
             w = _disturbance(problem, grid, t, 0.0)
         else:  # w is linear between two knots: order 1 is its slope, all higher orders are 0
             w = (grid.knots[grid.lower + 1] - grid.knots[grid.lower]) * (k == 1) / grid.refine
-        held_part = held_inputs if k == 0 else np.zeros_like(held_inputs)
-        coefficients.append(np.hstack([*scaled, w, held_part]))
+        zoh_part = zoh_inputs if k == 0 else np.zeros_like(zoh_inputs)
+        coefficients.append(np.hstack([*scaled, w, zoh_part]))
     # Expand about the start of the step instead of the instant NUDGE later. Terms of NUDGE^2 are
     # below rounding: c_k(0) = c_k(NUDGE) - (k + 1) NUDGE c_(k+1).
     for k in range(len(coefficients) - 1):
@@ -151,7 +151,7 @@ def _disturbance(problem: Problem, grid: _Grid, t: Floats, fraction: float) -> F
     return interpolate_line(grid.knots[grid.lower], grid.knots[grid.lower + 1], share)
 
 
-def _draw_held_inputs(problem: Problem, seed: int, run: int) -> list[Floats]:
+def _draw_zoh_inputs(problem: Problem, seed: int, run: int) -> list[Floats]:
     """Draw the inputs that each step holds constant: the last entries of `loop.Exogenous`.
 
     Args:

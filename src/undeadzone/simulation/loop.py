@@ -15,7 +15,7 @@ from undeadzone.nonlinearities.actuator import Drive
 from undeadzone.nonlinearities.limits import Limits
 
 RUNGE_KUTTA: Final = 4  # the order that needs no Taylor series
-HELD_INPUTS: Final = 5  # exogenous inputs of an output that a step holds constant: the last ones
+ZOH_INPUTS: Final = 5  # last exogenous inputs of an output: a step holds them constant (zero order)
 
 
 def instants(Ts: float | None, order: int) -> int:

@@ -84,7 +84,7 @@ def test_what_is_no_number_is_not_consistent() -> None:
     assert list_rejected_assumptions(float(found["claims"]), float(found["suspect"])) == ["gust"]
     own, column = Own(), {name: np.array([[float(value)]]) for name, value in found.items()}
     own.add(Estimate(*[np.zeros((1, 1))] * len(Estimate._fields))._replace(**column))
-    assert own.claims == ["gust"]
+    assert own.rejected_assumptions == ["gust"]
 
 
 def followed(regress: Callable[[Any], Any], count: int = 400) -> dict[str, list[float]]:
@@ -253,7 +253,7 @@ def test_a_log_that_seldom_fitted_names_what_was_likeliest() -> None:
         "refused": np.zeros((4, 1)),
     }
     own.add(Estimate(*[np.zeros((4, 0))] * len(Estimate._fields))._replace(**parts))
-    assert own.claims == [list(ASSUMPTION_CHECKS)[1]]
+    assert own.rejected_assumptions == [list(ASSUMPTION_CHECKS)[1]]
 
 
 def of_scores(y: float, last: float, slope: float, refused: float = 0.0, **sums: Any) -> Any:
