@@ -98,8 +98,8 @@ def test_integrators_give_the_width_alone() -> None:
     assert abs(result.widths[0, 0] - 1.2) > 0.1
 
 
-def test_a_geared_motor_is_told_that_its_play_is_symmetric() -> None:
-    """Both commands end well; without the claim neither would."""
+def test_the_declared_centre_makes_a_geared_motor_identifiable() -> None:
+    """Both commands end well; without the declared centre neither would."""
     result = run("motor_position")
     assert result.fully_identifiable
     assert result.rms_estimation < 5e-3

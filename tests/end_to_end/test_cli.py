@@ -384,7 +384,7 @@ def test_a_full_stdout_is_one_line(scenario: Path, arguments: list[str]) -> None
     assert done.stderr == "undeadzone: stdout: cannot write: No space left on device\n"
 
 
-def test_an_observer_that_is_never_told_anything_ends_with_a_no(scenario: Path) -> None:
+def test_an_observer_without_informative_readings_ends_with_a_no(scenario: Path) -> None:
     """Its widths stay what they were: no success; one that knows them learns nothing."""
     silent = re.sub(r"amplitude = .*", "amplitude = 0.1", scenario.read_text())
     scenario.write_text(re.sub(r"x0 = .*", "x0 = [0.0, 0.0]", silent))
@@ -538,7 +538,7 @@ def wait_for_text(terminal: Terminal, word: str) -> bool:
     return False
 
 
-def test_a_long_set_up_is_shown_before_the_first_step(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_long_set_up_is_reported_before_the_first_step(monkeypatch: pytest.MonkeyPatch) -> None:
     terminal = Terminal()
     monkeypatch.setattr(sys, "stderr", terminal)
     monkeypatch.setattr(progress, "PATIENCE", 0.01)
@@ -550,7 +550,7 @@ def test_a_long_set_up_is_shown_before_the_first_step(monkeypatch: pytest.Monkey
         assert "simulating" in terminal.getvalue()
 
 
-def test_a_step_that_came_early_is_shown_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_early_step_is_reported_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
     """And the next one may take long."""
     terminal = Terminal()
     monkeypatch.setattr(sys, "stderr", terminal)
@@ -610,8 +610,8 @@ def test_every_command_says_what_it_sets_up(
 
 
 @pytest.mark.parametrize("command", ["run", "check"])
-def test_export_is_named_where_it_is_taken(command: str, tmp_path: Path) -> None:
-    """Of a continuous scenario, and of an observer that is told the state, it is refused."""
+def test_export_is_suggested_for_scenarios_that_it_accepts(command: str, tmp_path: Path) -> None:
+    """Of a continuous scenario, and of an observer that knows the state, it is refused."""
     text = (EXAMPLES / "paper_2sin.toml").read_text()
     (tmp_path / "mine.toml").write_text(text)
     hint = 'undeadzone export mine.toml takes it with simulation.time = "sampled"'

@@ -155,7 +155,7 @@ def test_a_log_leads_to_firmware_in_the_units_of_its_plant(identified: Any) -> N
 # --- A scenario that was written by hand
 
 
-def test_a_run_is_shown_in_the_units_of_its_plant(tmp_path: Path) -> None:
+def test_a_run_is_reported_in_the_units_of_its_plant(tmp_path: Path) -> None:
     (tmp_path / "heater.toml").write_text(PLANT + POINT)
     assert undeadzone("run", "heater.toml", "--out", "o", "--csv", cwd=tmp_path).returncode == 0
     run, plain = uz.Run.load(tmp_path / "o" / "run.csv"), uz.simulate(parse(PLANT))

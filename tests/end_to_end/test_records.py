@@ -46,7 +46,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_records_are_asked_by_their_labels_and_without_options(folder: Path) -> None:
+def test_records_are_scored_by_their_labels_and_need_few_options(folder: Path) -> None:
     every = {one.kind: one for one in strangers.records(folder)}
     assert set(every) == set(EXPECTED)
     right = {name for name, one in every.items() if one.is_right}

@@ -58,7 +58,7 @@ def squares(
 # --- The file
 
 
-def test_what_is_kept_is_not_computed_again(tmp_path: Path) -> None:
+def test_stored_results_are_not_computed_again(tmp_path: Path) -> None:
     path, computed = tmp_path / "kept", list[int]()
     words = f"5 squares are kept in {path}; continue with resume=True"
     with pytest.raises(Terminated, match=words):
@@ -129,7 +129,7 @@ def test_two_at_once_are_refused(tmp_path: Path) -> None:
             first.compute_missing([1], lambda missing: iter([(0, 1)]))
 
 
-def test_nothing_kept_leaves_no_file(tmp_path: Path) -> None:
+def test_a_stop_before_the_first_result_leaves_no_file(tmp_path: Path) -> None:
     with pytest.raises(Terminated):
         squares(tmp_path / "kept", stop=0)
     assert list(tmp_path.iterdir()) == []
@@ -238,7 +238,7 @@ def test_an_identification_that_is_killed_again_and_again_finds_the_same(tmp_pat
     assert path.stat().st_size == size_before  # nothing was climbed to again
 
 
-def test_what_is_asked_of_the_answer_later_is_computed(tmp_path: Path) -> None:
+def test_a_later_profile_of_a_stored_answer_is_computed(tmp_path: Path) -> None:
     path = tmp_path / "identify.json.partial"
     found = identify(**logged(), order=1, keep=path)
     fall = profile_likelihood(found.answer.fit, "right", np.array([found.answer.fit.right + 0.02]))
@@ -369,7 +369,7 @@ def test_a_resume_that_finds_nothing_says_so(command: str, mine: Path, tmp_path:
     assert "begins anew" in done.stderr
 
 
-def test_arena_keeps_what_is_done_without_being_asked(mine: Path, tmp_path: Path) -> None:
+def test_arena_stores_finished_runs_by_default(mine: Path, tmp_path: Path) -> None:
     command = [*COMMAND, str(mine), "--methods", METHODS, "--seeds", "6"]
     partial = tmp_path / "arena-results/results.json.partial"
     code, output = stopped(signal.SIGINT, partial, command, tmp_path)

@@ -227,7 +227,7 @@ def test_a_chain_of_integrators_has_the_time_of_its_samples(time: float) -> None
     np.testing.assert_allclose(built[1].drift, built[0].drift)
 
 
-def test_integrators_and_slow_poles_are_told_apart_in_any_unit_of_time() -> None:
+def test_integrators_and_slow_poles_are_distinguished_in_any_unit_of_time() -> None:
     for rate in (1e-8, 1.0, 1e8):
         motor = np.array([[0.0, 1.0], [0.0, -rate]])
         assert moving_pole_sizes(motor) == pytest.approx([rate])

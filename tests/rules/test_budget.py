@@ -57,7 +57,7 @@ def test_every_room_keeps_to_its_budget() -> None:
     assert len(FILES) <= MOST_FILES
 
 
-def test_rooms_of_the_tool_and_packages_beside_it_are_told_apart() -> None:
+def test_rooms_of_the_tool_and_packages_beside_it_are_distinguished() -> None:
     assert node_budget.name_room("undeadzone/observers/parts/gain.py") == "observers"
     assert node_budget.name_room("undeadzone/errors.py") == node_budget.TOP
     assert node_budget.name_room("undeadzone_identify/logs/grid.py") == "undeadzone_identify"
@@ -146,7 +146,7 @@ def test_known_gaps_stay_short() -> None:
     assert sum(map(bool, lines)) <= 75
 
 
-def test_every_table_of_results_names_the_commit_of_the_code_that_made_it() -> None:
+def test_every_table_of_results_names_the_commit_of_its_code() -> None:
     """`python -m benchmarks --write` does so; what decisions weighed was measured at the time."""
     sections = parted((HOME / "benchmarks" / "RESULTS.md").read_text(encoding="utf-8"))
     assert len(sections) > 40

@@ -119,8 +119,8 @@ def test_what_public_functions_return_is_public() -> None:
     assert classes <= set(NAMES)
 
 
-def test_help_says_where_claims_are_explained() -> None:
-    """`help(uz.Auto)` named a class whose own help has no claims."""
+def test_help_says_where_assumptions_are_explained() -> None:
+    """`help(uz.Auto)` named a class whose own help has no assumptions."""
     for options in (undeadzone.Auto, undeadzone.Censored):
         assert "options are those of `Assumptions`" in (options.__doc__ or "")
     assert "right, left: ranges [lo, hi] of d_r and d_l" in (undeadzone.Assumptions.__doc__ or "")

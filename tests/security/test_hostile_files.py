@@ -119,7 +119,7 @@ def test_pages_hold_no_control_characters() -> None:
     assert not steers(text)
 
 
-def test_text_on_a_figure_is_shown_as_it_is() -> None:
+def test_text_on_a_figure_is_drawn_verbatim() -> None:
     from matplotlib.figure import Figure
 
     figure = Figure()

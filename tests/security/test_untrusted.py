@@ -149,7 +149,7 @@ def test_a_link_in_the_place_of_results_is_not_followed(folder: Path, secret: Pa
     assert {path.name for path in secret.parent.iterdir()} == {"secret.csv"}
 
 
-def test_workers_are_held_too(folder: Path, tmp_path: Path) -> None:
+def test_worker_processes_have_the_same_limits(folder: Path, tmp_path: Path) -> None:
     """Processes that a command starts have its limits; a contest runs as ever."""
     few = ("--methods", "kalman,oracle", "--seeds", "1", "--processes", "2")
     out = str(tmp_path / "a")

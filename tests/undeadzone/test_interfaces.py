@@ -84,7 +84,7 @@ def test_who_adapts_says_so(options: uz.Certified, adapts: bool) -> None:
     assert options.build(CONTINUOUS, zone(CONTINUOUS)).traits.adapts is adapts
 
 
-def test_a_bound_of_the_widths_is_said() -> None:
+def test_a_bound_of_the_widths_is_a_trait() -> None:
     bounded = uz.Certified(width_max=3.0).build(CONTINUOUS, zone(CONTINUOUS))
     np.testing.assert_array_equal(bounded.traits.width_max, [3.0])
 

@@ -143,7 +143,9 @@ def test_what_is_installed_meanwhile_is_found(
     assert {"held_one", "held_other"} <= set(OBSERVERS.list_tags())
 
 
-def test_what_is_registered_and_cannot_be_imported_is_said(command: Run, tmp_path: Path) -> None:
+def test_a_registered_method_that_cannot_be_imported_is_reported(
+    command: Run, tmp_path: Path
+) -> None:
     text = SCENARIO.replace('"held", widths0 = 0.4', '"lost"')
     (tmp_path / "lost.toml").write_text(text, encoding="utf-8")
     stderr_text = command("run", "lost.toml", code=2)

@@ -86,7 +86,9 @@ def _disturbed_run(bound: float, **changes: Any) -> Run:
 @pytest.mark.parametrize(
     "simulation", [Simulation(duration=8.0), Simulation(duration=8.0, time="sampled", step=5e-3)]
 )
-def test_the_bound_is_kept_where_the_law_without_barrier_leaves_it(simulation: Simulation) -> None:
+def test_the_bound_is_satisfied_where_the_law_without_barrier_violates_it(
+    simulation: Simulation,
+) -> None:
     bounded = _disturbed_run(BOUND, simulation=simulation)
     left = _disturbed_run(1e6, simulation=simulation)
     late = bounded.t > 2.0

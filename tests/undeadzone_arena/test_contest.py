@@ -120,7 +120,7 @@ def result(
 # --- What the sensor may do besides
 
 
-def test_readings_are_lost_as_often_as_said_and_widths_walk_as_far() -> None:
+def test_readings_are_lost_and_widths_drift_at_the_given_rates() -> None:
     scenario = small(
         sensor={"right": 1.0, "left": 0.5, "noise": 0.02, "dropout": 0.3, "drift": 0.1},
         simulation={**SHORT, "duration": 20.0},
@@ -296,7 +296,7 @@ def test_who_estimates_both_ends_beats_who_ignores_one() -> None:
 
 
 @pytest.mark.parametrize("name", sorted(set(METHODS) - KNOW_THE_TRUTH))
-def test_no_contestant_is_told_the_truth(name: str) -> None:
+def test_no_contestant_knows_the_truth(name: str) -> None:
     """Other widths and another plant behind the same model leave its options as they are."""
 
     def options(scenario: Scenario) -> str:
@@ -605,7 +605,7 @@ def test_the_stored_numbers_are_those_of_the_knobs(file: str, kind: Kind) -> Non
         )
 
 
-def test_tuned_numbers_are_kept_and_bad_files_named(tmp_path: Path) -> None:
+def test_tuned_numbers_are_saved_and_bad_files_named(tmp_path: Path) -> None:
     path, found = (
         tmp_path / "tuned.toml",
         tuned.TunedMethod(regret=0.1, before=0.2, candidates=3, knobs={"observer.L": 0.1 + 0.2}),

@@ -128,7 +128,7 @@ def test_gaussians_are_products_over_a_grid(seed: int, k: int, normalised: bool)
     assert functions == pytest.approx(expected)
 
 
-def test_monomials_are_all_of_them_and_held_at_the_edge_of_the_box() -> None:
+def test_monomials_are_complete_and_clipped_at_the_edge_of_the_box() -> None:
     basis = build_monomials("key", np.array([2.0, 4.0]), 3)
     assert basis.size == math.comb(5, 3)
     expected = []

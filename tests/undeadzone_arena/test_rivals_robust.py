@@ -476,7 +476,7 @@ def test_naive_observers_settle_a_width_away_from_the_output(observer: dict[str,
 
 
 @pytest.mark.parametrize("observer", NAIVE[1:], ids=lambda observer: observer["method"])
-def test_told_the_widths_they_are_right(observer: dict[str, Any]) -> None:
+def test_with_known_widths_they_are_right(observer: dict[str, Any]) -> None:
     run = simulate(scene(observer=observer | {"widths0": 1.0}, **LOOP))
     assert run.rms_estimation < 0.02
 

@@ -57,7 +57,7 @@ def test_check_alone_builds_and_runs_and_leaves_nothing(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["arm.toml"]
 
 
-def test_large_code_is_announced_before_it_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_large_code_is_announced_before_it_is_generated(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(exporting, "MANY", 20)
     code, result = called("--json")
     assert code == 0
@@ -114,7 +114,7 @@ def test_bad_options_are_input_errors(options: tuple[str, ...]) -> None:
         called(*options)
 
 
-def test_an_FMU_and_a_module_are_in_double_unless_told_otherwise(tmp_path: Path) -> None:
+def test_an_FMU_and_a_module_are_in_double_by_default(tmp_path: Path) -> None:
     for target, file in (("fmu2", "arm_joint.fmu"), ("python", "arm_joint.py")):
         code, result = called("--to", target, "--out", target)
         assert code == 0

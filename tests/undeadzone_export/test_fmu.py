@@ -174,7 +174,7 @@ def test_simulate_fmu_shows_each_estimate_one_row_later(built: Path) -> None:
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_states_are_kept_set_and_serialised_in_the_middle_of_a_run(
+def test_states_are_saved_set_and_serialised_in_the_middle_of_a_run(
     built: Path, version: str
 ) -> None:
     path, Ts = path_of(built, "extended", version), scenario("extended").simulation.step
@@ -262,7 +262,7 @@ def test_a_step_of_any_length_takes_the_samples_that_are_due(
         assert actual == [estimate.x[0], estimate.right[0], estimate.left[0]], step
 
 
-def test_before_the_first_sample_the_prior_is_shown(built: Path) -> None:
+def test_before_the_first_sample_the_prior_is_the_output(built: Path) -> None:
     for version in VERSIONS:
         unit, live = Unit(path_of(built, "extended", version)), online("extended")
         reference = expected(live.update(np.nan, np.nan), live.side, unit.outputs)

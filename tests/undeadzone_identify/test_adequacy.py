@@ -344,7 +344,7 @@ def test_limits_behind_a_zone_are_no_jump() -> None:
     assert [*map(float, found)] == pytest.approx([-0.6, 0.8, 0.5, 0.35], abs=0.01)
 
 
-def test_limits_that_no_reading_reaches_are_not_told() -> None:
+def test_limits_that_no_reading_reaches_are_not_reported() -> None:
     reason = of_kind("limit of one side", 8301).answer.reasons[-1]
     assert re.fullmatch(r"the readings end at 0\.(79|8)\d*", reason)
 

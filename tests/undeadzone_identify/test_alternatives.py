@@ -186,7 +186,7 @@ def test_gradients_of_a_play(zone: bool, integrators: int) -> None:
         assert smooth.mean() > 0.99  # but where a contact begins
 
 
-def test_a_disturbance_is_told_from_noise() -> None:
+def test_a_disturbance_is_distinguished_from_noise() -> None:
     rng, u, z = driven(5, 4000)
     layout = PlantSimulator(
         RecordData(u[:, None], z, np.ones(z.size, bool), START, 0 * START, False, np.ones(1), 1.0),

@@ -30,7 +30,7 @@ def test_a_divisor_of_moves_far_from_0_is_found() -> None:
 
 
 @pytest.mark.parametrize("inputs", [1, 2])
-def test_in_a_gap_inputs_are_held(inputs: int) -> None:
+def test_in_a_gap_the_last_inputs_are_repeated(inputs: int) -> None:
     t = np.delete(np.arange(20) * 0.1, [4, 5, 6])
     u = np.column_stack([t, 10 * t])[:, :inputs]
     log = log_from_arrays(u=u, y=t.copy(), t=t)

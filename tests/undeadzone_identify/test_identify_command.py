@@ -94,7 +94,7 @@ def test_several_inputs_and_outputs_by_their_numbers(tmp_path: Path) -> None:
     assert log.outputs == ("y[0]", "y[1]")
 
 
-def test_missing_readings_are_kept_and_missing_inputs_refused(tmp_path: Path) -> None:
+def test_missing_readings_are_accepted_and_missing_inputs_refused(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     path.write_text("t,u,y\n0,1,2\n1,2,\n2,3,NaN\n3,4,5\n")
     assert np.isnan(read_log(path).y[:, 0]).tolist() == [False, True, True, False]
@@ -147,7 +147,7 @@ def test_lines_that_cannot_be_read_count_as_missing(tmp_path: Path) -> None:
         read_log(path)
 
 
-def test_the_command_stops_at_the_first_line_if_told_so(tmp_path: Path) -> None:
+def test_a_strict_command_stops_at_the_first_wrong_line(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     path.write_text("t,u,y\n0,1,2\n1,x,3\n2,1,2\n")
     result = CliRunner().invoke(group, ["identify", str(path), "--strict"])

@@ -84,7 +84,7 @@ def test_a_fit_that_was_moved_to_all_ends_where_one_from_scratch_does(short: Non
     assert refit_longest_record(all_).objective.data.y.size == 800
 
 
-def test_the_longest_of_several_records_is_taken_alone() -> None:
+def test_the_longest_of_several_records_is_refitted_alone() -> None:
     u, y = log()
     data = data_of(u, y, (0, 500, 620))
     fit = refit_likelihood(fit_zone(PlantSimulator(data, 2), "singles", WidthLimits()), "pairs")
@@ -112,7 +112,7 @@ def test_an_answer_from_a_part_is_that_of_all(monkeypatch: pytest.MonkeyPatch) -
         assert tuple(one) == pytest.approx(tuple(other), abs=0.05 * other.half_width)
 
 
-def test_friction_in_one_of_two_records_is_asked_for(tmp_path) -> None:
+def test_friction_is_compared_on_one_of_two_records(tmp_path) -> None:
     """What places compare is one record, also where other maps were fitted to two."""
     rng = np.random.default_rng(3)
     u = np.repeat(rng.standard_normal(140), 10)

@@ -67,7 +67,7 @@ def test_a_gap_is_found_and_its_interval_holds(make: Any) -> None:
 
 
 @pytest.mark.parametrize("make", [wrong_ratio, axis_on_one_flank])
-def test_no_gap_is_said_with_a_bound(make: Any) -> None:
+def test_a_verdict_of_no_gap_has_a_bound(make: Any) -> None:
     for seed in range(5):
         found = identified(make(np.random.default_rng(seed)))
         assert found.verdict == "none"

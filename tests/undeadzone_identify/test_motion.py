@@ -8,7 +8,7 @@ import pytest
 from undeadzone_identify.models.motion import MotionRule, _has_chatter, detect_motion_rule
 
 
-def test_ticks_that_are_taken_back_at_once_are_noise() -> None:
+def test_ticks_that_reverse_at_once_are_noise() -> None:
     rising = np.tile([1.0, 0.0, 0.0], 40)
     turns = rising.copy()
     turns[1::15] = -2.0  # at once, but by another move than the one before
@@ -19,9 +19,7 @@ def test_ticks_that_are_taken_back_at_once_are_noise() -> None:
 
 
 @pytest.mark.parametrize(("backward", "noise"), [(1, False), (2, True)])
-def test_more_than_one_turn_in_twenty_that_is_taken_back_is_noise(
-    backward: int, noise: bool
-) -> None:
+def test_more_than_one_reversed_turn_in_twenty_is_noise(backward: int, noise: bool) -> None:
     """Each tick back is two turns, of 40 and of 41 pairs of ticks."""
     change = np.tile([1.0, 0.0, 0.0], 40)
     change[1 + 30 * np.arange(backward)] = -1.0

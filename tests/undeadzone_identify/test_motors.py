@@ -50,7 +50,7 @@ def test_a_rigid_motor_without_friction_has_no_gap() -> None:
 
 
 @pytest.mark.parametrize("seed", [2, 3])
-def test_a_heavy_load_in_a_gap_is_not_taken_for_a_linear_motor(seed: int) -> None:
+def test_a_heavy_load_in_a_gap_is_not_mistaken_for_a_linear_motor(seed: int) -> None:
     """A load that nothing rubs strikes and bounces: "no backlash" had odds above 99 %."""
     motor = random_motor(seed, with_gap=True)
     assert motor.gap > 10 * NOISE
@@ -60,7 +60,7 @@ def test_a_heavy_load_in_a_gap_is_not_taken_for_a_linear_motor(seed: int) -> Non
     assert "comes in bursts" in answer.answer.reasons[0]
 
 
-def test_bursts_are_told_from_errors_of_one_size() -> None:
+def test_bursts_are_distinguished_from_errors_of_one_size() -> None:
     size = 1500
     for seed in range(20):
         white = np.random.default_rng(seed).standard_normal(size)

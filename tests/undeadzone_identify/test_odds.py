@@ -176,7 +176,7 @@ def test_derivatives_beside_a_level_and_without_correlation(shape) -> None:
         assert score[place] == pytest.approx(slope, rel=1e-4, abs=1e-4)
 
 
-def test_no_zone_is_not_said_against_the_test_of_one() -> None:
+def test_a_significant_zone_is_not_named_none() -> None:
     """Of a few steps a zone of the input explains too little for odds, and too much for chance."""
     log = make(8007, "input")
     answer = identify_log(log, order=1, delay=0)
@@ -279,7 +279,7 @@ def test_an_encoder_that_sticks_at_both_ends_is_a_saturation() -> None:
     assert answer.verdict == "saturation"
 
 
-def test_what_looks_like_friction_is_asked_whether_it_is_a_play() -> None:
+def test_what_looks_like_friction_is_tested_for_a_play() -> None:
     """The four offsets do not suggest a play here; friction led with odds beyond .99."""
     rng = np.random.default_rng(990_011)
     size, pole = int(rng.integers(300, 900)), np.exp(-STEP * rng.uniform(0.5, 2.0))
@@ -316,8 +316,8 @@ def test_a_play_with_a_zone_is_no_servo() -> None:
     is_play_with_zone(make(25018, "play and zone"), order=1, delay=0)
 
 
-def test_a_play_with_a_zone_is_not_heard_as_a_servo_when_that_is_asked_late() -> None:
-    """A lag behind a play, asked once no other plant settled, had odds of 1 in its place."""
+def test_a_play_with_a_zone_gives_no_observations_of_a_servo() -> None:
+    """A lag behind a play, tested once no other plant settled, had odds of 1 in its place."""
     log = make(8003, "play and zone")
     grid = to_grid([log_from_arrays(log.step, log.u, log.y)])
     assert build_observations(
@@ -358,13 +358,13 @@ def test_a_servo_with_a_gap_for_certain_is_none_where_another_model_is_likelier(
     assert [one.is_gap_reported for one in servos] == [True]
 
 
-def test_a_play_that_looks_like_friction_beside_a_zone_is_asked(
+def test_friction_beside_a_zone_is_tested_for_a_play(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """In steps of three rms of the noise it was a dead zone, friction beside it not excluded.
 
-    It was one, too, where a delay had taken the lag's place, and a play behind fewer poles was no
-    better: it is asked of the input as it was recorded.
+    It was one, too, where a delay stood in the lag's place, and a play behind fewer poles was no
+    better: the test uses the input as it was recorded.
     """
     monkeypatch.setattr(names_logs, "ROUNDED", 0)
     is_play_with_zone(make(9001, "play and zone"), order="2-4")
@@ -379,14 +379,14 @@ def test_two_silent_samples_that_a_start_explains_by_underflow_are_no_fit() -> N
     assert answer.left.low < log.widths[1] < answer.left.high
 
 
-def test_an_encoder_about_an_operating_point_is_told_so_though_its_steps_hide_a_zone() -> None:
+def test_an_encoder_about_an_operating_point_is_named_though_its_steps_hide_a_zone() -> None:
     """It was named `none`."""
     log = make(21014, "operating point")
     answer = identify_log(log, order=2, delay=0, place="sensor", kind="deadzone")
     assert answer.verdict == "operating_point"
 
 
-def test_a_short_log_whose_encoder_passes_0_slowly_is_not_asked_for_a_servo() -> None:
+def test_a_short_log_whose_encoder_passes_0_slowly_is_not_tested_for_a_servo() -> None:
     """As many readings stand at a hold of the play; a motor behind a play had odds beyond .99."""
     log = make(4001, "play and zone")
     grid = to_grid([log_from_arrays(log.step, log.u, log.y)])
@@ -527,7 +527,7 @@ def in_a_loop(seed: int, gain: float) -> tuple[Floats, Floats]:
 
 
 @pytest.mark.parametrize("gain", [0.0, 2.0])
-def test_a_closed_loop_is_heard(gain: float) -> None:
+def test_a_closed_loop_is_detected(gain: float) -> None:
     answer = found(*in_a_loop(0, gain), place="sensor")
     closed = any("closed loop" in remark for remark in answer.answer.remarks)
     assert closed == (gain > 0)
@@ -607,7 +607,7 @@ def test_a_larger_model_that_leads_keeps_its_word() -> None:
     assert _most_probable_word({"zone_and_friction": 0.5, "none": 0.5}) == "zone_and_friction"
 
 
-def test_a_column_with_the_reference_is_told(loop: loop_logs.LoopLog) -> None:
+def test_with_a_column_of_the_reference_the_zone_is_identified(loop: loop_logs.LoopLog) -> None:
     answer = uz.identify(t=loop.step, u=loop.u, y=loop.y, r=loop.r, order=loop.order)
     assert isinstance(answer, uz.Identified)
     assert answer.verdict == "input_zone"

@@ -586,7 +586,7 @@ def test_a_log_that_sticks_at_its_ends_is_refused_for_what_is_left_of_it() -> No
         uz.identify(t=t, u=u, y=np.clip(z + 0.01 * np.sin(1e3 * t), -0.3, 0.3))
 
 
-def test_options_are_checked() -> None:
+def test_invalid_options_are_refused() -> None:
     t, u, y, _ = record()
     for key, value in {
         "order": "0-3", "right": "-1", "left": "2,1", "offset": "x", "held_out": 0.9,

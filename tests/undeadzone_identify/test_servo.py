@@ -243,7 +243,7 @@ def test_a_record_that_is_cut_in_motion_says_the_same(
     )
 
 
-def test_a_gap_that_is_worn_in_one_place_is_told() -> None:
+def test_a_gap_that_is_worn_in_one_place_is_reported() -> None:
     u, y = logged(MOTOR._replace(friction=0.0, gap=0.0, quantum=0.0, spring=40.0), torque=0.0)
     z, level = y, float(y[0])
     worn = np.empty(z.size)
@@ -272,7 +272,7 @@ def test_too_few_reversals_give_no_gap() -> None:
     assert identify_servo_gap(None) is None
 
 
-def test_a_loop_is_heard() -> None:
+def test_a_loop_is_detected() -> None:
     """By what u does at a tick; 30 random logs, of which no open one may be called a loop."""
     right, loops = 0, 0
     for seed in range(30):

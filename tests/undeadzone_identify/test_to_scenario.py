@@ -113,7 +113,7 @@ def test_a_log_of_a_stable_plant_ends_in_a_scenario(element: str, reading: str) 
 
 
 @pytest.mark.parametrize("element", ["zone", "actuator", "ends"])
-def test_the_filter_is_told_where_readings_end(element: str) -> None:
+def test_the_filter_knows_where_readings_end(element: str) -> None:
     u, y = record(element, "noise", integrates=False)
     low, high = np.quantile(y, [0.08, 0.9])
     y = np.clip(y, low, high)
@@ -161,7 +161,7 @@ def test_a_quantum_that_noise_hides_is_none() -> None:
         assert math.hypot(sensor.noise, expected / math.sqrt(12)) == pytest.approx(noise)
 
 
-def test_rounding_is_taken_off_a_plays_noise_once() -> None:
+def test_rounding_is_subtracted_from_the_noise_of_a_play_once() -> None:
     u, y = record("play", "noise", integrates=False)
     answer = uz.identify(t=STEP, u=u, y=0.005 * np.round(y / 0.005), order=2, delay=0)
     sensor = parse(answer.scenario()).sensor
@@ -198,9 +198,7 @@ def test_what_is_not_finite_is_refused_before_its_eigenvalues() -> None:
     assert not stabilise_poles(wild).any()
 
 
-def test_what_to_type_next_is_taken_as_it_is_printed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_next_command_runs_as_printed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Names with blanks are quoted, a log has its columns again."""
     monkeypatch.chdir(tmp_path)
     done = undeadzone("init", "my plant.toml")
@@ -290,7 +288,7 @@ def test_one_command_leads_from_a_log_to_firmware_that_has_followed_it(
     assert not (tmp_path / "other").exists()
 
 
-def test_what_is_recorded_next_narrows_the_widest_interval_as_was_said(tmp_path: Path) -> None:
+def test_the_next_record_narrows_the_widest_interval_as_predicted(tmp_path: Path) -> None:
     draw = np.random.default_rng(3)
 
     def write(name: str, u: Floats) -> None:

@@ -112,10 +112,10 @@ def test_a_range_is_wider_than_rounding(value: float) -> None:
 
 
 @pytest.mark.parametrize("value", [1.2, 1.5])
-def test_an_edge_is_widened_by_its_likelihood_about_where_it_is_shown(
+def test_an_edge_is_widened_by_its_likelihood_about_its_reported_value(
     monkeypatch: pytest.MonkeyPatch, value: float
 ) -> None:
-    """Readings of rms 2 and an edge that was fitted at 0.6 of it; one is shown 0.3 off."""
+    """Readings of rms 2 and an edge that was fitted at 0.6 of it; one is reported 0.3 off."""
     monkeypatch.setattr(
         widths, "profile_likelihood", lambda fit, side, values: -8.0 * (values - 0.6) ** 2
     )

@@ -363,7 +363,7 @@ def test_the_authors_own_doubt_is_quoted(paper: Paper) -> None:
     assert "may not have been directly verified" in manipulator.text.why
 
 
-def test_with_40_every_alpha_stabilises_and_with_the_wanted_poles_only_those_below_nine() -> None:
+def test_with_40_every_alpha_stabilises_and_with_the_required_poles_only_those_below_nine() -> None:
     plant = linear_matrices(example_as_printed(1.0).plant)
     drifts = [plant.A - np.reshape(L, (2, 1)) @ plant.C for L in (L_PRINTED, L_POLES)]
     for alpha in np.geomspace(CONDITIONS["least_alpha"], CONDITIONS["most_alpha"], 31):
@@ -470,7 +470,7 @@ def test_every_equation_is_placed_where_something_is() -> None:
         assert hasattr(importlib.import_module(module), name), equation.where
 
 
-def test_progress_is_told_of_work_done(paper: Paper) -> None:
+def test_progress_is_reported_of_work_done(paper: Paper) -> None:
     progress = once.audit()[1]
     assert sum(progress) > len(paper.variants) * DURATION / STEP
     assert min(progress) > 0
@@ -505,6 +505,6 @@ def test_without_figures_only_numbers_are_written(paper: Paper, tmp_path: Path) 
     assert {path.name for path in tmp_path.iterdir()} == {"paper.json", "variants.csv"}
 
 
-def test_nothing_is_drawn_before_it_is_asked_for() -> None:
+def test_nothing_is_drawn_before_it_is_requested() -> None:
     code = "import sys, undeadzone_paper; sys.exit('matplotlib' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

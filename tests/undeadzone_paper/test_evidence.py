@@ -9,7 +9,7 @@ from undeadzone_paper import evidence
 from undeadzone_paper.example import example_as_printed
 
 
-def test_wrong_widths_are_held_along_the_reference_of_the_paper() -> None:
+def test_wrong_widths_never_move_along_the_reference_of_the_paper() -> None:
     """With a tanh term and without one; the widths never move."""
     calls: list[tuple[Scenario, dict[str, Any]]] = []
 

@@ -462,7 +462,7 @@ def test_a_lopsided_reference_is_shifted_where_that_is_the_smaller_change() -> N
     assert find_remedies(*moved) == []
 
 
-def test_a_constant_reference_and_an_integrator_are_told_what_would_help() -> None:
+def test_remedies_of_a_constant_reference_and_of_an_integrator() -> None:
     (cure,) = find_remedies(*plan(scene(reference={"kind": "step", "amplitude": 0.0})))
     assert "let output 0 move: a swing of 1.05 about 0" in cure.text
     (cure,) = find_remedies(CHAIN, visiting([True], [True]))

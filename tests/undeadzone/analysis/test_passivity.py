@@ -530,7 +530,7 @@ def test_an_inequality_in_other_coordinates_is_congruent(Ts: float | None) -> No
         assert M_xi == pytest.approx(both.T @ M @ both, abs=1e-9)
 
 
-def test_models_that_are_marginally_stable_are_told_from_those_that_diverge() -> None:
+def test_marginally_stable_models_are_distinguished_from_those_that_diverge() -> None:
     undamped = np.array([[0.0, 1.0], [-4.0, 0.0]])
     chain = np.array([[0.0, 1.0], [0.0, 0.0]])
     assert not is_defective(undamped, None)

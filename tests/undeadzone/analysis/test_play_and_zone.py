@@ -218,7 +218,7 @@ def test_gap_and_zone_are_found(reading: str, observer: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize("reading", READINGS)
-def test_known_gaps_are_taken_off(reading: str) -> None:
+def test_widths_are_estimated_behind_known_gaps(reading: str) -> None:
     run = simulate(both(READINGS[reading], KALMAN))
     assert run.d_std is not None
     assert (run.d_std[-1] < 0.05).all()
@@ -226,7 +226,7 @@ def test_known_gaps_are_taken_off(reading: str) -> None:
     assert run.c_hat is None
 
 
-def test_exact_readings_without_a_disturbance_tell_all_that_can_be_told() -> None:
+def test_exact_readings_determine_all_identifiable_combinations() -> None:
     exact = KALMAN | {"disturbance": 0.0, "noise": 1e-6}
     run = simulate(both({}, exact, model=RANGES, disturbance=None))
     assert run.c_hat is not None
@@ -428,7 +428,7 @@ def test_check_and_run_say_the_same_in_words() -> None:
     assert known.affirmed
 
 
-def test_gaps_that_are_told_wrongly_are_a_false_claim() -> None:
+def test_known_gaps_that_exclude_the_truth_are_reported() -> None:
     scenario = both({"noise": 0.02}, KALMAN, model={"play": [0.6, 0.3]})
     for known in (simulate(scenario).info.identifiable[0]["reasons"], uz.check(scenario).reasons):
         assert any("a false claim: model.play" in reason for reason in known)
@@ -486,7 +486,7 @@ def test_identify_writes_the_scenario_that_runs(tmp_path: Path) -> None:
 # What is shown, written and run elsewhere
 
 
-def test_gaps_are_shown_wherever_widths_are(tmp_path: Path) -> None:
+def test_gaps_are_reported_wherever_widths_are(tmp_path: Path) -> None:
     scenario = both({"noise": 0.02}, KALMAN, model=RANGES, title="Gears")
     run = simulate(scenario)
     numbers = run.summary()
@@ -558,7 +558,7 @@ def test_gaps_and_ranges_have_one_shape_for_any_number_of_outputs() -> None:
 
 
 @pytest.mark.parametrize(("side", "seen"), [(0, "right"), (1, "left")])
-def test_an_output_that_is_read_in_one_contact_alone_is_told_so(side: int, seen: str) -> None:
+def test_a_reason_names_an_output_that_is_read_in_one_contact_alone(side: int, seen: str) -> None:
     """Beyond one of both edges suffices."""
     schedule: Any = None
     read = np.zeros((2, 2), bool)

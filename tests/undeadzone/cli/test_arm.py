@@ -128,7 +128,7 @@ def test_a_started_scenario_runs_and_beats_blindness(tmp_path: Path) -> None:
     assert own.rms_tip < blind.rms_tip / 3
 
 
-def test_a_started_scenario_of_one_joint_is_as_told() -> None:
+def test_a_started_scenario_of_one_joint_is_consistent() -> None:
     """With one level of its default disturbance the filter erred by .0056 rad and blamed a lag."""
     text = starting_scenario(survey_urdf(UR5, joints=["elbow_joint"], at=[1.57]), str(UR5))
     run = uz.simulate(parse(text))
@@ -136,7 +136,7 @@ def test_a_started_scenario_of_one_joint_is_as_told() -> None:
     assert run.rms_estimation < 0.002
 
 
-def test_a_started_scenario_of_a_light_arm_is_as_told(tmp_path: Path) -> None:
+def test_a_started_scenario_of_a_light_arm_is_consistent(tmp_path: Path) -> None:
     """Three levels of the default disturbance erred by .008 rad and blamed the sensor's slope."""
     hand = joint("hand", "upper", "tip", -0.4, "fixed")
     file = written(tmp_path, joint("shoulder", "base", "upper", 0.0), hand, links="upper")

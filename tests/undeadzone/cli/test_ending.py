@@ -142,7 +142,7 @@ def test_an_error_of_the_system_is_not_blamed_on_stdout(
     assert "Input/output error" in capfd.readouterr().err
 
 
-def test_the_traceback_is_shown_where_it_is_asked_for(
+def test_the_traceback_is_printed_on_request(
     capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv(ending.DEBUG, "1")
@@ -241,7 +241,7 @@ if __name__ == "__main__":
 
 
 @pytest.mark.parametrize("workers", [0, 2])
-def test_sigterm_says_what_is_kept(tmp_path: Path, workers: int) -> None:
+def test_sigterm_reports_what_is_stored(tmp_path: Path, workers: int) -> None:
     path = tmp_path / "runs.partial"
     with subprocess.Popen(
         [sys.executable, "-c", STOPPED, str(path), str(workers)],

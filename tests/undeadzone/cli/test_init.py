@@ -100,7 +100,7 @@ def test_the_template_offers_what_it_should() -> None:
 
 
 @pytest.mark.parametrize("choice", CHOICES, ids=lambda choice: f"{choice.table}-{choice.lines[0]}")
-def test_every_alternative_runs_when_it_is_taken(choice: Alternative, tmp_path: Path) -> None:
+def test_every_alternative_runs_when_it_is_selected(choice: Alternative, tmp_path: Path) -> None:
     (tmp_path / "reference.csv").write_text("0.0,0.0\n1.0,2.0\n30.0,-2.0\n")
     scenario = parse(scenario_text(choice), tmp_path)
     if scenario.ensemble is not None:

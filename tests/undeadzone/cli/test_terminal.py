@@ -123,7 +123,7 @@ def test_shells_complete(words: str, number: int, found: set[str]) -> None:
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_the_page_names_what_shells_are_told(shell: str) -> None:
+def test_the_page_names_the_completion_settings_of_shells(shell: str) -> None:
     page = (ROOT / "docs/command_line.md").read_text(encoding="utf-8")
     assert f"_UNDEADZONE_COMPLETE={shell}_source undeadzone" in page
     program = Path(sys.executable).with_name("undeadzone")

@@ -137,7 +137,7 @@ def test_what_others_could_have_written_is_not_run(
 
 
 @pytest.mark.parametrize("spoil", [writable_folder, folder_of_a_group, linked_folder])
-def test_nothing_is_kept_in_a_folder_of_others(
+def test_nothing_is_stored_in_a_folder_of_others(
     folder: Path, spoil: Callable[[Path, Path], None]
 ) -> None:
     kernel = plant(folder)
@@ -170,7 +170,7 @@ def test_a_relative_folder_is_ignored(
     assert not (tmp_path / "here").exists()
 
 
-def test_where_kernels_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_kernels_are_stored(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("UNDEADZONE_CACHE", "/here")
     assert cache_folder.cache_directory() == Path("/here")
     monkeypatch.delenv("UNDEADZONE_CACHE")

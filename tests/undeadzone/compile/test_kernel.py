@@ -296,7 +296,7 @@ def source_of(step: ca.Function, rare: Any, machine: Machine, **options: Any) ->
 
 
 @pytest.mark.parametrize(("machine", "width", "register"), MACHINES.values(), ids=MACHINES.keys())
-def test_code_is_made_for_other_machines(machine: Machine, width: int, register: str) -> None:
+def test_code_is_generated_for_other_machines(machine: Machine, width: int, register: str) -> None:
     """It cannot be run here, but LLVM has to accept it and to use the machine's vectors."""
     from llvmlite import binding
 
@@ -311,7 +311,7 @@ def test_code_is_made_for_other_machines(machine: Machine, width: int, register:
     assert len(re.findall(register, machine.build_target().emit_assembly(module))) > 100
 
 
-def test_texts_are_the_same_however_often_they_are_made() -> None:
+def test_texts_are_the_same_however_often_they_are_generated() -> None:
     loop = prepare(resolve_scenario(small()))[0]
     assert loop.parts is not None
     texts = {source_of(*loop.parts, machine=host_machine()).text for _ in range(2)}
@@ -456,7 +456,7 @@ def test_another_code_has_to_win_clearly(
     assert [cost for cost, _ in calls] == [costs["abc".index(fastest or "a")]]
 
 
-def test_an_answer_is_kept_for_steps_of_the_same_size(
+def test_the_fastest_form_is_stored_for_steps_of_the_same_size(
     eager: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     step = every_instruction()

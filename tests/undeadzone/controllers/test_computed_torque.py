@@ -139,7 +139,7 @@ def test_targets_of_an_elastic_joint_satisfy_its_equations() -> None:
     np.testing.assert_allclose(here.r, problem.path.output_at(t), atol=1e-14)
 
 
-def test_feedforward_held_from_mid_sample_is_of_second_order() -> None:
+def test_feedforward_of_mid_sample_is_of_second_order() -> None:
     steps = (8e-3, 4e-3, 2e-3)
     errors = [
         float(worst(simulate(moving(OPTIMAL, on_path(step).x_ref[0].tolist(), step))).max())
@@ -189,7 +189,7 @@ def test_on_the_path_computed_torque_is_the_feedforward() -> None:
 
 
 @pytest.mark.parametrize("reject", [True, False])
-def test_a_known_disturbance_is_taken_into_account(reject: bool) -> None:
+def test_a_known_disturbance_is_rejected_on_request(reject: bool) -> None:
     """With x' = f(x, u) + w, w constant: e'' + K_d e' + K_p e = 0.
 
     There e' = v_ref - (v + w_q) and q'' = a + w_v.

@@ -35,7 +35,7 @@ def run(controller: Any, simulation: dict[str, Any] | None = None, **tables: Any
     return uz.simulate(scenario, check_step=False)
 
 
-def test_the_objects_of_other_packages_are_taken_as_their_numbers() -> None:
+def test_objects_of_other_packages_are_converted_to_their_numbers() -> None:
     numerator, denominator = [2.0, 5.0], [0.05, 1.0, 0.0]
     space = control.ss(control.tf(numerator, denominator))
     controller = LinearController(space)

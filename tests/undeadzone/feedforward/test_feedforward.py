@@ -127,7 +127,7 @@ def test_sampled_targets_are_exact_at_the_samples(seed: int, Ts: float) -> None:
     assert target.x_ref @ C.T == pytest.approx(reference.output_at(t), abs=1e-7)
 
 
-def test_tracked_output_is_the_one_asked_for() -> None:
+def test_tracked_output_is_the_requested_one() -> None:
     plant = linear([[0.0, 1.0], [-1.0, -2.0]], [[0.0], [1.0]], [[1.0, 0.0], [0.0, 1.0]])
     target = linear_targets(plant, exo(SINE), [1], T)
     assert target.x_ref[:, 1] == pytest.approx(exo(SINE).output_at(T)[:, 0], abs=1e-9)
@@ -245,7 +245,7 @@ def test_inversion_says_what_it_cannot_do(
         )
 
 
-def test_default_gain_is_unity_dc_only_when_asked() -> None:
+def test_dc_gain_is_unity_only_if_requested() -> None:
     """u_ff for a constant r is r / G(0)."""
     for gain, expected in ((1.0, 4 * np.pi**2 * 3.0), (4 * np.pi**2, 3.0)):
         plant = plant_of(second_order=SecondOrder(zeta=1.0, omega_n=2 * np.pi, gain=gain))
@@ -266,7 +266,7 @@ def test_inversion_of_fast_and_large_references() -> None:
         )
 
 
-def test_a_plant_in_small_units_can_be_held_elsewhere() -> None:
+def test_a_plant_in_small_units_has_other_equilibria() -> None:
     """A zero at s = 0 belongs to the plant. Its units neither make one nor hide one."""
     model = sample_plant(PAPER_PLANT, 0.01).linear
     small = model._replace(C=1e-9 * model.C)

@@ -30,7 +30,7 @@ def poles_of(A: Any) -> Any:
 
 
 @given(seeds, st.integers(1, 5), st.integers(1, 2))
-def test_closed_loop_and_observer_have_the_poles_asked_for(
+def test_closed_loop_and_observer_have_the_requested_poles(
     seed: int, n: int, channels: int
 ) -> None:
     rng = np.random.default_rng(seed)

@@ -73,7 +73,7 @@ def test_the_papers_equation_destabilises() -> None:
     assert np.linalg.eigvals(A - B @ K).real.max() == pytest.approx(0.024, abs=0.0005)
 
 
-def test_no_stabilising_solution_is_said() -> None:
+def test_a_missing_stabilising_solution_is_reported() -> None:
     with pytest.raises(StructureError, match=r"\(34\) has no stabilising solution"):
         paper_riccati(np.diag([1.0, -1.0]), np.array([[0.0], [1.0]]), 1.0, np.eye(2))
     unmoved = Matrices(np.diag([1.5, 0.5]), np.array([[0.0], [1.0]]), np.eye(2))
@@ -149,7 +149,7 @@ def test_newton_refines_a_riccati_solution() -> None:
     assert solve_riccati(Matrices(A, B, np.zeros((0, 5))), Q, np.array([[1e-6]])).residual < 1e-8
 
 
-def test_a_refinement_that_does_not_halve_the_residual_is_not_taken(
+def test_a_refinement_that_does_not_halve_the_residual_is_rejected(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Newton's step is bent such that the residual falls to 0.8 of what it was."""

@@ -136,7 +136,7 @@ def test_equation_34_is_the_optimal_one_with_half_the_gain(m: int) -> None:
     assert np.linalg.eigvals(linear.A - linear.B @ K).real.max() < 0
 
 
-def test_what_has_no_solution_is_said() -> None:
+def test_an_equation_without_a_solution_is_reported() -> None:
     with pytest.raises(StructureError, match="the Riccati equation has no stabilising solution"):
         solve_riccati(model(np.diag([1.0, -1.0]), np.array([[0.0], [1.0]])), np.eye(2), np.eye(1))
     with pytest.raises(

@@ -101,7 +101,7 @@ def test_the_zone_lets_nothing_through_inside() -> None:
     assert not through_zone(np, np.linspace(-0.5, 1.0, 31), drive).any()
 
 
-def test_the_rate_is_kept_on_the_way_up_and_down() -> None:
+def test_the_rate_is_limited_on_the_way_up_and_down() -> None:
     drive = resolve_actuator(Actuator(rate=[2.0, 5.0]), 1)
     up, down = (within_rate(np, u, np.zeros(1), drive, 0.1)[0] for u in (9.0, -9.0))
     assert (up, down) == (0.5, -0.2)

@@ -91,7 +91,7 @@ def test_the_observer_knows_what_enters_the_plant() -> None:
     assert late(run.z - run.z_hat) < 0.2 * late(deaf.z - deaf.z_hat)
 
 
-def test_a_held_command_turns_less_often() -> None:
+def test_a_command_with_hysteresis_turns_less_often() -> None:
     def turns(hold: float) -> int:
         run = simulate(loop(compensator={"method": "play_inverse", "hold": hold}))
         moves = np.diff(run.u[:, 0])
@@ -132,7 +132,7 @@ def test_a_play_needs_samples() -> None:
         )
 
 
-def test_a_gap_that_is_told_wrongly_is_a_false_claim() -> None:
+def test_a_known_gap_that_excludes_the_truth_is_reported() -> None:
     assumed_model = {"actuator": {"kind": "play", "right": 1.0, "left": 1.0}}
     run = simulate(loop(model=assumed_model, simulation={"duration": 3.0}))
     assert "model.actuator excludes" in str(run)

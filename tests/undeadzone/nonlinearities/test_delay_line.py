@@ -73,7 +73,7 @@ def test_the_loop_is_the_one_without_a_delay_some_samples_later(loop: str) -> No
     assert shifted.u == pytest.approx(prompt.u, abs=1e-9)
 
 
-def test_a_delay_that_is_told_wrong_shows() -> None:
+def test_a_wrong_known_delay_increases_the_error() -> None:
     right = uz.simulate(late())
     for assumed in (LATE - 1, LATE + 1):
         wrong = uz.simulate(late(LATE, assumed))

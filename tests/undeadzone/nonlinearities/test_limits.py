@@ -128,7 +128,7 @@ def test_the_side_of_a_reading_from_outside(y: float, side: int, seen: float) ->
 
 
 @pytest.mark.parametrize("time", ["continuous", "sampled"])
-def test_the_reading_is_that_of_the_dead_zone_kept_within_the_range(time: str) -> None:
+def test_the_reading_is_that_of_the_dead_zone_clipped_to_the_range(time: str) -> None:
     run = saturated([-1.5, 2.0], time)
     expected = np.clip(deadzone(run.z, 0.8, 1.1), -1.5, 2.0)
     assert np.abs(run.y - expected).max() < 1e-12
@@ -251,7 +251,7 @@ def rise(high: float, low: float, right: float, left: float, time: str) -> float
 
 
 @pytest.mark.parametrize("time", ["continuous", "sampled"])
-def test_v_rises_if_a_limit_is_taken_with_the_wrong_sign(
+def test_v_rises_if_a_limit_corrects_with_the_wrong_sign(
     time: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     right_one = branch_observer.drop_limit_corrections

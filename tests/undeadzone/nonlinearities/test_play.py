@@ -213,7 +213,7 @@ def test_a_young_line_asks_for_as_many_deviations_as_an_old_one(window: int) -> 
 
 
 @pytest.mark.parametrize("reading", READINGS)
-def test_a_side_that_is_made_out_is_the_true_one(reading: str) -> None:
+def test_a_detected_side_is_the_true_one(reading: str) -> None:
     run = simulate(slow(READINGS[reading], KALMAN))
     followed = uz.estimate(slow(READINGS[reading], KALMAN), t=run.t, y=run.y, u=run.u)
     sides = followed.side[200:, 0] * run.side[200:, 0]
@@ -255,8 +255,8 @@ def test_a_wrong_model_is_as_bad_as_none() -> None:
     assert late(right, wrong) > 10 * late(right, right.z[:, 0] - right.z_hat[:, 0])
 
 
-def test_a_held_reading_is_heard_for_no_more_than_it_says() -> None:
-    """A motor whose hold levels are noisy: with each of them heard at every reading, .73 of 60.
+def test_readings_of_one_hold_are_not_counted_as_independent() -> None:
+    """A motor whose hold levels are noisy: with each of them used at every reading, .73 of 60.
 
     The bound is three standard errors below .95 of 24.
     """
@@ -268,8 +268,8 @@ def test_a_held_reading_is_heard_for_no_more_than_it_says() -> None:
     assert abs(np.median(error / ran.width)) < 0.06
 
 
-def test_silence_of_a_dead_zone_is_heard_for_no_more_than_it_says() -> None:
-    """Grazing motion under a white disturbance that is told: heard at every sample, .70 of 40.
+def test_silent_readings_are_not_counted_as_independent() -> None:
+    """Grazing motion under a known white disturbance: used at every sample, .70 of 40.
 
     The bounds are three standard errors below .95 of 24.
     """
@@ -347,7 +347,7 @@ def rise(right: float, left: float, x0: float, start: float) -> float:
     return float(np.diff(V).max() / V[0])
 
 
-def test_v_rises_if_a_held_reading_is_heard_with_the_wrong_sign(
+def test_v_rises_if_a_hold_corrects_with_the_wrong_sign(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     right_one = branch_observer.zone_violation

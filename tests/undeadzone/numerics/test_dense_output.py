@@ -134,7 +134,7 @@ def test_long_taylor_steps_equal_short_runge_kutta_steps(changes: dict[str, Any]
     assert gap(run(4, 1e-2, **changes), truth) > 1e-8
 
 
-def test_the_order_is_the_one_that_is_asked_for() -> None:
+def test_the_order_is_the_requested_one() -> None:
     truth = run(16, 1e-2)
     steps = (0.06, 0.03)
     for order in (5, 6, 7):

@@ -20,7 +20,7 @@ def test_a_bound_that_is_no_fake_cuts_as_a_truncated_normal() -> None:
     assert float(after.cov) == pytest.approx(exact.var(), rel=1e-9)
 
 
-def test_a_bound_that_is_not_heard_is_as_likely_as_not() -> None:
+def test_an_unused_bound_leaves_the_likelihood_at_1() -> None:
     belief = Gaussian(ca.SX([0.0]), ca.SX([[1.0]]))
     silent = Bound(ca.SX([[1.0]]), 0.0, 0.0)
     assert float(truncate_at_bounds(belief, [silent], 0.0, 10.0, fake=ca.SX(-3.0)).likely) == 1.0

@@ -22,7 +22,7 @@ def moved(A: Floats, jacobian: Floats, x: Floats, h: float, steps: int) -> Float
 
 
 @pytest.mark.parametrize("jacobian", [TURN, 0.3 * TURN, np.zeros((2, 2))])
-def test_the_error_falls_with_the_square_of_the_step_whatever_it_is_told(jacobian: Floats) -> None:
+def test_the_error_falls_with_the_square_of_the_step_for_any_jacobian(jacobian: Floats) -> None:
     start, ends = np.array([1.0, 0.0]), []
     for steps in (40, 80, 160):
         ends.append(moved(TURN, jacobian, start, 2.0 / steps, steps))

@@ -409,5 +409,5 @@ def test_a_jump_sensor_adapts_no_width_of_any_output() -> None:
         read_adapted_widths([1.0, 0.0], 0.0, None, model, sensor)
 
 
-def test_least_squares_are_never_set_back_unless_asked() -> None:
+def test_least_squares_are_never_reset_by_default() -> None:
     assert LeastSquares().reset == 0.0

@@ -64,7 +64,7 @@ def test_which_observer_is_chosen(
     chosen.build(model, zone(kind))
 
 
-def test_every_claim_is_passed_on() -> None:
+def test_every_assumption_is_passed_on() -> None:
     options = {
         "right": RANGE,
         "left": [0.1, 1.0],
@@ -100,7 +100,7 @@ def test_it_runs_as_the_one_that_it_chooses(time: str) -> None:
     assert np.ptp(runs[0].d_hat[:, 0]) > 0
 
 
-def test_exact_claims_in_continuous_time_come_with_a_certificate() -> None:
+def test_exact_assumptions_in_continuous_time_come_with_a_certificate() -> None:
     run = simulate(
         scene(observer={"method": "auto", "right": RANGE} | NOTHING_ELSE), check_step=False
     )
@@ -117,12 +117,12 @@ def test_the_true_widths_are_not_looked_at(model: System, kind: str) -> None:
     np.testing.assert_array_equal(*(tree.pack_tree(params) for params in built))
 
 
-def test_ranges_are_asked_for() -> None:
+def test_ranges_are_required() -> None:
     with pytest.raises(InputError, match="right"):
         scene(observer={"method": "auto"})
 
 
-def test_told_the_ranges_alone_it_is_ahead_of_tuned_rivals() -> None:
+def test_with_ranges_alone_it_is_ahead_of_tuned_rivals() -> None:
     grounds = {
         name: arena_scenarios("held_out")[name] for name in ("mismatch_weak", "jump", "dropout")
     }

@@ -230,7 +230,7 @@ def test_the_time_scale_is_a_quarter_period() -> None:
 # --- What bias hides
 
 
-def test_bias_and_centre_cannot_be_told_apart_and_it_says_so() -> None:
+def test_bias_and_centre_are_reported_as_indistinguishable() -> None:
     """Twin worlds: centre 0.35 and no bias, or symmetric and a bias.
 
     The same readings, whatever is believed; the prior decides.
@@ -251,10 +251,10 @@ def test_bias_and_centre_cannot_be_told_apart_and_it_says_so() -> None:
     assert centre_std(shifted) == pytest.approx(prior * 0.35 / np.hypot(prior, 0.35), rel=1e-3)
 
 
-def test_a_calibrated_input_is_a_mixture_that_is_only_shown() -> None:
-    """Shown are the odds of two Gaussian beliefs about the centre c, by Bayes.
+def test_a_calibrated_input_is_a_mixture_for_display_only() -> None:
+    """Displayed are the odds of two Gaussian beliefs about the centre c, by Bayes.
 
-    The readings show only s = c + bias. What is kept is as without.
+    The readings determine only s = c + bias. The stored belief is as without.
     """
     u, x, where = tones(30.0, 8.0), np.array([0.5, 0.0]), zone(right=1.1, left=0.8)
     wide, small, mixed = (
@@ -383,7 +383,7 @@ def test_a_jump_sensor_bounds_its_edges_from_both_sides() -> None:
 
 
 @pytest.mark.parametrize("reach", coverage.REACHES)
-def test_claims_are_true_over_random_problems(reach: str) -> None:
+def test_intervals_cover_the_truth_over_random_problems(reach: str) -> None:
     """60 problems with disturbance, bias and model error.
 
     Coverage within three standard errors of 95 %, or more; NEES near 1.
@@ -396,7 +396,7 @@ def test_claims_are_true_over_random_problems(reach: str) -> None:
     assert reach == "no edge" or outcome.nis == pytest.approx(1.0, abs=0.05)
 
 
-def test_a_coloured_disturbance_taken_for_white_is_not_covered() -> None:
+def test_intervals_fail_if_a_coloured_disturbance_is_modelled_as_white() -> None:
     """What the disturbance model is for: the same problems with `kalman` as in textbooks."""
     outcome = coverage.observe(
         trusting(coverage.kalman),
@@ -474,7 +474,7 @@ def test_the_readings_tell_how_strong_the_disturbance_is(level: int) -> None:
     assert states[-1].filter.odds.argmax() == level
 
 
-def test_what_is_shown_is_the_mixture_by_bayes() -> None:
+def test_the_displayed_estimate_is_the_mixture_by_bayes() -> None:
     """Shares, means and variances from the members' own innovations.
 
     Each member is run by itself, but for its disturbance at the start.
@@ -785,7 +785,7 @@ def test_intervals_of_ambiguous_levels_hold_95_percent(shares: list[float]) -> N
     assert 0.949 <= probability <= 0.985
 
 
-def test_levels_lie_about_the_claim_and_wider_about_the_default(
+def test_levels_lie_about_the_given_value_and_wider_about_the_default(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """As the members of the bank take the variance of the disturbance."""
@@ -825,7 +825,7 @@ def test_intervals_of_an_ambiguous_bias_hold_95_percent(
     assert 0.949 <= probability <= 0.985
 
 
-def test_a_narrow_range_is_a_claim_that_lasts() -> None:
+def test_deviations_never_exceed_those_of_the_prior_ranges() -> None:
     """A width known to 6 mm drifted by what suits all that the sensor hides: 24 mm in 200 s."""
     narrow = Censored(right=[0.997, 1.003])
     seen = watch(narrow, MODEL, zone(noise=0.005), np.zeros((1000, 1)), np.zeros(2))

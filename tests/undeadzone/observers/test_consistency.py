@@ -104,7 +104,7 @@ def test_rivals_count_what_they_refuse_and_begin_anew_where_lost(name: str) -> N
 @pytest.mark.parametrize("name", FILTERS)
 @given(seed=st.integers(0, 2**32 - 1), scale=st.floats(-2, 8))
 @settings(max_examples=6, deadline=None)
-def test_widths_are_shown_in_their_claimed_ranges(name: str, seed: int, scale: float) -> None:
+def test_estimated_widths_stay_in_their_prior_ranges(name: str, seed: int, scale: float) -> None:
     """Whatever is read, after whatever input."""
     rng = np.random.default_rng(seed)
     y = 10**scale * rng.normal(size=60) * (rng.uniform(size=60) < 0.7)
@@ -151,7 +151,7 @@ def test_silence_leaves_alone_what_it_may_not_move(alpha: float, share: float, s
         assert one == pytest.approx(other, rel=1e-9, abs=1e-12)
 
 
-def test_edges_that_are_never_reached_stay_unknown_under_default_claims() -> None:
+def test_edges_that_are_never_reached_stay_unknown_by_default() -> None:
     """Silence under a doubted gust is no evidence for wide zones: it was, by .5 in the width."""
 
     def options(known: coverage.Problems, k: int) -> Any:
@@ -189,7 +189,7 @@ def test_a_reading_leaves_alone_what_it_may_not_move(e: float, share: float, see
         assert here == pytest.approx(there, rel=1e-9, abs=1e-12)
 
 
-def test_readings_on_one_edge_tell_nothing_of_the_other_under_default_claims() -> None:
+def test_readings_on_one_edge_leave_the_other_unknown_by_default() -> None:
     """Silence had bound z to the edge that was not reached, and readings then moved it inwards."""
     posed = honest_problems.problems(honest_problems.KINDS["right edge only"], 2, 120, 11)
     verdict = glitches.observe(glitches.from_ranges, posed).verdict
@@ -235,7 +235,7 @@ def test_readings_that_leave_silence_as_fast_as_z_moves_are_believed(missing: fl
     assert np.sqrt(np.mean(np.square(errors[150:]))) < 0.05
 
 
-def test_a_tenth_of_wrong_readings_costs_little_under_default_claims() -> None:
+def test_a_tenth_of_wrong_readings_costs_little_by_default() -> None:
     """Coverage of the width was .84, and a tenth of the errors ten times the usual ones."""
     posed = honest_problems.problems(honest_problems.KINDS["both edges"], 1, 120, 12)
     clean = glitches.observe(glitches.from_ranges, posed)
@@ -266,7 +266,7 @@ def test_a_tenth_of_wrong_readings_keeps_kalman_in_size() -> None:
 @pytest.mark.parametrize(
     ("world", "least"), [(honest_problems.World(), 0.95), (honest_problems.ASSUMED, 0.8)]
 )
-def test_what_the_extended_filter_is_not_told_it_doubts(
+def test_the_extended_filter_allows_for_disturbances_by_default(
     world: honest_problems.World, least: float
 ) -> None:
     """Noise alone; and bias and a model off by 5 %, of which only the width shows too little."""
@@ -284,8 +284,8 @@ def test_what_the_extended_filter_is_not_told_it_doubts(
     assert np.median(found.rms) < 0.8 * np.median(plain.rms)
 
 
-def test_a_gust_four_times_the_claim_is_followed() -> None:
-    """Without a level above the claim z^ is off by a third more, and intervals are far wider."""
+def test_a_gust_four_times_the_assumed_size_is_followed() -> None:
+    """Without a level above the given one z^ is off by a third more; intervals are far wider."""
     posed = honest_problems.problems(honest_problems.Kind(gust=4.0), 2, 40, 6)
     outcome = glitches.observe(glitches.doubting, posed)
 
@@ -368,7 +368,7 @@ def test_a_problem_is_the_same_in_every_unit_of_time(poles: str) -> None:
 
 
 @pytest.mark.parametrize(("excess", "refuted"), [(0.9, False), (1.1, True), (0.5, False)])
-def test_a_width_beyond_its_range_refutes_the_claims_and_gains_variance(
+def test_a_width_beyond_its_range_is_inconsistent_and_gains_variance(
     excess: float, refuted: bool
 ) -> None:
     q: Any = SimpleNamespace(ranges=np.array([[0.0, 3.0]]))
@@ -411,7 +411,7 @@ def test_a_filter_that_is_lost_knows_no_more_than_the_prior() -> None:
     assert ca.DM(found.x_std).full()[:, 0] == pytest.approx([2.5, 2.0])
 
 
-def test_a_filter_whose_claims_are_refuted_gains_the_offset() -> None:
+def test_deviations_gain_the_offset_if_assumptions_are_rejected() -> None:
     """The state that is known worst gains all of it, another one as much as it is unknown."""
     doubt = SimpleNamespace(std=np.array([2.0, 1.0, 0.3, 0.4]), most=10.0, limit=10.0, keep=0.5)
     q: Any = SimpleNamespace(doubt=doubt, mean=np.zeros(4))
@@ -445,7 +445,7 @@ def test_what_readings_alone_say_is_the_belief_without_its_prior() -> None:
 
 @pytest.mark.parametrize(("times", "gained"), [(0.9, False), (1.1, True)])
 @pytest.mark.parametrize("std", [0.1, 10.0])
-def test_a_width_far_beyond_its_range_refutes_its_claim(
+def test_a_width_far_beyond_its_range_gains_variance(
     times: float, gained: bool, std: float
 ) -> None:
     q: Any = SimpleNamespace(ranges=np.array([[0.0, 2.0]]))

@@ -19,7 +19,7 @@ from undeadzone.observers.filtering.constant_states import (
 from undeadzone.observers.filtering.gaussian_filter import add_unknown_estimates
 
 
-def test_unknown_friction_is_taken_off_what_drives() -> None:
+def test_unknown_friction_is_subtracted_from_the_drive() -> None:
     """It stands ahead of `after` other unknowns."""
     sensor: Any = SimpleNamespace(friction_std=np.array([0.1]))
     X = np.array([1.0, 2.0, 0.5, 7.0])
@@ -27,7 +27,7 @@ def test_unknown_friction_is_taken_off_what_drives() -> None:
     assert given == 10.5
 
 
-def test_unknowns_behind_gaps_are_taken_for_told() -> None:
+def test_unknowns_behind_gaps_count_as_known() -> None:
     """One other unknown, a gap of which half the variance is left, two widths of an actuator."""
     model: Any = SimpleNamespace(n=1, p=1)
     cov = ca.SX(np.diag([1.0, 0.75, 1.0, 3.0, 0.5, 5.0, 6.0]))
@@ -50,7 +50,7 @@ def test_friction_of_one_of_two_loads_that_is_not_known_becomes_an_unknown() -> 
     assert np.diag(found["cov"]) == pytest.approx([0.09, 0.0])
 
 
-def test_a_parameter_is_shown_with_its_deviation() -> None:
+def test_a_parameter_is_reported_with_its_deviation() -> None:
     """The second of two, beside one state, two widths and 7 +- 0.2 of its change."""
     augmentation = SimpleNamespace(cov=np.zeros((0, 0)), parameters=(1,))
     setup: Any = SimpleNamespace(

@@ -209,7 +209,7 @@ def test_gap_payload_and_friction_are_found_on_the_way(run: uz.Run) -> None:
     assert run.consistent[-1].all()
 
 
-def test_a_contact_that_is_told_far_too_slow_is_found_firm() -> None:
+def test_a_contact_modelled_far_too_slow_is_found_firm() -> None:
     """Wind-up that is not there would put the link elsewhere: 1.7 mrad where firmness is known."""
     slow = {"parameters": {"payload": 0.0, "contact1": 60.0}}
     slow_run = uz.simulate(servo(model=slow, observer={"centre": 0.0}))
@@ -356,8 +356,10 @@ def test_a_joint_has_up_to_three_filters() -> None:
 
 
 @pytest.mark.parametrize(("speed", "share"), [(0.0, 0.0), (2.0, 1.0)])
-def test_joint_by_joint_a_gap_is_not_told_by_a_link_that_rests(speed: float, share: float) -> None:
-    """A link that comes upon a flank, 10 mrad later than foretold; the motor has a speed."""
+def test_joint_by_joint_a_resting_link_gives_no_information_on_a_gap(
+    speed: float, share: float
+) -> None:
+    """A link that comes upon a flank, 10 mrad later than predicted; the motor has a speed."""
     gears = build_geared_arm(build_two_link(), Gears(half=0.05, inertia=[0.08, 0.03]))
     of, mean = Layout(2).slice_of, ca.DM.zeros(Layout(2).entry_count)
     place = of("half").start
@@ -386,7 +388,7 @@ def test_half_gaps_drift_faster_joint_by_joint(joints: str, drift: float, apart:
 
 
 @pytest.mark.parametrize(("spread", "part"), [(0.0, 1.0), (0.5, 0.75), (1.0, 0.0), (2.0, 0.0)])
-def test_a_half_gap_drifts_up_to_a_share_of_its_claim(spread: float, part: float) -> None:
+def test_a_half_gap_drifts_up_to_a_share_of_its_range(spread: float, part: float) -> None:
     """From a deviation so many times the largest one; what is more uncertain is left so."""
     gears = build_geared_arm(build_two_link(), Gears(half=0.05, inertia=[0.08, 0.03]))
     drive = build_drive(gears, 1e-3, 1)
@@ -452,7 +454,7 @@ def test_six_joints_at_once_are_refused_with_the_way_out() -> None:
         ({"half": [0.0, 0.06], "contact": 0.5}, "observer.contact"),
     ],
 )
-def test_claims_that_cannot_be_are_refused(changes: dict[str, Any], key: str) -> None:
+def test_impossible_options_are_refused(changes: dict[str, Any], key: str) -> None:
     with pytest.raises(uz.InputError, match=key):
         uz.simulate(servo(observer=changes))
 
@@ -485,7 +487,7 @@ def test_exported_C_has_every_bit_and_fits_a_microcontroller(
     assert subprocess.run([selftest], capture_output=True).returncode == 0
 
 
-def test_starts_that_found_other_gaps_widen_what_is_shown() -> None:
+def test_starts_that_found_other_gaps_widen_the_displayed_deviation() -> None:
     """By a tenth of their odds; a start that was wrong by far counts no more."""
     half, posteriors = Layout(1).slice_of("half").start, []
     for gap, std in ((0.02, 0.001), (0.03, 0.002)):
@@ -541,7 +543,7 @@ def test_stiff_ends_are_those_of_the_model(tmp_path: Path) -> None:
     assert [float(word) for word in str(ends[0]).split()] == pytest.approx([-4e4, -200.0])
 
 
-def test_claims_become_ranges_and_deviations_of_a_uniform_law() -> None:
+def test_options_become_ranges_and_deviations_of_a_uniform_law() -> None:
     """Half gaps of 0.01 to 0.05 about a centre of 0.003 +- 0.002: edges within three deviations."""
     tables = tomllib.loads(SERVO)
     tables["plant"]["arm"]["gears"]["centre"] = 0.003
@@ -554,7 +556,7 @@ def test_claims_become_ranges_and_deviations_of_a_uniform_law() -> None:
     np.testing.assert_allclose([cov[-1] for cov in start.covs], 0.5**2 / 12, rtol=1e-12)
 
 
-def test_a_gap_is_shown_with_its_deviation(run: uz.Run) -> None:
+def test_a_gap_is_reported_with_its_deviation(run: uz.Run) -> None:
     [[gap, _]] = final_width_rows(run)
     assert run.width_std is not None
     assert gap.std == run.width_std[-1, 0] > 0

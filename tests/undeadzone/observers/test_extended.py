@@ -461,12 +461,12 @@ def test_a_jump_sensor_of_velocities_bounds_its_widths() -> None:
     ],
     ids=["exact", "disturbed", "separate", "payload"],
 )
-def test_claims_are_true_over_random_arms(
+def test_intervals_cover_the_truth_over_random_arms(
     options: dict[str, Any], rms: float, payload: float
 ) -> None:
     """2 standard deviations hold the truth in 95 %.
 
-    At least in 88 % of 15 arms' 4 edges and 4 states, whose squared errors are as large as claimed.
+    At least in 88 % of 15 arms' 4 edges and 4 states, whose squared errors fit their variances.
     """
     Ts, runs = 4e-3, 15
     model, path, x_std = arm(Ts=Ts, payload=1.0), sines(4.0, 0.5, PULSES, Ts), START

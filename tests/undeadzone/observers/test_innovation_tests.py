@@ -46,7 +46,7 @@ def test_names_stand_in_order_of_the_bits_but_for_the_likeliest() -> None:
     ]
 
 
-def test_the_likeliest_is_told_in_full_and_the_others_by_name() -> None:
+def test_the_likeliest_is_described_in_full_and_the_others_by_name() -> None:
     assert describe_rejected_assumptions([]) == []
     gust = f"{ASSUMPTION_CHECKS['gust'].words}: {ASSUMPTION_CHECKS['gust'].cure()}"
     assert describe_rejected_assumptions(["gust"]) == [gust]
@@ -62,7 +62,7 @@ def test_no_option_is_advised_that_the_method_does_not_have() -> None:
     assert ASSUMPTION_CHECKS["noise"].cure(["right"]) == "raise sensor.noise"
 
 
-def test_a_filter_says_what_it_cannot_be_told() -> None:
+def test_a_filter_names_unknowns_without_an_option() -> None:
     described = describe_unknowns(uz.Kalman.__struct_fields__)
     assert "a constant at the input (observer.bias) or an error of the model" in described
     for knowing in (uz.Censored, uz.Auto, uz.Extended, uz.Luenberger):
@@ -219,7 +219,7 @@ def scenario(**options: Any) -> uz.Scenario:
         ("range", {}, {"right": [0.3, 0.8], "left": [0.3, 2.0]}),
     ],
 )
-def test_a_log_names_the_claim_that_is_false(
+def test_a_log_names_the_false_assumption(
     name: str, wrong: dict[str, float], options: dict[str, Any]
 ) -> None:
     y, u = log(**wrong)
@@ -233,7 +233,7 @@ def test_a_log_names_the_claim_that_is_false(
 
 
 @pytest.mark.parametrize(("assumptions", "least"), [("told", 0.75), ("ranges alone", 0.85)])
-def test_logs_that_are_glued_are_named_and_held(assumptions: str, least: float) -> None:
+def test_glued_logs_are_named_and_covered(assumptions: str, least: float) -> None:
     """Their states jump: where z has gone since is hardly known, and the intervals show that."""
     glued = benchmark.ROWS["glued from 21 pieces"]
     posed = benchmark.posed_of(glued, 1, 40, 77, benchmark.ASSUMED_WORLDS[0])
@@ -269,13 +269,13 @@ def of_scores(y: float, last: float, slope: float, refused: float = 0.0, **sums:
     return update_scores(q, before, nu, nu, zero, ca.SX(refused), reading, zero)
 
 
-def test_where_readings_stay_is_told_in_units_of_z() -> None:
+def test_the_level_of_stuck_readings_is_in_units_of_z() -> None:
     """A sensor of slope 4 that is stuck at 8 rests at z = 2."""
     assert float(of_scores(8.0, 8.0, 4.0).rest) == pytest.approx(0.5 * 2.0)
 
 
 @pytest.mark.parametrize(("y", "expected"), [(8.0, 0.5), (0.0, 0.0)])
-def test_a_silent_sensor_is_not_held_for_a_stuck_one(y: float, expected: float) -> None:
+def test_a_silent_sensor_is_not_mistaken_for_a_stuck_one(y: float, expected: float) -> None:
     assert float(of_scores(y, y, 1.0).stuck) == expected
 
 

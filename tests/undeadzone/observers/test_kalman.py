@@ -368,7 +368,7 @@ def test_asking_only_whether_a_reading_is_active_would_bias_the_widths(
 
 
 @pytest.mark.parametrize("reach", ["both edges", "right edge only"])
-def test_claims_are_true_over_random_problems(reach: str) -> None:
+def test_intervals_cover_the_truth_over_random_problems(reach: str) -> None:
     """100 problems: coverage within three standard errors of 95 % or more.
 
     NEES and NIS are near 1 (chi-square, 4 sigma).
@@ -441,7 +441,7 @@ def test_of_a_chain_of_integrators_only_the_width_becomes_known() -> None:
 # --- In the loop
 
 
-def test_a_scenario_runs_and_is_kept_with_its_standard_deviations(tmp_path: Any) -> None:
+def test_a_run_is_saved_with_its_standard_deviations(tmp_path: Any) -> None:
     run = simulate(
         scene(
             observer=OPTIONS,

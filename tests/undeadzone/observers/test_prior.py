@@ -25,7 +25,7 @@ from undeadzone.errors import EarlierMeaning, InputError, ShapeError
 from undeadzone.nonlinearities.sensor import Sensor, resolve
 from undeadzone.observers.filtering.augmented_state import white_disturbance_rms
 from undeadzone.observers.filtering.prior import Assumptions, _read_branch_ranges, build_prior
-from undeadzone.observers.filtering.prior import _read_noise as claimed_noise
+from undeadzone.observers.filtering.prior import _read_noise as read_noise
 from undeadzone.observers.filtering.unknown_inputs import read_time_span
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
@@ -86,7 +86,7 @@ def test_the_prior_is_that_of_ranges_given_the_centre(centre: Any) -> None:
 
 
 @pytest.mark.parametrize("method", ["kalman", "censored", "auto", "extended"])
-def test_with_a_claimed_centre_both_edges_of_an_integrator_become_known(method: str) -> None:
+def test_with_a_declared_centre_both_edges_of_an_integrator_become_known(method: str) -> None:
     run = simulate(motor(method=method, centre=0.0))
     assert known(run) == (True, True)
     assert run.info.identifiable[0]["reasons"][-1].endswith("from the declared centre alone")
@@ -94,13 +94,13 @@ def test_with_a_claimed_centre_both_edges_of_an_integrator_become_known(method: 
     assert run.rms_estimation < 0.01
 
 
-def test_without_a_claim_the_centre_of_an_integrator_stays_unknown() -> None:
+def test_an_undeclared_centre_of_an_integrator_stays_unknown() -> None:
     assert known(simulate(motor())) == (True, False)
     assert "observer.centre" in check(motor()).cures[0]
     assert check(motor(centre=0.0)).cures == ()
 
 
-def test_a_vague_centre_is_known_as_well_as_it_is_claimed() -> None:
+def test_a_vague_centre_is_known_as_well_as_it_is_declared() -> None:
     run = simulate(motor(centre=[-0.05, 0.05]))
     assert known(run) == (True, True)
     deviation = run.info.identifiable[0]["std"]["centre"]
@@ -166,7 +166,7 @@ def test_gears_have_the_same_centre_as_the_zone_that_they_are() -> None:
     np.testing.assert_allclose(left, LEFT)
 
 
-def test_a_claimed_centre_is_the_middle_of_the_zone_that_filters_begin_with() -> None:
+def test_a_declared_centre_is_the_middle_of_the_zone_that_filters_begin_with() -> None:
     where = resolve(Sensor(right=RIGHT, left=LEFT, noise=0.01), 1, 0.01)
     ranges = Assumptions(right=[0.0, 2.0], left=[0.0, 2.0], x_std=1.0, drift=0.0)
     (right, left), _ = build_prior(ranges, MODEL, where, centre=CENTRE).width_moments()
@@ -224,7 +224,7 @@ def centre_of(data: dict[str, Any], name: str = "observer") -> Any:
     return np.asarray(getattr(convert(data), name).centre).tolist()
 
 
-def test_a_file_without_a_schema_is_asked_for_it_where_its_centre_is_not_0() -> None:
+def test_a_missing_schema_gives_a_warning_if_the_centre_is_not_0() -> None:
     with pytest.warns(EarlierMeaning, match=f"observer.centre: .*Write schema = {SCHEMA} above"):
         assert centre_of(claiming([-0.1, 0.3])) == [-0.1, 0.3]
     assert centre_of(claiming(0.0)) == 0.0
@@ -254,7 +254,7 @@ def test_what_is_saved_is_read_without_a_warning(tmp_path: Path) -> None:
     assert float(uz.read(path).observer.centre) == CENTRE
 
 
-def test_gears_that_contact_claims_had_this_meaning_before() -> None:
+def test_the_centre_of_gears_in_contact_had_this_meaning_before() -> None:
     text = (ROOT / "examples/two_link_gears.toml").read_text(encoding="utf-8")
     scenario = tomllib.loads(text)
     scenario["observer"] = {"method": "contact", "half": [0.0, 0.02], "centre": 0.01}
@@ -267,7 +267,7 @@ def test_a_schema_that_is_not_known_is_refused(schema: Any) -> None:
         convert(claiming(0.0, schema=schema))
 
 
-def test_a_scenario_made_in_python_has_the_schema_of_today() -> None:
+def test_a_scenario_built_in_python_has_the_current_schema() -> None:
     with pytest.raises(InputError, match="schema: expected 3, found 2"):
         scene().replace("schema", 2)
 
@@ -325,10 +325,10 @@ def test_the_least_noise_is_a_share_of_the_wider_range() -> None:
         np.testing.assert_allclose(prior.R, 0.3**2)
 
 
-def test_one_output_without_noise_is_no_claim() -> None:
-    assert claimed_noise([0.1, 0.2], 2).tolist() == [0.1, 0.2]
+def test_one_output_without_noise_is_refused() -> None:
+    assert read_noise([0.1, 0.2], 2).tolist() == [0.1, 0.2]
     with pytest.raises(InputError, match="must be positive, found 0"):
-        claimed_noise([0.1, 0.0], 2)
+        read_noise([0.1, 0.0], 2)
 
 
 def test_a_time_is_resolved_from_a_tenth_of_a_sample_on() -> None:

@@ -182,7 +182,7 @@ def test_a_late_bias_is_noticed_and_covered() -> None:
     assert np.mean(doubting.consistent == 0) > 0.4
 
 
-def test_a_filter_that_claims_to_know_all_is_seen_to_be_wrong() -> None:
+def test_an_overconfident_filter_is_found_inconsistent() -> None:
     world = glitches.QUIET._replace(late=1.0)
     posed = coverage.problems("both edges", world, 2, 60, 4)
     outcome = glitches.observe(coverage.kalman, posed)
@@ -218,7 +218,7 @@ def test_a_reading_or_a_glitch_is_the_mixture_by_bayes(e: float, R: float, share
 
 @pytest.mark.parametrize("fixed", [[], [2], [1, 3]])
 @pytest.mark.parametrize("k", [1, 2])
-def test_what_a_covariance_loses_where_some_variables_are_held(fixed: list[int], k: int) -> None:
+def test_the_decrease_of_a_covariance_with_some_variables_fixed(fixed: list[int], k: int) -> None:
     """The formula of the docstring, entry by entry of the upper triangle."""
     rng = np.random.default_rng(k)
     g, share = rng.normal(size=(5, k)), np.ones((5, 1))

@@ -88,7 +88,7 @@ def last_numbers(method: str, **sensor_options: Any) -> list[float]:
 
 
 @pytest.mark.parametrize("method", FILTERS)
-def test_a_sensor_that_is_told_to_be_exact_changes_nothing(method: str) -> None:
+def test_a_sensor_declared_exact_changes_nothing(method: str) -> None:
     """Last bits of exp and log may differ from one machine to the next."""
     assert last_numbers(method, **EXACT_SENSOR) == pytest.approx(BEFORE[method], rel=1e-11)
     observer = FILTERS[method].build(
@@ -110,7 +110,7 @@ def test_edges_are_round_by_default_as_the_page_of_filters_says() -> None:
 
 
 @pytest.mark.parametrize("method", FILTERS)
-def test_by_default_only_what_is_shown_is_wider_and_edges_are_heard_later(method: str) -> None:
+def test_by_default_displayed_deviations_alone_are_wider(method: str) -> None:
     exact = last_numbers(method, **EXACT_SENSOR)
     informed, lost = last_numbers(method, rounding=0.0), last_numbers(method)
     assert informed[:3] == pytest.approx(exact[:3], rel=1e-9)  # slope and delay move no mean
@@ -127,7 +127,9 @@ def follow(options: Any, y: Floats, u: Floats, **sensor_options: Any) -> Estimat
 
 
 @pytest.mark.parametrize(("name", "std", "units"), [("slope_std", 0.1, 0.1), ("lag", 0.04, 2.0)])
-def test_what_is_shown_is_how_far_a_mean_would_move(name: str, std: float, units: float) -> None:
+def test_the_displayed_deviation_is_how_far_a_mean_would_move(
+    name: str, std: float, units: float
+) -> None:
     """Against the same filter on the readings of a sensor that is a little other than that."""
     y, u = readings()
     options, small = uz.Kalman(right=RANGE, glitches=0.0), 1e-6

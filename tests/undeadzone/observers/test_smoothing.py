@@ -154,7 +154,7 @@ def test_readings_that_are_no_numbers_leave_numbers() -> None:
         assert np.isfinite(signal).all()
 
 
-def test_the_command_smooths_unless_told_not_to(tmp_path: Path) -> None:
+def test_the_command_smooths_by_default(tmp_path: Path) -> None:
     path, log = tmp_path / "mine.toml", tmp_path / "log.csv"
     path.write_text(LOGS_ALONE.replace('"kalman"', '"censored"'))
     run = uz.simulate(scenario())

@@ -34,7 +34,7 @@ from undeadzone.results.run import FRAMES, Run
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import parse
 from undeadzone.scenario.schema import Scenario
-from undeadzone.simulation.simulate import labels as _told_apart
+from undeadzone.simulation.simulate import labels as method_labels
 from undeadzone.simulation.simulate import simulate
 from undeadzone_studies.ensemble.batch import prepare_batch
 from undeadzone_studies.ensemble.run_ensemble import replay_in_batch
@@ -93,7 +93,7 @@ def falling(duration: float, arm: dict[str, Any]) -> Run:
 def both() -> tuple[Run, Run]:
     """A run, and the same arm whose observer knows of no dead zone."""
     named = [two_link(observer=FILTER | more) for more in ({}, {"blind": True})]
-    names = _told_apart(named[0].observer, named[1].observer)
+    names = method_labels(named[0].observer, named[1].observer)
     runs = [simulate(one) for one in named]
     first, second = (labelled(run, name) for run, name in zip(runs, names, strict=True))
     return first, second
@@ -520,7 +520,7 @@ def scenario(tmp_path: Path) -> Path:
     return tmp_path / "mine.toml"
 
 
-def test_a_comparison_is_told_in_json(scenario: Path) -> None:
+def test_a_comparison_is_reported_in_json(scenario: Path) -> None:
     done = command("run", scenario, "--no-figures", "--json", cwd=scenario.parent)
     assert done.stderr == ""
     result = json.loads(done.stdout)
@@ -545,9 +545,9 @@ def test_an_animation_that_cannot_be_is_refused_before_the_run(
     assert not list(tmp_path.iterdir())
 
 
-def test_observers_are_told_apart_by_method_or_by_what_differs() -> None:
+def test_observers_are_labelled_by_method_or_by_what_differs() -> None:
     def names(first: dict[str, Any], second: dict[str, Any]) -> tuple[str, str]:
-        return _told_apart(*(two_link(observer=one).observer for one in (first, second)))
+        return method_labels(*(two_link(observer=one).observer for one in (first, second)))
 
     assert names(FILTER | {"noise": 0.002}, FILTER | {"blind": True}) == (
         "extended",

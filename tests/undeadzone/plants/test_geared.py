@@ -350,7 +350,7 @@ def test_joints_about_one_axis_are_coupled_by_what_lies_between_them() -> None:
     assert both.ratio == 1.0
 
 
-def test_coupled_joints_share_a_filter_unless_they_are_told_apart() -> None:
+def test_coupled_joints_share_a_filter_unless_they_are_separated() -> None:
     """Of a two-link arm whose joints hardly know of each other each has its own."""
     observer = COAXIAL["observer"]
     assert isinstance(observer, dict)

@@ -293,7 +293,7 @@ def test_default_inertias_are_those_of_uniform_rods() -> None:
 
 
 @given(seeds)
-def test_two_links_with_a_straight_held_elbow_are_one_link(seed: int) -> None:
+def test_two_links_with_a_straight_locked_elbow_are_one_link(seed: int) -> None:
     """An elbow that is straight and stays so: joint 1 moves one link with all the mass."""
     two, one = ARMS["two_link"], ARMS["one_link"]
     _, numbers, q, v = drawn(two, seed)

@@ -123,7 +123,7 @@ def test_signals_are_attributes_also_of_a_copy() -> None:
         assert not hasattr(one, "B")
 
 
-def test_a_row_is_said_once_for_all() -> None:
+def test_a_row_is_defined_once_for_text_and_page() -> None:
     found = {"gap_right": 0.25, "gap_left": 0.5, "gap_std": 0.015}
     found |= {"gap_right_std": 0.01, "gap_left_std": 0.02}
     ((right, left, both),) = sheet.build_width_rows(found, "gap", "rad", (0.24, 0.51))

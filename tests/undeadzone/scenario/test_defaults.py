@@ -62,8 +62,8 @@ def test_widths_adapt_by_at_most_a_half_in_a_sample(Ts: float, gamma: float) -> 
     assert default_adaptation(sample_plant(plant(1.0), Ts)) == pytest.approx(gamma, rel=0.01)
 
 
-def test_kalman_listens_unless_it_is_told_not_to() -> None:
-    """With 10 % off in the friction; the claim of no disturbance takes the model on trust."""
+def test_kalman_corrects_a_wrong_model_unless_the_disturbance_is_0() -> None:
+    """With 10 % off in the friction; an assumed disturbance of 0 trusts the model."""
     wrong = {"model": {"A": [[0.0, 1.0], [-1.0, -1.8]]}}
     time = {"simulation": {"time": "sampled", "step": 0.01, "duration": 12.0}}
     error, shares = {}, {}

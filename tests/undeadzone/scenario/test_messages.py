@@ -80,7 +80,7 @@ def test_an_unknown_table_gets_no_wild_guess() -> None:
         ("b.toml", TEMPLATE.encode("utf-16"), "Save it as UTF-8"),
     ],
 )
-def test_another_file_than_a_scenario_is_told_where_to_go(
+def test_the_message_on_another_file_names_the_remedy(
     tmp_path: Path, name: str, content: str | bytes, expected: str
 ) -> None:
     path = tmp_path / name
@@ -255,8 +255,8 @@ def test_check_says_that_widths_without_gain_keep_their_error() -> None:
     assert [name for name, reasons in reasons_of.items() if reasons] == ["still"]
 
 
-def test_a_claim_that_excludes_the_truth_is_called_false() -> None:
-    """Shown were 0.5 and an interval that excludes 1.0: plausible, and wrong."""
+def test_a_range_that_excludes_the_truth_is_reported() -> None:
+    """The output was 0.5 and an interval that excludes 1.0: plausible, and wrong."""
     text = TEMPLATE.replace("right = [0.0, 2.0]", "right = [0.0, 0.5]\nleft = [0.2, 3.0]")
     run = uz.simulate(parse(text) | {"simulation": {"duration": 3.0}})
     assert not run.fully_identifiable
@@ -269,8 +269,8 @@ def test_a_claim_that_excludes_the_truth_is_called_false() -> None:
     assert uz.simulate(parse(TEMPLATE)).fully_identifiable
 
 
-def test_a_claim_about_the_actuator_that_excludes_the_truth_is_called_false() -> None:
-    """Shown was 1.0 and an interval that excludes 1.2: plausible, and wrong."""
+def test_an_actuator_range_that_excludes_the_truth_is_reported() -> None:
+    """The output was 1.0 and an interval that excludes 1.2: plausible, and wrong."""
     path = Path(__file__).parents[3] / "examples" / "valve_both_ends.toml"
     valve = parse(path.read_text()) | {"simulation": {"duration": 3.0}}
     assert valve.actuator.right == 1.2

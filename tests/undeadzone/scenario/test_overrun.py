@@ -116,9 +116,7 @@ def test_a_load_that_cannot_be_is_refused(sensor: dict[str, Any], words: str) ->
         ([0.0, 0.1], "adaptive_inverse", "cannot estimate it"),
     ],
 )
-def test_a_friction_that_cannot_be_told_is_refused(
-    friction: Any, observer: str, words: str
-) -> None:
+def test_an_invalid_friction_is_refused(friction: Any, observer: str, words: str) -> None:
     options = {"method": observer} | ({"right": [0.0, 0.2]} if observer == "kalman" else {})
     with pytest.raises(InputError, match=words):
         resolve_scenario(motor({}, observer=options, model={"load_friction": friction}))
@@ -145,7 +143,7 @@ def test_friction_acts_on_the_motor_while_y_moves() -> None:
     assert np.abs(rubbed.z - plain.z).max() > 0.01
 
 
-def test_friction_that_is_not_told_makes_the_gap_small_and_estimated_friction_does_not() -> None:
+def test_unmodelled_friction_makes_the_gap_small_and_estimated_friction_does_not() -> None:
     """Two masses at an overrun number of 0.1, four gaps (docs/play.md has the table)."""
     friction = 0.02
     logs = [two_masses(0.1 * friction / TURN, friction, seed) for seed in range(4)]

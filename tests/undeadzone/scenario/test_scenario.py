@@ -129,7 +129,7 @@ def test_a_model_that_differs_in_parameters_only() -> None:
     assert problem.model.linear.A[1].tolist() == [-9.81, -0.1]
 
 
-def test_paths_are_taken_from_the_scenarios_folder(
+def test_paths_are_relative_to_the_folder_of_the_scenario(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "data").mkdir()

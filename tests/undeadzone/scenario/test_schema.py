@@ -67,7 +67,7 @@ def test_a_saved_scenario_is_read_as_it_was(tmp_path: Path) -> None:
     assert str(before) == path.read_text()
 
 
-def test_plain_lists_and_matlabs_matrices_are_taken_where_they_mean_one_thing() -> None:
+def test_plain_lists_and_matlab_matrices_are_accepted_if_unambiguous() -> None:
     full = uz.Plant(A=[[0, 1], [-1, -2]], B=[[0], [1]], C=[[1, 0]])
     for plant in (
         uz.Plant(A=[[0, 1], [-1, -2]], B=[0, 1], C=[1, 0]),

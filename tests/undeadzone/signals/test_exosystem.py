@@ -137,7 +137,7 @@ def test_values_in_closed_form() -> None:
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(3, 12))
-def test_csv_goes_through_its_samples_and_is_held_at_its_ends(
+def test_csv_goes_through_its_samples_and_is_constant_beyond_its_ends(
     tmp_path_factory: pytest.TempPathFactory, seed: int, count: int
 ) -> None:
     rng = np.random.default_rng(seed)
@@ -274,7 +274,7 @@ def test_common_period(frequencies: list[float], period: float | None) -> None:
 
 
 @pytest.mark.parametrize("shape", [signals.line_derivatives, signals.spline_derivatives])
-def test_shapes_go_through_their_samples_and_are_held_at_their_ends(shape: Any) -> None:
+def test_shapes_go_through_their_samples_and_are_constant_beyond_their_ends(shape: Any) -> None:
     t = np.array([0.0, 0.5, 2.0, 3.0])
     values = np.array([[1.0, 0.0], [2.0, -1.0], [0.0, 4.0], [3.0, 3.0]])
     derivatives = shape(t, values)

@@ -490,7 +490,7 @@ def number(pattern: str, error: pytest.ExceptionInfo[TrackingError]) -> list[flo
         ([0.1, 0.0], 0.1 - (0.15 - 0.1)),
     ],
 )
-def test_unreachable_points_are_said_with_their_distance(
+def test_unreachable_points_are_reported_with_their_distance(
     centre: list[float], beyond: float, start: list[float]
 ) -> None:
     """The two-link arm reaches from 0.1 m to 0.7 m from its base."""

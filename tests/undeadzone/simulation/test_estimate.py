@@ -90,7 +90,7 @@ def log(run: uz.Run, header: str = "t,y,u", **columns: np.ndarray) -> str:
         uz.ParticleFilter(right=[0.0, 2.0], particles=50),
     ],
 )
-def test_the_estimates_are_those_of_the_run_that_made_the_log(observer: object) -> None:
+def test_the_estimates_are_those_of_the_run_that_recorded_the_log(observer: object) -> None:
     recorded = uz.simulate(
         scenario(
             observer, simulation=uz.Simulation(duration=2.0, time="sampled", step=0.01, seed=3)
@@ -314,7 +314,7 @@ WOULD_FIT = {
 
 
 @pytest.mark.parametrize("change", WOULD_FIT)
-def test_what_would_fit_is_told(run: uz.Run, change: str) -> None:
+def test_the_change_that_would_fit_is_suggested(run: uz.Run, change: str) -> None:
     y, u, looked = wrong(run, change)
     found = uz.estimate(looked, y=y, u=u, smoothing=False)
     words, expected = what_would_fit(looked, found), WOULD_FIT[change]
@@ -331,7 +331,7 @@ def test_of_a_log_that_fits_nothing_else_does(run: uz.Run) -> None:
     assert what_would_fit(scenario(), short) is None
 
 
-def test_without_a_test_or_readings_nothing_is_claimed(run: uz.Run) -> None:
+def test_without_a_test_or_readings_consistency_is_undecided(run: uz.Run) -> None:
     certified = uz.estimate(scenario(uz.Certified(gamma=2.0, width_max=3.0)), y=run.y, u=run.u)
     assert certified.consistent is None
     assert "innovation_std" in certified.info.reasons[0]

@@ -184,7 +184,7 @@ def test_jump_sensor_equals_its_event_twin() -> None:
     ],
     ids=["no threshold guards the zone", "before and after", "jump"],
 )
-def test_noise_is_held_over_each_step(twin: Twin, after: float, before: float) -> None:
+def test_noise_is_constant_over_each_step(twin: Twin, after: float, before: float) -> None:
     """The twin judges reading and side anew at each stage of many small steps.
 
     Both err by about h^2 at a change of side.

@@ -65,7 +65,7 @@ def test_missing_samples_are_predicted_and_counted(missing: float) -> None:
     assert (after.x != before.x).all()
 
 
-def test_missing_input_is_held() -> None:
+def test_missing_input_is_replaced_by_the_last_one() -> None:
     holding, given = (uz.Online(OBSERVER, PLANT, SENSOR, STEP) for _ in range(2))
     holding.update(2.0, 3.0)
     given.update(2.0, 3.0)
@@ -123,7 +123,7 @@ def test_a_compiled_step_has_every_bit_of_the_virtual_machine(method: str) -> No
     assert plain.missing == compiled.missing == blocks.missing == 18
 
 
-def test_latest_is_a_view_made_once_and_unknown_before_the_first_sample() -> None:
+def test_latest_is_one_view_and_unknown_before_the_first_sample() -> None:
     for compiled in (False, True):
         online = uz.Online(OBSERVER, PLANT, SENSOR, STEP, compiled=compiled)
         latest = online.latest

@@ -159,7 +159,7 @@ def test_noise_before_the_zone_moves_the_reading_only_outside() -> None:
     assert (noise[np.abs(run.z) < 0.5] == 0).all()
 
 
-def test_integration_error_is_asked_for() -> None:
+def test_integration_error_is_computed_on_request() -> None:
     assert simulate(scene(), check_step=False).info.integration_error is None
     assert (
         simulate(scene(simulation={"time": "sampled", "step": 0.01})).info.integration_error is None

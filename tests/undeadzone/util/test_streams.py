@@ -115,7 +115,7 @@ def test_writes_are_whole_and_reads_wait() -> None:
     feeder.join()
 
 
-def test_a_save_that_fails_is_said_and_tried_again(
+def test_a_failed_save_is_reported_and_repeated(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     part: Any = SimpleNamespace(SAVED=("count",), count=1, digest="d")

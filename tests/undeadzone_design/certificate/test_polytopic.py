@@ -329,7 +329,7 @@ def test_an_inverted_pendulum_has_none() -> None:
     assert found.reason.startswith("at x = [0, 0], u = [0] the model is unstable")
 
 
-def test_a_proof_that_takes_too_many_parts_is_not_claimed() -> None:
+def test_a_proof_that_needs_too_many_parts_is_not_certified() -> None:
     found = certify_on(pendulum(1.5), NONE, ONE, ranges(1.25, 5, 10), parts=3)
     assert not found.certified
     assert "not proved: one V serves the Jacobians at" in found.reason
@@ -377,7 +377,7 @@ def test_what_is_not_smooth_or_bends_the_output_is_refused() -> None:
     assert certify_on(rubbing, np.zeros((4, 1)), ONE, near).certified  # smooth Coulomb friction
 
 
-def test_regions_are_checked_by_key() -> None:
+def test_errors_of_regions_name_the_key() -> None:
     model = pendulum(1.0)
     assert build_box(Region(x=[[-1, 1], [-2, 2]], u=[-3, 3]), model).high.tolist() == [1, 2, 3]
     assert build_box(

@@ -680,7 +680,7 @@ def test_a_gain_to_three_times_the_output_is_three_times_the_gain() -> None:
     assert three.noise == pytest.approx(3 * one.noise, rel=0.01)
 
 
-def test_a_gain_that_is_not_asked_for_is_0() -> None:
+def test_a_gain_that_is_not_requested_is_0() -> None:
     dynamics = certify(PAPER_PLANT.linear, np.array([[1.0], [1.5]]), np.array([10.0])).dynamics
     assert l2_gain(dynamics, noise=np.ones(1)).disturbance == 0.0
     assert l2_gain(dynamics, E=np.array([[0.0], [1.0]])).noise == 0.0

@@ -234,7 +234,7 @@ def test_check_writes_a_verdict_figures_and_a_page(
     assert [Path(name).name for name in only.found["files"]] == ["check.json"]
 
 
-def test_nothing_is_written_unless_wanted(
+def test_nothing_is_written_unless_requested(
     paper: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = paper()

@@ -277,9 +277,7 @@ def test_a_design_is_reproducible_and_tells_its_rounds(quickest: Design) -> None
     assert sum(progress) == count_design_rounds("rate") < count_design_rounds("knee")
 
 
-def test_what_cannot_be_had_at_once_is_said(
-    quickest: Design, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_incompatible_aims_are_reported(quickest: Design, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing beats the fastest gains in rate, however long one searches."""
     once.in_haste(monkeypatch)
     again = design(
@@ -368,11 +366,11 @@ def test_margins_without_sense(margin: float) -> None:
         design(scene(), "rate", margin=margin)
 
 
-def test_the_margin_asked_for_is_kept() -> None:
+def test_the_requested_margin_is_met() -> None:
     assert once.design(scene(), "rate", margin=0.3).margin == pytest.approx(0.3, rel=1e-6)
 
 
-def test_a_design_is_kept_exactly(knee: Design, tmp_path: Path) -> None:
+def test_a_design_is_saved_exactly(knee: Design, tmp_path: Path) -> None:
     loaded = Design.load(knee.save(tmp_path / "knee.toml"))
     assert loaded == msgspec.structs.replace(knee, remarks=[*knee.remarks, STATED])
     assert Design.load(loaded.save(tmp_path / "again.toml")) == loaded

@@ -79,7 +79,7 @@ def test_a_worker_that_is_killed_changes_no_bit(
     assert store.path.read_bytes() == whole
 
 
-def test_what_a_block_raises_arrives_and_the_others_are_kept(
+def test_an_error_of_a_block_arrives_and_the_others_are_stored(
     tmp_path: Path, whole: bytes, dask: LocalCluster
 ) -> None:
     path = tmp_path / "runs.partial"
@@ -95,7 +95,7 @@ def test_what_a_block_raises_arrives_and_the_others_are_kept(
     assert path.read_bytes() == whole
 
 
-def test_no_more_is_computed_than_is_taken(
+def test_no_more_is_computed_than_is_consumed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, dask: LocalCluster
 ) -> None:
     monkeypatch.setattr(job, "LONGEST", 0.0)
@@ -161,7 +161,7 @@ def test_a_cluster_without_workers(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_scheduler_that_goes_away_leaves_what_was_kept(
+def test_a_scheduler_that_goes_away_leaves_the_stored_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(dask_cluster, "REACH", 1.0)

@@ -275,7 +275,7 @@ def test_nothing_is_written_through_links(tmp_path: Path, link: str) -> None:
     assert not outside.exists() or outside.read_bytes() == b""
 
 
-def test_what_is_kept_is_for_its_owner(tmp_path: Path) -> None:
+def test_stored_runs_are_for_their_owner(tmp_path: Path) -> None:
     store = journal.open_store(tmp_path / "runs.partial", sines(605).layout)
     store.close()
     assert stat.S_IMODE(store.path.stat().st_mode) == 0o600
@@ -298,7 +298,7 @@ class Interrupted(Sines):
         return super().block(index)
 
 
-def test_ctrl_c_says_what_is_kept_and_how_to_go_on(tmp_path: Path) -> None:
+def test_ctrl_c_reports_what_is_stored_and_how_to_continue(tmp_path: Path) -> None:
     path, progress = tmp_path / "runs.partial", []
     words = r"50 of 95 runs are kept in .*runs\.partial; continue with resume=True"
     with pytest.raises(KeyboardInterrupt, match=words):

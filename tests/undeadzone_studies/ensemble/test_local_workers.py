@@ -102,7 +102,9 @@ def test_a_worker_that_is_killed_changes_no_bit(tmp_path: Path, whole: bytes) ->
     assert path.read_bytes() == whole
 
 
-def test_what_a_block_raises_arrives_and_the_others_are_kept(tmp_path: Path, whole: bytes) -> None:
+def test_an_error_of_a_block_arrives_and_the_others_are_stored(
+    tmp_path: Path, whole: bytes
+) -> None:
     path = tmp_path / "runs.partial"
     with pytest.raises(ArithmeticError, match="a block that fails"):
         run_blocks.compute_job(functools.partial(sines, 605, wrong=40), path, workers=2)

@@ -149,7 +149,7 @@ def test_the_worst_runs_come_first() -> None:
         result.column("d_up_error[0]")
 
 
-def test_errors_of_widths_are_taken_from_each_runs_truth() -> None:
+def test_errors_of_widths_are_differences_from_the_truth_of_each_run() -> None:
     result = ensemble(diverge=0.0)
     right = result.metrics["d_right[0]"] - result.varied["sensor.right[0]"]
     left = result.metrics["d_left[0]"] - 0.7

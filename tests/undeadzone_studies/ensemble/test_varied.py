@@ -434,7 +434,7 @@ def discretise(AB: Floats, Ts: float) -> Floats:
     m=st.integers(1, 2),
     scale=st.sampled_from([1e-6, 1e-2, 1.0, 10.0]),
 )
-def test_many_plants_are_held_as_one(seed: int, n: int, m: int, scale: float) -> None:
+def test_many_plants_are_discretised_like_one(seed: int, n: int, m: int, scale: float) -> None:
     rng = np.random.default_rng(seed)
     plants = [random_plant(rng, n, m) for _ in range(5)]
     found = discretise(np.stack([np.hstack(plant.linear[:2]) for plant in plants]), scale)
@@ -775,6 +775,6 @@ def test_a_scenario_without_the_table() -> None:
 
 
 @pytest.mark.parametrize("pair", [None, (1.0,), (1.0, float("nan")), ("a", 1.0), 3.0])
-def test_values_from_python_are_checked_too(pair: Any) -> None:
+def test_values_from_python_are_validated_too(pair: Any) -> None:
     with pytest.raises(InputError, match=r"sensor\.right"):
         spread("sensor.right", Distribution(uniform=pair), 0.0)

@@ -245,7 +245,7 @@ def test_numbers_that_are_alike_share_their_ranks() -> None:
     assert mean_ranks(x).tolist() == stats.rankdata(x).tolist() == [5, 1.5, 5, 3, 5, 1.5]
 
 
-def test_nothing_is_said_where_nothing_can_be() -> None:
+def test_sensitivities_without_information_are_empty_or_0() -> None:
     X = np.random.default_rng(9).random((100, 2))
     assert sensitivities_of_runs(X[:30], X[:30, 0]) == []
     assert sensitivities_of_runs(X, np.ones(100)) == []

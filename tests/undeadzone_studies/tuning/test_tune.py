@@ -171,7 +171,9 @@ def test_what_cannot_be_tuned(bounds: dict[str, tuple[float, float]], message: s
         (Tune(entries=GAMMA, seed=-1), {}, "tune.seed"),
     ],
 )
-def test_what_cannot_be_wanted(what: Tune, scenario: dict[str, Any], message: str) -> None:
+def test_impossible_tuning_requests_are_refused(
+    what: Tune, scenario: dict[str, Any], message: str
+) -> None:
     with pytest.raises(InputError, match=message):
         tune(gusts(**scenario), what)
 
@@ -283,7 +285,7 @@ def test_several_gains_are_better_than_a_grid(freely: Tuned) -> None:
     assert min(trial.cost for trial in freely.trials) == freely.cost[1]
 
 
-def test_the_certificate_is_kept_where_it_binds(freely: Tuned) -> None:
+def test_the_certificate_is_satisfied_where_it_binds(freely: Tuned) -> None:
     what = Tune(entries=GAINS, runs=16, held_out=64, budget=150, certified=True, margin=0.02)
     found = tune(gusts(), what)
     model = resolve_scenario(found.scenario).model
