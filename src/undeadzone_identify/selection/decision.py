@@ -26,6 +26,7 @@ from undeadzone_identify.servo.gap import ServoGap
 LEAST = 0.5  # share of the held-out readings that a fit must explain
 LIKELY = 0.8  # odds from which a name is given
 LIKELY_IN_LOOP = 0.9  # odds of no zone, from which it is named in a loop, which hides one
+DOUBT = 0.01  # p of a plant without a zone, below which it is not named
 UNLIKELY = 0.05  # odds below which a name is not worth a word
 FEW = 0.005  # of the readings, that may lie across 0 of an operating point
 WELL_INSIDE = 2.0  # rms of the noise between z^ and an edge
@@ -326,8 +327,7 @@ def _verdict_without_zone(case: Case) -> Verdict:
         steps = "the readings are rounded to steps that are larger than any zone"
         return build_verdict("none", f"{steps} ({case.quantum:.3g})")
     chance, behind = case.no_zone.chance, case.chosen.pairs.objective.kind == "behind"
-    # Without a zone its edges are not identified, so that p is below 0.01 more often than that.
-    if behind and chance < least_squares.CHANCE:
+    if behind and chance < DOUBT:
         tested = f"a zone explains more than chance does (p = {chance:.2g}), and no model of one is"
         return build_verdict("undecided", f"{tested} likely; record for longer")
     return build_verdict("none", f"readings need no zone (p = {chance:.2g})")
