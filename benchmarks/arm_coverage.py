@@ -52,7 +52,7 @@ COLUMNS = (
 
 
 class Case(NamedTuple):
-    """What the filter assumes and what is true besides.
+    """Assumptions of the filter, and the true world beside them.
 
     Attributes:
         assumed, true: both in words

@@ -287,11 +287,13 @@ def driven(setup: Bench, arm: Arm, seed: int) -> Floats:
 def outcome(setup: Bench, arm: Arm, seed: int) -> Outcome:
     """What becomes of one loop around MuJoCo's arm."""
     outputs = driven(setup, arm, seed)
-    return judged(setup, arm, outputs) if np.isfinite(outputs[-1]).all() else Outcome(True)
+    return (
+        evaluate_outputs(setup, arm, outputs) if np.isfinite(outputs[-1]).all() else Outcome(True)
+    )
 
 
-def judged(setup: Bench, arm: Arm, outputs: Floats) -> Outcome:
-    """What the outputs of a loop come to."""
+def evaluate_outputs(setup: Bench, arm: Arm, outputs: Floats) -> Outcome:
+    """Return the outcome of a loop by its outputs."""
     problem, where = setup.problem, tree.leaf_slices(setup.loop.outputs)
     N, Ts = len(arm.half), problem.scenario.simulation.step
     assert problem.path is not None

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.gears import FRESH, SERVO, Bench, Outcome, bench, changed, judged, turning
+from benchmarks.gears import FRESH, SERVO, Bench, Outcome, bench, changed, evaluate_outputs, turning
 from benchmarks.markdown import head, row
 from benchmarks.mujoco_gears import Arm, Links, Twin, servo
 from undeadzone.simulation.exogenous import exogenous
@@ -119,7 +119,11 @@ def outcome(setup: Bench, world: World, seed: int) -> Outcome:
     """Run one loop and return its result."""
     machine = draw(world, np.random.default_rng(seed))
     outputs = driven(setup, machine, seed)
-    return judged(setup, machine.arm, outputs) if np.isfinite(outputs[-1]).all() else Outcome(True)
+    return (
+        evaluate_outputs(setup, machine.arm, outputs)
+        if np.isfinite(outputs[-1]).all()
+        else Outcome(True)
+    )
 
 
 def scenario() -> Mapping[str, Any]:

@@ -129,9 +129,9 @@ def table() -> str:
     }
     lines += [
         "",
-        f"A loop is heard with its reference in {detected[True]} of {len(shares[True])} closed and"
-        f" {detected[False]} of {len(shares[False])} open ones, without it in {guessed[True]} and"
-        f" {guessed[False]}.",
+        f"A loop is detected with its reference in {detected[True]} of {len(shares[True])} closed"
+        f" and {detected[False]} of {len(shares[False])} open ones, without it in {guessed[True]}"
+        f" and {guessed[False]}.",
     ]
     return "\n".join(
         [

@@ -20,7 +20,7 @@ import undeadzone as uz
 from undeadzone.cli import group
 from undeadzone.errors import InputError
 from undeadzone.util.arrays import Floats
-from undeadzone_identify.models.chain import INPUTS
+from undeadzone_identify.models.chain import INPUTS, ChainModel
 from undeadzone_identify.models.elements import MapModel, limited_zone_map
 from undeadzone_identify.models.plant import PlantSimulator, RecordData
 from undeadzone_identify.results.assemble import ODDS_OF, withhold_poor_fit
@@ -347,6 +347,40 @@ def test_limits_behind_a_zone_are_no_jump() -> None:
 def test_limits_that_no_reading_reaches_are_not_reported() -> None:
     reason = of_kind("limit of one side", 8301).answer.reasons[-1]
     assert re.fullmatch(r"the readings end at 0\.(79|8)\d*", reason)
+
+
+@pytest.mark.parametrize(
+    "parts",
+    [
+        *({"element": name} for name in INPUTS),
+        {"taps": 4},
+        {"zone": True, "taps": 4},
+        {"zone": True, "lags": True},
+        {"zone": True, "lags": True, "shaped": True},
+    ],
+    ids=str,
+)
+def test_derivatives_of_a_chain_are_its_slopes(parts: dict[str, Any]) -> None:
+    """Two records: each begins with its own state, and with element and filter at rest."""
+    rng = np.random.default_rng(0)
+    u = np.cumsum(rng.standard_normal((300, 1)), axis=0) / 5
+    start, whole = np.array([0, 120]), np.ones(300, bool)
+    data = RecordData(u, 0.0 * u[:, 0], whole, start, 0 * whole, False, np.ones(1), 1.0)
+    model = ChainModel(PlantSimulator(data, 2), **parts)
+    own = np.clip(np.linspace(0.3, 0.6, model.low.size), model.low, model.high)
+    theta = np.concatenate([[-1.3, 0.4, 0.3, 0.2, 0.1, -0.1, 0.2, 0.05], own])
+    if model.shaped:
+        theta[model.shape] = 0.8, 0.05
+    model.free = model.free[1:]  # as a model with a number that is known
+    readings, rows = model.slopes(theta)
+    np.testing.assert_array_equal(readings, model.noise_free_readings(model.output(theta), theta))
+    for column, place in zip(rows.T, model.free, strict=True):
+        step = 1e-6 * np.eye(theta.size)[place]
+        above, below = (
+            model.noise_free_readings(model.output(one), one)
+            for one in (theta + step, theta - step)
+        )
+        np.testing.assert_allclose(column, (above - below) / 2e-6, atol=1e-4 * np.ptp(column))
 
 
 @pytest.mark.parametrize("level", [0.0, 0.3])

@@ -22,7 +22,12 @@ from undeadzone.compile import lanes
 from undeadzone.nonlinearities.play import levels
 from undeadzone.util.arrays import Floats, Integers
 from undeadzone_identify.models.elements import best_of_each
-from undeadzone_identify.models.estimates import cache_latest
+from undeadzone_identify.models.estimates import (
+    cache_latest,
+    central_differences,
+    perturb_each,
+    perturbation_steps,
+)
 from undeadzone_identify.models.least_squares import FittedModel, LeastSquares
 from undeadzone_identify.models.likelihood import dead_zone
 from undeadzone_identify.models.place import PlaceFit, PlaceStarts
@@ -39,7 +44,7 @@ ROUND = 0.02  # radius below which an edge is sharp [width of the zone]
 PLACES = 13  # edges of a scan for a zone of the input that is not about 0
 LATE = 0.05  # lag below which a filter is negligible [samples]
 NEAR_BOUND = 1e-3  # distance below which a parameter of a curve is at its bound
-STEP = 1e-5  # relative step of a parameter, for differences
+STEP = 1e-5  # of z, for differences [rms of y]
 
 
 class InputElement(NamedTuple):
@@ -291,27 +296,23 @@ class ChainModel:
         if self.zone:
             change = self._pass_zone(z + STEP, theta) - self._pass_zone(z - STEP, theta)
             by_z = change[:, None] / (2 * STEP)
-        rows = np.empty((z.size, self.filter.stop))
-        rows[:, : self.inputs.stop] = self._filter(by_z * self._gradient_of_z(theta, z), theta)
-        for place in range(self.inputs.stop, self.filter.stop):
-            above, below, width = _points_beside(theta, place)
-            change = self.noise_free_readings(z, above) - self.noise_free_readings(z, below)
-            rows[:, place] = change / width
-        return self.noise_free_readings(z, theta), rows[:, self.free]
+        by_z_numbers = self._filter(by_z * self._gradient_of_z(theta, z), theta)
+        places = np.arange(self.inputs.stop, self.filter.stop)
+        steps = perturbation_steps(theta[places])
+        points = perturb_each(theta, places, steps)
+        y, *readings = (self.noise_free_readings(z, point) for point in points)
+        by_sensor = central_differences(np.reshape(readings, (-1, z.size)), steps).T
+        return y, np.hstack([by_z_numbers, by_sensor])[:, self.free]
 
     def _gradient_of_z(self, theta: Floats, z: Floats) -> Floats:
         """Return dz by the numbers of the plant and of the input element (N x both)."""
         by_plant = self.driven_plant(theta).z_gradient(theta, z)[:, : self.base]
-        layout = self.simulator.layout
-        numerator = np.append(0.0, theta[layout.numerators])
-        denominator = layout.full_denominator(theta[layout.denominator])
-        by_input = np.empty((z.size, self.inputs.stop - self.base))
-        for column, place in enumerate(range(self.base, self.inputs.stop)):
-            above, below, width = _points_beside(theta, place)
-            change = self._pass_records(above[self.inputs]) - self._pass_records(below[self.inputs])
-            # The plant is linear: the change of its input passes it.
-            for part in self.simulator.records:
-                by_input[part, column] = lfilter(numerator, denominator, change[part] / width)
+        p = theta[self.inputs]
+        steps = perturbation_steps(p)
+        points = perturb_each(p, np.arange(p.size), steps)[1:]
+        passed = np.reshape([self._pass_records(point) for point in points], (-1, z.size))
+        # The plant is linear: the change of its input passes it.
+        by_input = self.simulator.respond_from_rest(theta, central_differences(passed, steps).T)
         return np.hstack([by_plant, by_input])
 
     def class_word(self, theta: Floats) -> str:
@@ -396,15 +397,6 @@ class ChainModel:
             f"a dead zone whose left side has {slope:.3g} times the slope of its right, whose edges"
             f" are round over {rounding * y_scale:.3g}, and {late}"
         )
-
-
-def _points_beside(theta: Floats, place: int) -> tuple[Floats, Floats, float]:
-    """Return theta with one number raised and lowered by its step, and both steps together."""
-    step = STEP * max(abs(theta[place]), 0.02)
-    above, below = theta.copy(), theta.copy()
-    above[place] += step
-    below[place] -= step
-    return above, below, 2 * step
 
 
 ChainFit = FittedModel[ChainModel]

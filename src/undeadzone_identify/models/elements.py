@@ -355,9 +355,11 @@ class MapModel:
         *widths, high, low = theta[self.base :] * y_scale
         z = self.output(theta) * y_scale
         passed = dead_zone(z, *widths) if widths else z
-        data = self.simulator.data
-        above = (data.y * y_scale - np.clip(passed, -low, high))[data.ok]
-        level = float(above.mean()) if self.has_level else 0.0  # of the readings, limits included
+        level = 0.0  # of the readings, limits included
+        if self.has_level:
+            data = self.simulator.data
+            above = data.y - self.noise_free_readings(self.output(theta), theta)
+            level = y_scale * float(above[data.ok].mean())
         ends = []
         for end, beyond in ((-low, passed < -low), (high, passed > high)):
             if np.count_nonzero(beyond) >= FEWEST:

@@ -22,6 +22,7 @@ from undeadzone.errors import InputError
 from undeadzone.util.answers import Answers
 from undeadzone.util.arrays import Floats, Integers
 
+RELATIVE_STEP = 1e-5  # of a parameter of a plant or an element, for differences
 GAUSSIAN = 2 / 3  # (E x^4 - s^4) / E x^4 of a Gaussian: E x^4 = 3 s^4
 LEAST_KEPT = 0.05  # least factor by which the fit may have shrunk an estimated variance
 
@@ -239,6 +240,11 @@ def run_lanes_along(kernel: lanes.Kernel, exogenous: Floats, rows: Floats) -> tu
     start = np.zeros(states)
     shared = np.zeros(numbers)
     return lanes.run_lanes(kernel, start, exogenous, shared, lane_params=rows, threads=1)
+
+
+def perturbation_steps(values: Floats) -> Floats:
+    """Return the step of each parameter for central differences, by its value (F)."""
+    return RELATIVE_STEP * np.maximum(np.abs(values), 0.02)
 
 
 def perturb_each(theta: Floats, free: Integers, steps: Floats) -> Floats:

@@ -24,6 +24,7 @@ from undeadzone_identify.models.estimates import (
     cache_latest,
     central_differences,
     perturb_each,
+    perturbation_steps,
     run_lanes_along,
 )
 from undeadzone_identify.models.least_squares import FittedModel, LeastSquares
@@ -39,7 +40,6 @@ from undeadzone_identify.models.zone_fit import (
 
 WIDTH = 32
 RUN_AWAY = 1e6  # bound of z, which keeps an unstable trial finite
-STEP = 1e-5  # relative step of a parameter, for differences
 # Places of the element's parameters behind those of the plant; c_1 to c_n follow.
 PARTS = {"sensor": slice(0, 2), "inner": slice(2, 4), "sigma": slice(4, 5), "input": slice(5, 7)}
 WIDTHS = 7  # number of these parameters
@@ -244,7 +244,7 @@ class PlaceModel:
 
     def slopes(self, theta: Floats) -> tuple[Floats, Floats]:
         """Return the readings (N), and their derivatives by the free parameters (N x free)."""
-        steps = self._perturbation_steps(theta)
+        steps = perturbation_steps(theta[self.free])
         readings = self.noise_free_readings(
             self._simulate_around(theta), perturb_each(theta, self.free, steps)
         )
@@ -253,7 +253,7 @@ class PlaceModel:
     @cache_latest
     def _simulate_around(self, theta: Floats) -> Floats:
         """Simulate z for theta and for the perturbed parameters ((1 + 2 free) x N)."""
-        points = perturb_each(theta, self.free, self._perturbation_steps(theta))
+        points = perturb_each(theta, self.free, perturbation_steps(theta[self.free]))
         layout = self.simulator.layout
         tail = points[:, self.base + 2 : self.base + WIDTHS]
         plant = points[:, : layout.numerators.stop]
@@ -265,10 +265,6 @@ class PlaceModel:
             inputs = self.exogenous[part]
             z.append(simulate_friction(self.n, self.m, self.shape.position, inputs, rows))
         return np.hstack(z)
-
-    def _perturbation_steps(self, theta: Floats) -> Floats:
-        """Return the perturbation of each free parameter (free)."""
-        return STEP * np.maximum(np.abs(theta[self.free]), 0.02)
 
 
 PlaceFit = FittedModel[PlaceModel]

@@ -304,11 +304,19 @@ class PlantSimulator:
                 own[i + 1 :, layout.numerators.start + i : layout.numerators.stop : n] = filtered[
                     : size - 1 - i, :-1
                 ]
-            if layout.zoned:
-                by_widths = np.hstack([-1.0 * (u[part] > 0), 1.0 * (u[part] < 0)])
-                numerator = np.append(0.0, theta[layout.numerators])
-                own[:, layout.input_widths] = lfilter(numerator, denominator, by_widths, axis=0)
+        if layout.zoned:
+            by_widths = np.hstack([-1.0 * (u > 0), 1.0 * (u < 0)])
+            slopes[:, layout.input_widths] = self.respond_from_rest(theta, by_widths)
         return slopes
+
+    def respond_from_rest(self, theta: Floats, inputs: Floats) -> Floats:
+        """Return the responses of a plant of one input to several inputs from rest (N x K)."""
+        numerator = np.append(0.0, theta[self.layout.numerators])
+        denominator = self.layout.full_denominator(theta[self.layout.denominator])
+        outputs = np.empty(inputs.shape)
+        for part in self.records:
+            outputs[part] = lfilter(numerator, denominator, inputs[part], axis=0)
+        return outputs
 
     def dc_gain(self, theta: Floats) -> Floats:
         """Return the DC gain from each input to z, or to the integrators if there are any (m)."""

@@ -203,7 +203,7 @@ def use_bounds(
         side: the sides that are sure (p).
         level: from which z is inside the edges (p) [y], y of a play (None: 0).
         play_side: side of the zone on which a play ahead of it holds the reading (p), 0 inside the
-            zone (None: there is no such play).
+            zone (None: no play is ahead of it).
     """
     p = setup.model.p
     waits = [None] * (2 * p)
