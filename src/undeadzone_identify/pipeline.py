@@ -21,11 +21,23 @@ from undeadzone.util.installed import use_one_blas_thread
 from undeadzone.util.progress import notebook_progress
 from undeadzone_identify.logs.grid import Grid, shorten_log, to_grid
 from undeadzone_identify.logs.log import Log, Options, log_from_arrays, read_log
-from undeadzone_identify.logs.prepare import PreparedLog, prepare_log, require_readings
+from undeadzone_identify.logs.prepare import (
+    PreparedLog,
+    feasible_orders,
+    prepare_log,
+    require_readings,
+)
 from undeadzone_identify.models.chain import find_input_zero, fit_chains
-from undeadzone_identify.models.elements import best_maps, best_of_each, fit_maps
+from undeadzone_identify.models.elements import (
+    MapModel,
+    best_maps,
+    best_of_each,
+    fit_limits,
+    fit_maps,
+)
 from undeadzone_identify.models.estimates import CachedMaxima, array_digest
 from undeadzone_identify.models.kalman_fit import fit_kalman
+from undeadzone_identify.models.least_squares import FittedModel
 from undeadzone_identify.models.likelihood import zone_offset
 from undeadzone_identify.models.plant import PlantSimulator, longest_record_of
 from undeadzone_identify.models.zone_fit import (
@@ -38,6 +50,7 @@ from undeadzone_identify.results.assemble import to_answer
 from undeadzone_identify.results.lost_motion import IdentifiedMotion
 from undeadzone_identify.results.result import Identified, IdentifiedOutputs
 from undeadzone_identify.selection import orders
+from undeadzone_identify.selection.adequacy import find_remainders, largest_remainder
 from undeadzone_identify.selection.alternatives import (
     Findings,
     add_named_element,
@@ -59,6 +72,7 @@ from undeadzone_identify.selection.alternatives import (
     without_needless,
 )
 from undeadzone_identify.selection.decision import (
+    LEAST,
     MEMORY,
     Case,
     build_verdict,
@@ -410,6 +424,9 @@ def _fit_zone_and_maps(grid: Grid, options: Options, advance: Callable[[int], No
     maps = {}  # behind plants of each order, on the readings as they are
     for n, one in fits.items():
         maps[n] = fit_maps(_fit_of_raw_readings(fitted.prepared, refit_busiest_part(one.singles)))
+    limited = None
+    if prepared.ends.has_ends and prepared.jumps is None:
+        limited = _fit_limits(grid, fitted.prepared)
     suited = min(maps, key=lambda n: min(one.density.bic for one in maps[n].values()))
     advance(1)
     return Case(
@@ -421,9 +438,24 @@ def _fit_zone_and_maps(grid: Grid, options: Options, advance: Callable[[int], No
         chosen=chosen,
         no_zone=no_zone,
         maps=best_maps(itertools.chain(*(one.values() for one in maps.values()))),
+        limited=limited,
         suited=fits[suited],
         advance=advance,
     )
+
+
+def _fit_limits(grid: Grid, prepared: PreparedLog) -> FittedModel[MapModel] | None:
+    """Fit limits to all readings of a log that sticks at them; None if that leaves anything."""
+    data, ends = prepared.data, prepared.ends
+    y = np.where(prepared.at_ends, grid.y / data.y_scale, data.y)
+    scaled = (ends.low / data.y_scale, ends.high / data.y_scale)
+    every = data._replace(y=y, ok=data.ok | prepared.at_ends)
+    options = prepared.options
+    orders = feasible_orders(int(every.ok.sum()), options)
+    fit: FittedModel[Any] | None = fit_limits(every, orders, options.integrators, scaled)
+    if fit is None or fit.density.rms > (1 - LEAST) * float(y[every.ok].std()):
+        return None
+    return fit if largest_remainder(find_remainders(fit), "saturation") is None else None
 
 
 def _begin_findings(case: Case) -> Findings:

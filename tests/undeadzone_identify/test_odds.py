@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from undeadzone.scenario.reader import parse
 from undeadzone.util.arrays import Floats
 from undeadzone_identify.logs.grid import to_grid
 from undeadzone_identify.logs.log import Options, log_from_arrays
-from undeadzone_identify.logs.prepare import usable_readings
+from undeadzone_identify.logs.prepare import select_readings
 from undeadzone_identify.models.elements import (
     BREAKS,
     MapModel,
@@ -404,10 +405,44 @@ def test_a_servo_that_rests_at_0_is_a_servo(seed: int) -> None:
 
 def test_no_memory_is_named_where_most_readings_stick_at_the_ends() -> None:
     """Of this saturation 74 % do; a play between them had odds of 0.9."""
-    log = make(3002, "saturation")
-    answer = identify_log(log)
-    assert answer.verdict == "unclear"
+    answer = identify_log(make(3002, "saturation"))
+    assert answer.verdict == "saturation"
     assert any("readings stick at the ends" in one for one in answer.numbers()["remarks"])
+
+
+@pytest.mark.parametrize("seed", [8800, 8703], ids=["435 samples", "16005 samples"])
+def test_the_limits_of_an_encoder_are_those_of_all_readings(seed: int) -> None:
+    """Between the limits alone they were 0.08 within, and a short log was withheld.
+
+    Which readings lie between depends on what disturbs the plant, as in a loop at each moment.
+    """
+    log = make(seed, "saturation")
+    answer = identify_log(log)
+    assert answer.verdict == "saturation"
+    assert answer.answer.case.limited is not None
+    assert not answer.numbers()["odds"]  # of what lies between: not of this
+    words = answer.answer.found.verdict.reasons[1]
+    low, high = (float(one) for one in re.findall(r"-?\d+\.\d+", words))
+    assert low == pytest.approx(log.y.min(), abs=0.003)
+    assert high == pytest.approx(log.y.max(), abs=0.003)
+
+
+def test_a_play_that_reaches_its_ends_is_no_saturation() -> None:
+    """Limits do not explain how the readings between them lag."""
+    _, u, z = driven(5)
+    level, read = 0.0, np.empty(z.size)
+    for k, value in enumerate(z):
+        level = min(max(level, value - 0.4), value + 0.4)
+        read[k] = 0.02 * round(level / 0.02)
+    answer = found(u, np.clip(read, -1.2, 1.2))
+    assert answer.answer.case.fitted.prepared.ends.has_ends
+    assert answer.answer.case.limited is None
+    assert answer.verdict != "saturation"
+
+
+def test_a_disturbance_ahead_of_limits_leaves_nothing_beyond_them() -> None:
+    """It rounds the corners of the mean reading: 3 % of the residual depended on the output."""
+    assert identify_log(make(8802, "saturation")).verdict == "saturation"
 
 
 def test_odds_are_printed_and_sum_to_1() -> None:
@@ -635,7 +670,7 @@ def test_a_glitch_or_a_second_record_hides_no_loop(loop: loop_logs.LoopLog) -> N
     records = [slice(0, 420), slice(430, None)]
     logs = [log_from_arrays(loop.step, loop.u[i], y[i], r[i]) for i in records]
     grid = to_grid(logs)
-    ok, _ = usable_readings(grid, [])
+    ok = select_readings(grid, []).ok
     assert np.flatnonzero(grid.ok & ~ok).tolist() == [400]
     assert np.flatnonzero(np.isnan(grid.r)).tolist() == [690]  # ten samples are in neither
     without = to_grid([logs[0], logs[1]._replace(r=logs[1].r[:, :0])])

@@ -36,9 +36,25 @@ MOVING = 0.3  # of its rms, by which the input moves meanwhile
 VISITS = 3  # of an end of the range, in a log that sticks there
 
 
-def usable_readings(grid: Grid, remarks: list[str]) -> tuple[Flags, RangeEnds]:
-    """Return the flags of usable readings (N), and the ends of the range at which readings
-    stick.
+NO_ENDS = RangeEnds(-np.inf, np.inf, 0)
+
+
+class UsableReadings(NamedTuple):
+    """Flags of the readings that count.
+
+    Attributes:
+        ok: those away from the ends of the range (N).
+        at_ends: those at its ends, or so near that noise may reach them (N).
+        ends: of the range, at which readings stick.
+    """
+
+    ok: Flags
+    at_ends: Flags
+    ends: RangeEnds
+
+
+def select_readings(grid: Grid, remarks: list[str]) -> UsableReadings:
+    """Return the readings that count, and the ends of the range at which readings stick.
 
     Args:
         grid: the log on its grid.
@@ -51,14 +67,16 @@ def usable_readings(grid: Grid, remarks: list[str]) -> tuple[Flags, RangeEnds]:
     at = ends.find_readings_at_ends(grid.y, ok)
     visits = [bounds_of_runs(at & side)[0].size for side in (grid.y > 0, grid.y < 0)]
     if not ends.has_ends or max(visits) < VISITS:
-        return ok, RangeEnds(-np.inf, np.inf, 0)
-    remarks.append(
-        f"{ends.number} readings stick at the ends of the range {ends.range_text}: there they "
-        "only bound the output, and are taken as missing"
-    )
+        return UsableReadings(ok, np.zeros_like(ok), NO_ENDS)
     between = ok & ~at
+    stick = f"{ends.number} readings stick at the ends of the range {ends.range_text}"
+    if between.sum() < FEWEST_READINGS <= ok.sum():
+        remarks.append(f"{stick}: too few lie between them, and all of them count")
+        return UsableReadings(ok, np.zeros_like(ok), NO_ENDS)
+    remarks.append(f"{stick}: there they only bound the output, and are taken as missing")
     apart = between & (np.convolve(at, np.ones(2 * NEAR + 1), "same") < 0.5)
-    return apart if apart.sum() >= ENOUGH * between.sum() else between, ends
+    most = apart if apart.sum() >= ENOUGH * between.sum() else between
+    return UsableReadings(most, ok & ~most, ends)
 
 
 def _flag_spikes(grid: Grid, remarks: list[str]) -> Flags:
@@ -139,6 +157,7 @@ STRETCH = 250  # samples of an integrating plant that have one state at their st
 # many, and so on, until the plant settles within them
 POLE = 20.0  # nats by which a pole beside the integrators is real
 PER_NUMBER = 50  # readings needed for each pole, and one more
+FEWEST_READINGS = 2 * PER_NUMBER
 ZEROS = 0.01  # share of silent readings that shows noise ahead of the zone
 LEAST = 1e-100  # of the largest value of a column, whose square must not vanish
 OFTEN = 5  # times the next reading's count, by which a silence comes back
@@ -175,7 +194,8 @@ class PreparedLog(NamedTuple):
         orders: orders that the log is long enough for.
         quantum: smallest common spacing of the readings, scaled; 0 if there is none.
         remarks: on each change, for the user.
-        ends: where readings stick, as a range of readings has it; empty: nowhere.
+        at_ends: readings at the ends of their range (N), of the whole log.
+        ends: of the range, at which readings stick.
         jumps: right and left edge of a jump sensor, scaled; None for a dead zone.
         settles: whether an integrating plant's other poles settle within a record.
     """
@@ -186,7 +206,8 @@ class PreparedLog(NamedTuple):
     orders: list[int]
     quantum: float
     remarks: list[str]
-    ends: str
+    at_ends: Flags
+    ends: RangeEnds
     jumps: tuple[JumpEdge, JumpEdge] | None = None
     settles: bool = True
 
@@ -207,14 +228,14 @@ def prepare_log(grid: Grid, options: Options) -> PreparedLog:
     """
     remarks = list(grid.remarks)
     _require_silence_at_zero(grid)
-    ok, ends = usable_readings(grid, remarks)
+    ok, at_ends, ends = select_readings(grid, remarks)
     y = np.where(ok, grid.y, 0.0)
     threshold = 0.5 * grid.quantum * (1 - 1e-9)
     if options.threshold is not None:
         threshold = options.threshold
     side = 1 * (y > threshold) - 1 * (y < -threshold)
     _require_informative(grid, y[ok], side, "; ".join(["", *remarks]))
-    orders = _feasible_orders(int(ok.sum()), options, remarks)
+    orders = _require_order(int(ok.sum()), options, remarks)
     ahead = _is_noise_ahead(y[ok], side[ok] == 0, options)
     start = grid.start
     settles = True
@@ -227,13 +248,22 @@ def prepare_log(grid: Grid, options: Options) -> PreparedLog:
     u = grid.u / u_scale
     y = y / y_scale
     data = RecordData(u, y, ok, start, side, ahead, u_scale, y_scale, grid.climbs)
-    stuck = ends.range_text if ends.has_ends else ""
-    quantum = grid.quantum / y_scale
     if options.kind == "jump":
         data, limits, jumps = to_dead_zone_data(data, options)
-        return PreparedLog(options, data, limits, orders, quantum, remarks, stuck, jumps)
-    limits = _width_limits(data, options)
-    return PreparedLog(options, data, limits, orders, quantum, remarks, stuck, settles=settles)
+    else:
+        limits, jumps = _width_limits(data, options), None
+    return PreparedLog(
+        options=options,
+        data=data,
+        limits=limits,
+        orders=orders,
+        quantum=grid.quantum / y_scale,
+        remarks=remarks,
+        at_ends=at_ends,
+        ends=ends,
+        jumps=jumps,
+        settles=settles or jumps is not None,
+    )
 
 
 def _require_silence_at_zero(grid: Grid) -> None:
@@ -263,8 +293,8 @@ def require_readings(count: int, remarks: str = "") -> None:
         count: of readings.
         remarks: on readings that are left out.
     """
-    if count < PER_NUMBER * 2:
-        needed = f"order 1 needs {2 * PER_NUMBER}"
+    if count < FEWEST_READINGS:
+        needed = f"order 1 needs {FEWEST_READINGS}"
         raise InputError(f"log: {count} readings are too few; {needed}{remarks}")
 
 
@@ -300,10 +330,14 @@ def _require_informative(grid: Grid, y: Floats, side: Integers, remarks: str) ->
         )
 
 
-def _feasible_orders(count: int, options: Options, remarks: list[str]) -> list[int]:
+def feasible_orders(count: int, options: Options) -> list[int]:
+    """Return the requested orders that a number of readings allows."""
+    return [n for n in options.parse_orders() if count >= PER_NUMBER * (n + 1)]
+
+
+def _require_order(count: int, options: Options, remarks: list[str]) -> list[int]:
     """Return the orders that the number of readings allows. Raise InputError."""
-    requested = options.parse_orders()
-    orders = [n for n in requested if count >= PER_NUMBER * (n + 1)]
+    requested, orders = options.parse_orders(), feasible_orders(count, options)
     if not orders:
         raise InputError(
             f"log: {count} readings are too few for order {requested[0]}. It needs"

@@ -20,11 +20,14 @@ from undeadzone.util.arrays import Floats, Integers
 from undeadzone_identify.models.estimates import cache_latest, weight_row
 from undeadzone_identify.models.least_squares import Density, FittedModel, LeastSquares
 from undeadzone_identify.models.likelihood import ROOT, dead_zone, unit_density
-from undeadzone_identify.models.plant import CREDIBLE, PlantSimulator, RecordData
+from undeadzone_identify.models.plant import CREDIBLE, PlantSimulator, RecordData, busiest_stretches
 from undeadzone_identify.models.zone_fit import ZoneFit, fit_linear, widths_about_level
 
 HALVES = (0.15, 0.5, 1.0)  # start values of the half gap [rms of y]
 LOUDER = 1.1  # start value of the gain behind a play, over that of a linear fit
+GAINS = (1.0, 1.2, 2.0)  # start values of the gain ahead of limits, over that of a linear fit
+FAR_LIMIT = 1.5  # of the largest reading: start value of a limit that no reading reaches
+INSIDE = 0.999  # of a limit: readings below it
 BLURS = (1.0, 0.3, 0.1)  # rms of the noise ahead of a map [rms of the disturbance of z]
 LEAST_BLUR = 0.02
 FEWEST = 10  # samples beyond an edge or a limit, from which it is known
@@ -369,6 +372,24 @@ class MapModel:
             zone = ", behind a dead zone of about {:.3g} right and {:.3g} left".format(*widths)
         return f"the readings end at {' and '.join(ends)}{zone}" if ends else ""
 
+    def blurred_limits(self, theta: Floats, blur: float) -> Floats:
+        """Return the mean change of the readings by noise ahead of their limits (N x 1); without
+        limits no column.
+
+        Args:
+            theta: parameters of the fit (P).
+            blur: rms of the noise, scaled.
+        """
+        z = self.output(theta)
+        if self.shape not in (saturation_map, limited_zone_map):
+            return np.empty((z.size, 0))
+        *widths, high, low = theta[self.base :]
+        passed = dead_zone(z, *widths) if widths else z
+        # A limited signal is the signal less what a dead zone as wide as the limits lets through.
+        limits = np.array([high, low])
+        beyond, noisy = dead_zone_map(passed, limits), noisy_zone_map(blur, passed, limits)
+        return (beyond[0] - noisy[0])[:, None]
+
     def slopes(self, theta: Floats) -> tuple[Floats, Floats]:
         """Return the readings (N), and their derivatives by the free parameters (N x F)."""
         z = self.output(theta)
@@ -405,6 +426,35 @@ def fit_maps(fit: ZoneFit) -> dict[str, FittedModel[MapModel]]:
         numbers = fitted.density.numbers + breaks
         fits.append(fitted._replace(density=fitted.density._replace(numbers=numbers)))
     return best_maps(fits)
+
+
+def fit_limits(
+    data: RecordData, orders: Sequence[int], integrators: int, ends: tuple[float, float]
+) -> FittedModel[MapModel] | None:
+    """Fit a plant with limits of its readings to all of them; return the fit of least BIC.
+
+    Between the limits alone, which readings are left depends on what disturbs the plant.
+
+    Args:
+        data: the records, with the readings at the limits.
+        orders: of the plant.
+        integrators: of the plant.
+        ends: least and largest reading, scaled; infinite without a limit.
+
+    Returns:
+        The fit; None without a stable one.
+    """
+    part = busiest_stretches(data)
+    low, high = np.clip(ends, *(FAR_LIMIT * np.array([part.y.min(), part.y.max()])))
+    between = part.ok & (part.y > ends[0] * INSIDE) & (part.y < ends[1] * INSIDE)
+    fits = []
+    for n in orders:
+        simulator = PlantSimulator(part, n, integrators)
+        squares = LeastSquares(MapModel(simulator, "saturation", saturation_map))
+        linear = fit_linear(simulator, between)
+        starts = [_start_point(squares.model, linear, gain, [high, -low]) for gain in GAINS]
+        fits.append(squares.fit_from_starts(starts))
+    return min(filter(None, fits), key=lambda one: one.density.bic, default=None)
 
 
 def best_maps(fits: Iterable[FittedModel[MapModel]]) -> dict[str, FittedModel[MapModel]]:

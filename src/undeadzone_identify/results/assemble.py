@@ -296,7 +296,7 @@ def to_answer(case: Case, found: Findings) -> Answer:
     if doubt:
         verdict = build_verdict("undecided", *found.verdict.reasons, doubt)
         found = found._replace(element=None, verdict=verdict, odds={})
-    found = found._replace(odds=_odds_of_word(found))
+    found = found._replace(odds=_odds_of_word(case, found))
     data = case.record_data
     chosen = _validate_findings(case, found)
     found = withhold_poor_fit(found, chosen.share)
@@ -373,7 +373,7 @@ def _find_possible(answer: Answer) -> dict[str, Possible]:
     return possible
 
 
-def _odds_of_word(found: Findings) -> dict[str, float]:
+def _odds_of_word(case: Case, found: Findings) -> dict[str, float]:
     """Return the odds that belong to the word: none if it was not they that decided.
 
     Larger models count for the word where their element is no matter for it, and so do zones below
@@ -381,6 +381,8 @@ def _odds_of_word(found: Findings) -> dict[str, float]:
     """
     word = found.verdict.word
     odds = found.odds
+    if case.has_limits_as(word):
+        return {}  # they are those of what lies between the limits
     if isinstance(found.element and found.element.fit, ServoGap) or not odds:
         return odds
     if word == "undecided":

@@ -337,7 +337,8 @@ def _noise_fields(answers: Sequence[Answer]) -> dict[str, str]:
 def _range_field(answers: Sequence[Answer]) -> str:
     """Return the text of the measuring ranges of all outputs; empty if no reading saturates."""
     ends = [one.case.fitted.prepared.ends for one in answers]
-    return any(ends) * _toml_list([one or "[-inf, inf]" for one in ends])
+    has_ends = any(one.has_ends for one in ends)
+    return has_ends * _toml_list([one.range_text for one in ends])
 
 
 def _noise_rms_pair(answer: Answer) -> tuple[float, float]:

@@ -21,6 +21,7 @@ from scipy.signal import lfilter
 from undeadzone.util.arrays import Floats
 from undeadzone_identify.models import least_squares
 from undeadzone_identify.models.chain import ChainModel, limit_rates
+from undeadzone_identify.models.elements import MapModel
 from undeadzone_identify.models.least_squares import (
     CHANCE,
     LEAST_ODD,
@@ -145,7 +146,11 @@ def find_remainders(fit: FittedModel[Model]) -> list[Remainder]:
     use = data.ok.copy()
     for part in data.record_slices():
         use[part.start : part.start + BEGIN] = False
-    own = np.column_stack([rows, np.ones(len(rows))])[use]
+    own = np.column_stack([rows, np.ones(len(rows))])
+    if isinstance(fit.model, MapModel):  # a disturbance ahead of limits rounds their corners
+        blurred = fit.model.blurred_limits(fit.theta, fit.density.rms)
+        own = np.column_stack([own, squares.whiten(blurred)])
+    own = own[use]
     if len(own) < 4 * own.shape[1]:
         return []
     target = least_squares.regression_residual(own, e[use])

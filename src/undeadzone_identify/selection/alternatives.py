@@ -862,6 +862,8 @@ def fit_of(case: Case, found: Findings, word: str) -> FittedModel[Any] | None:
         found: with all other models.
         word: the verdict's, as the odds have it.
     """
+    if word == "saturation" and case.limited is not None:
+        return case.limited
     plays = {} if found.plays is None else found.plays.fits
     there = [fits.get(word) for fits in (case.maps, found.places, found.chains, plays)]
     fits: Iterable[FittedModel[Any]] = filter(None, there)
@@ -889,7 +891,7 @@ def with_adequacy(case: Case, found: Findings) -> Findings:
         found: with odds.
     """
     word = found.verdict.word
-    if word not in found.odds or word in TOP_OF_ODDS:
+    if not case.has_limits_as(word) and (word not in found.odds or word in TOP_OF_ODDS):
         word = next(iter(found.odds))
     fit = fit_of(case, found, word)
     remainders = [] if fit is None else find_remainders(fit)

@@ -44,6 +44,7 @@ CHAINED = (
 VALVE = ("stiction", "input_play")  # words of a valve's fault
 LOOP = (*VALVE, "external", "tight_tuning")  # words of why a loop swings: models/valve.py
 AS_LINEAR = ("none", "dead_zone", "jump")  # words under which steps may be taken for a zone
+LIMITED = ("none", "saturation", "other")  # words of readings that stick at their limits
 FITTED = ("none", "dead_zone", "zone_and_friction")  # what the fit of a zone of the sensor holds
 Fits = Mapping[str, Any]  # by word, each with a plant of its own: least_squares.Fitted
 LARGER = {  # words of models that hold a word's model and more
@@ -107,6 +108,8 @@ class Case(NamedTuple):
         chosen: the order that was chosen.
         no_zone: the test of a zone against none.
         maps: static rivals, each behind the plant that suits it.
+        limited: limits of the readings, fitted to all of them, if readings stick there and
+            nothing else is left; else None.
         suited: the order behind which one of them explains the log best.
         advance: called with the number of steps just done.
         servo: withheld finding of the servo predictor, which is asked first; None: not asked.
@@ -120,6 +123,7 @@ class Case(NamedTuple):
     chosen: orders.OrderFit
     no_zone: orders.ZoneTest
     maps: dict[str, FittedModel[MapModel]]
+    limited: FittedModel[MapModel] | None
     suited: orders.OrderFit
     advance: Callable[[int], None]
     servo: ServoGap | None = None
@@ -128,6 +132,10 @@ class Case(NamedTuple):
     def record_data(self) -> RecordData:
         """Return the records as fitted."""
         return self.fitted.prepared.data
+
+    def has_limits_as(self, word: str) -> bool:
+        """Return whether a word is that of the limits that explain all readings."""
+        return word == "saturation" and self.limited is not None
 
     @property
     def rivals(self) -> dict[str, Density]:
@@ -229,8 +237,10 @@ def classify_by_probabilities(
     if as_linear and _is_below_rounding(case):
         unclear = _find_unclear(case, "none", best_model_of("none", models), fits)
         return _verdict_at_range_ends(case, "none", odds) or unclear or _verdict_without_zone(case)
-    best = best_model_of(word, models)
-    other = _find_unclear(case, word, best, fits) or _verdict_at_range_ends(case, word, odds)
+    other = case.limited and _verdict_at_range_ends(case, word, odds)
+    if other is None:
+        best = best_model_of(word, models)
+        other = _find_unclear(case, word, best, fits) or _verdict_at_range_ends(case, word, odds)
     if other is not None:
         return other
     more = list(filter(lambda one: odds.get(one, 0.0) > UNLIKELY, LARGER.get(word, ())))
@@ -257,9 +267,13 @@ def _verdict_at_range_ends(case: Case, word: str, odds: dict[str, float]) -> Ver
     None.
     """
     ends, clipped = case.fitted.prepared.ends, odds.get("none", 0.0) + odds.get("saturation", 0.0)
-    mostly = bool(ends) and case.record_data.ok.sum() < MOSTLY * case.grid.ok.sum()
-    stick = f"readings stick at the ends of the range {ends}"
-    if ends and word in ("none", "saturation", "other") and (mostly or clipped > UNLIKELY):
+    if not ends.has_ends:
+        return None
+    mostly = case.record_data.ok.sum() < MOSTLY * case.grid.ok.sum()
+    stick = f"readings stick at the ends of the range {ends.range_text}"
+    if case.limited is not None and (word in LIMITED or (mostly and word in (*MEMORY, *CHAINED))):
+        return build_verdict("saturation", f"{stick}, and limits explain all of them")
+    if word in LIMITED and (mostly or clipped > UNLIKELY):
         return build_verdict("saturation", f"{stick}; the odds are those of what lies between")
     if mostly and word in (*MEMORY, *CHAINED):
         return build_verdict(

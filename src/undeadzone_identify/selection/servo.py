@@ -82,6 +82,7 @@ FEW_RETURNS = 3  # passages of 0: so few or fewer do not show a zone of the sens
 LONGER_AT_ZERO = 1.6
 SETTLES = 40.0  # time constants a record, below which a plant may be an integrator in disguise
 LEVEL = 0.02  # of a friction, by which it is uncertain at least: how a motor sticks is assumed
+ROUNDED = 1.1  # times the rounding's rms: a residual below it is rounding
 MOVED = 1e-4  # of a number, for derivatives of the sampled plant
 
 
@@ -160,6 +161,8 @@ def needs_servo_test(case: Case, found: Findings) -> bool:
     if found.element is not None or case.jump_edges is not None or case.unreached:
         return False
     word = found.verdict.word
+    if case.has_limits_as(word) or (word in WITHOUT_MEMORY and _leaves_rounding_alone(case, found)):
+        return False
     if _has_likely_gap(case.servo, _likeliest_word(found)):
         return True
     log = to_observations(case.grid, case.options)
@@ -194,6 +197,12 @@ def _has_likely_gap(servo: ServoGap | None, decided: str) -> bool:
     if decided in WITHOUT_MEMORY:
         return servo.is_integrating and servo.gap.low > 0
     return decided in (*WITHOUT_PLAY, *UNDECIDED) and servo.has_few_reversals
+
+
+def _leaves_rounding_alone(case: Case, found: Findings) -> bool:
+    """Return whether the verdict's model leaves no more than the rounding of the readings."""
+    rounding = case.quantum / math.sqrt(12)
+    return best_model_of(found.verdict.word, found.models).rms < ROUNDED * rounding
 
 
 def _share_of_verdict(case: Case, found: Findings) -> float:
