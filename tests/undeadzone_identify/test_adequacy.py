@@ -98,6 +98,27 @@ def test_another_curve_of_the_input_has_no_name_and_no_odds(tmp_path: Path) -> N
     assert not (tmp_path / "log.toml").exists()
 
 
+@pytest.mark.parametrize("kind", ["tank", "spring that bends"])
+def test_a_plant_that_bends_is_not_named(kind: str) -> None:
+    """They were `none` with 0.98 and `friction` with 1.00.
+
+    What a plant that bends leaves is slow, so that whitening takes it for the disturbance: of the
+    tank 0.87 of the residual depends on the size of the output, of the white innovations 0.04.
+    """
+    answer = of_kind(kind, 8411)
+    assert answer.verdict == "unclear"
+    assert "the size of the output as a force on the plant" in answer.answer.reasons[0]
+
+
+def test_a_slow_disturbance_is_no_remainder() -> None:
+    """It explains most of the residual of a line, but depends on no signal."""
+    rng = np.random.default_rng(4)
+    u = walk(rng)
+    slow = walk(rng, u.size, 100.0)
+    answer = identify_log(u, two_lags(u) + 0.2 * slow + 0.02 * rng.standard_normal(u.size))
+    assert answer.verdict == "none"
+
+
 def test_a_dead_zone_leaves_nothing() -> None:
     rng = np.random.default_rng(2)
     u = walk(rng)

@@ -422,7 +422,8 @@ def fit_maps(fit: ZoneFit) -> dict[str, FittedModel[MapModel]]:
         )
         if name == "jump":
             blurred = [fitted.theta]
-        breaks = BREAKS if name in ("jump", "saturation") else 0
+        has_edge = name in ("jump", "saturation") or shape is absolute_map
+        breaks = BREAKS if has_edge else 0
         numbers = fitted.density.numbers + breaks
         fits.append(fitted._replace(density=fitted.density._replace(numbers=numbers)))
     return best_maps(fits)

@@ -34,6 +34,7 @@ from undeadzone_identify.models.place import PlaceModel
 SHARE = 0.03  # of the innovations' variance, from which a direction is real
 OF_ONE = 0.015  # the same of a direction of a single column, "beside"
 LARGE_SHARE, PERHAPS = 0.1, 0.02  # the same for a large share, of which p may be larger
+MOST, HARDLY = 0.5, 0.1  # and for most of the residual, before it is whitened, too
 BEGIN = 12  # samples of a record whose innovations lack a past
 AT_INPUT, AT_SENSOR = 7, 8  # hat functions of the input, and of z
 RATES = (0.1, 0.25, 0.5, 1.0, 2.0)  # rms of a signal's changes, that its rate may be limited to
@@ -102,8 +103,15 @@ class Remainder(NamedTuple):
     moves: Floats
 
     @property
+    def is_most(self) -> bool:
+        """Return whether most of the residual depends on the signal."""
+        return self.share > MOST and self.chance < HARDLY
+
+    @property
     def is_real(self) -> bool:
         """Return whether a model that leaves this is wrong."""
+        if self.is_most:
+            return True
         is_large = self.share > LARGE_SHARE and self.chance < PERHAPS
         least = OF_ONE if self.on == "beside" else SHARE
         return is_large or (self.share > least and self.chance < CHANCE)
@@ -142,27 +150,45 @@ def find_remainders(fit: FittedModel[Model]) -> list[Remainder]:
         return []
     squares = fit.squares.fit_coloured(fit.theta)
     data = squares.data
-    e, rows = (squares.whiten(one) for one in squares.residual_and_slopes(fit.theta))
     use = data.ok.copy()
     for part in data.record_slices():
         use[part.start : part.start + BEGIN] = False
+    e, rows = squares.residual_and_slopes(fit.theta)
     own = np.column_stack([rows, np.ones(len(rows))])
     if isinstance(fit.model, MapModel):  # a disturbance ahead of limits rounds their corners
-        blurred = fit.model.blurred_limits(fit.theta, fit.density.rms)
-        own = np.column_stack([own, squares.whiten(blurred)])
-    own = own[use]
-    if len(own) < 4 * own.shape[1]:
+        own = np.column_stack([own, fit.model.blurred_limits(fit.theta, fit.density.rms)])
+    if use.sum() < 4 * own.shape[1]:
         return []
-    target = least_squares.regression_residual(own, e[use])
     found = []
     for name, columns in _directions(fit).items():
         centred = np.where(data.ok[:, None], columns - columns[data.ok].mean(axis=0), 0.0)
-        left, as_own = _left_over(own, squares.whiten(centred)[use])
-        if left.size:
-            weights, std, share, chance = least_squares.regress_residual(left, target)
-            sure = np.where(np.abs(weights) > SURE * std, weights, 0.0)
-            found.append(Remainder(name, share, chance, as_own[: rows.shape[1]] @ sure))
-    return found
+        signals = (own, e, centred)
+        white = _remainder(name, rows.shape[1], *(squares.whiten(one)[use] for one in signals))
+        # To whiten a residual that is slow by a misfit itself takes most of the misfit away.
+        raw = _remainder(name, rows.shape[1], *(one[use] for one in signals))
+        found.append(raw if raw is not None and raw.is_most else white)
+    return list(filter(None, found))
+
+
+def _remainder(
+    name: str, count: int, own: Floats, residual: Floats, columns: Floats
+) -> Remainder | None:
+    """Regress a residual on the columns of a direction; None if the model explains them.
+
+    Args:
+        name: of the direction.
+        count: of the model's free numbers.
+        own: derivatives by these, and other columns of the model (N x P).
+        residual: of the model (N).
+        columns: of the direction (N x K).
+    """
+    left, as_own = _left_over(own, columns)
+    if not left.size:
+        return None
+    target = least_squares.regression_residual(own, residual)
+    weights, std, share, chance = least_squares.regress_residual(left, target)
+    sure = np.where(np.abs(weights) > SURE * std, weights, 0.0)
+    return Remainder(name, share, chance, as_own[:count] @ sure)
 
 
 def _left_over(own: Floats, columns: Floats) -> tuple[Floats, Floats]:

@@ -27,6 +27,7 @@ LEAST = 0.5  # share of the held-out readings that a fit must explain
 LIKELY = 0.8  # odds from which a name is given
 LIKELY_IN_LOOP = 0.9  # odds of no zone, from which it is named in a loop, which hides one
 DOUBT = 0.01  # p of a plant without a zone, below which it is not named
+SURELY_NONE = 0.95  # odds of no zone, from which it is named all the same
 UNLIKELY = 0.05  # odds below which a name is not worth a word
 FEW = 0.005  # of the readings, that may lie across 0 of an operating point
 WELL_INSIDE = 2.0  # rms of the noise between z^ and an edge
@@ -236,7 +237,11 @@ def classify_by_probabilities(
     as_linear = word in AS_LINEAR and sum(odds.get(one, 0.0) for one in AS_LINEAR) >= LIKELY
     if as_linear and _is_below_rounding(case):
         unclear = _find_unclear(case, "none", best_model_of("none", models), fits)
-        return _verdict_at_range_ends(case, "none", odds) or unclear or _verdict_without_zone(case)
+        return (
+            _verdict_at_range_ends(case, "none", odds)
+            or unclear
+            or _verdict_without_zone(case, odds)
+        )
     other = case.limited and _verdict_at_range_ends(case, word, odds)
     if other is None:
         best = best_model_of(word, models)
@@ -255,7 +260,7 @@ def classify_by_probabilities(
     if word == "dead_zone":
         return build_verdict("dead_zone").add_cautions(*cautions)
     if word == "none":
-        return _verdict_without_zone(case)
+        return _verdict_without_zone(case, odds)
     advice = [ADVICE] if word == "friction" else []
     return build_verdict(word, f"{MODELS[word]} explains the log best", *advice).add_cautions(
         *cautions
@@ -329,8 +334,13 @@ def _is_below_rounding(case: Case) -> bool:
     return 0 < case.chosen.pairs.width < STEPS * case.quantum
 
 
-def _verdict_without_zone(case: Case) -> Verdict:
-    """Return the verdict on readings that a linear plant explains best."""
+def _verdict_without_zone(case: Case, odds: dict[str, float]) -> Verdict:
+    """Return the verdict on readings that a linear plant explains best.
+
+    Args:
+        case: the log, fitted with a zone of the sensor.
+        odds: by word.
+    """
     y = case.grid.y[case.grid.ok]
     is_aside = np.quantile(y, FEW) > 0 or np.quantile(y, 1 - FEW) < 0
     if is_aside and not case.options.integrators:  # whose z has no zero of its own
@@ -341,10 +351,13 @@ def _verdict_without_zone(case: Case) -> Verdict:
         steps = "the readings are rounded to steps that are larger than any zone"
         return build_verdict("none", f"{steps} ({case.quantum:.3g})")
     chance, behind = case.no_zone.chance, case.chosen.pairs.objective.kind == "behind"
-    if behind and chance < DOUBT:
-        tested = f"a zone explains more than chance does (p = {chance:.2g}), and no model of one is"
-        return build_verdict("undecided", f"{tested} likely; record for longer")
-    return build_verdict("none", f"readings need no zone (p = {chance:.2g})")
+    if not behind or chance >= DOUBT:
+        return build_verdict("none", f"readings need no zone (p = {chance:.2g})")
+    # The test takes what disturbs the plant as it is; the odds whiten it first.
+    if odds.get("none", 0.0) >= SURELY_NONE:
+        return build_verdict("none", "readings need no zone, for the colour of their disturbance")
+    tested = f"a zone explains more than chance does (p = {chance:.2g}), and no model of one is"
+    return build_verdict("undecided", f"{tested} likely; record for longer")
 
 
 def _find_unclear(case: Case, word: str, best: Density, fits: Fits) -> Verdict | None:

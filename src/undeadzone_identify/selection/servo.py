@@ -82,7 +82,7 @@ FEW_RETURNS = 3  # passages of 0: so few or fewer do not show a zone of the sens
 LONGER_AT_ZERO = 1.6
 SETTLES = 40.0  # time constants a record, below which a plant may be an integrator in disguise
 LEVEL = 0.02  # of a friction, by which it is uncertain at least: how a motor sticks is assumed
-ROUNDED = 1.1  # times the rounding's rms: a residual below it is rounding
+ROUNDED = 1.2  # times the rounding's rms: a residual below it is rounding
 MOVED = 1e-4  # of a number, for derivatives of the sampled plant
 
 
@@ -161,8 +161,10 @@ def needs_servo_test(case: Case, found: Findings) -> bool:
     if found.element is not None or case.jump_edges is not None or case.unreached:
         return False
     word = found.verdict.word
-    if case.has_limits_as(word) or (word in WITHOUT_MEMORY and _leaves_rounding_alone(case, found)):
+    if case.has_limits_as(word):
         return False
+    if word in (*WITHOUT_MEMORY, "none") and _leaves_rounding_alone(case, found):
+        return False  # a gap of 0.4 quanta or more would leave more
     if _has_likely_gap(case.servo, _likeliest_word(found)):
         return True
     log = to_observations(case.grid, case.options)
