@@ -37,6 +37,7 @@ LARGE_SHARE, PERHAPS = 0.1, 0.02  # the same for a large share, of which p may b
 MOST, HARDLY = 0.5, 0.1  # and for most of the residual, before it is whitened, too
 BEGIN = 12  # samples of a record whose innovations lack a past
 AT_INPUT, AT_SENSOR = 7, 8  # hat functions of the input, and of z
+AT_LEVELS = 16  # of the input, so that they show its steps
 RATES = (0.1, 0.25, 0.5, 1.0, 2.0)  # rms of a signal's changes, that its rate may be limited to
 BEHIND = 5  # lags of the readings
 AHEAD = (1.0, 3.0, 8.0)  # time constants of a lag ahead of the input's element [samples]
@@ -45,6 +46,7 @@ SURE = 2.0  # deviations, from which a weight counts
 ALIKE = 1e-3  # of the largest singular value: columns that say the same
 DEPENDS = {
     "input": "the size of the input",
+    "levels of the input": "single levels of the input",
     "output": "the size of the output",
     "turns of the input": "the direction in which the input moved last",
     "turns of the output": "the direction in which the output moved last",
@@ -65,6 +67,8 @@ COARSE = {  # least share of models that are coarse themselves, by direction
 SEEN = {
     "input": "the input may act by a curve that is not known here; record steps to several levels"
     " of it, each held until the readings settle, and the curve can be read off",
+    "levels of the input": "the input may act in coarse steps, as behind a converter or a relay;"
+    " record what leaves it as the input",
     "output": "the sensor may have a curve that is not known here; record slow ramps through its"
     " whole range",
     "turns of the input": "there may be play or sticking between the input and the plant; record"
@@ -218,6 +222,7 @@ def _directions(fit: FittedModel[Model]) -> dict[str, Floats]:
     t = np.linspace(-1.0, 1.0, z.size)
     directions = {
         "input": _through_plant(fit, hat_columns(u, AT_INPUT)),
+        "levels of the input": _through_plant(fit, hat_columns(u, AT_LEVELS)),
         "output": hat_columns(z, AT_SENSOR),
         "turns of the input": _through_plant(fit, by_turn(turn_u, u)),
         "turns of the output": by_turn(turn_z, z),
