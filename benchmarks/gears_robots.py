@@ -8,6 +8,7 @@ that are run (all).
 from __future__ import annotations
 
 import itertools
+import math
 import os
 import sysconfig
 from collections.abc import Sequence
@@ -89,7 +90,8 @@ class Outcome(NamedTuple):
         covered: whether the interval that is shown holds each gap (joints).
         tip: rms distance of the tip from its path, over that of the true state.
         tip_known: the same with the joints of unknown gaps on their paths in both runs: a gap
-            that is never crossed leaves its link anywhere in it, whatever the filter.
+            that is never crossed leaves its link anywhere in it, whatever the filter. NaN if no
+            gap is known.
     """
 
     diverged: bool
@@ -190,7 +192,9 @@ def outcome(robot: Robot, seed: int) -> Outcome:
         np.abs(gap - true) / run.width_std[-1],
         (np.array(numbers["gap_low"]) <= true) & (true <= np.array(numbers["gap_high"])),
         run.rms_tip / exact_run.rms_tip,
-        tip_error(problem, run, known) / tip_error(problem, exact_run, known),
+        tip_error(problem, run, known) / tip_error(problem, exact_run, known)
+        if known.any()
+        else math.nan,
     )
 
 
@@ -209,8 +213,9 @@ def tip_error(problem: Problem, run: uz.Run, known: NDArray[np.bool_]) -> float:
 
 
 def median_and_worst(ratios: list[float]) -> str:
-    """Return the median of ratios, and the largest in brackets."""
-    return f"{np.median(ratios):.1f} ({max(ratios):.1f})"
+    """Return the median of the finite ratios, and the largest in brackets."""
+    finite = [ratio for ratio in ratios if math.isfinite(ratio)]
+    return f"{np.median(finite):.1f} ({max(finite):.1f})" if finite else ""
 
 
 def line(label: str, results: list[Outcome]) -> str:
