@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import lfilter
 
-from undeadzone.util.arrays import Floats
+from undeadzone.util.arrays import Flags, Floats
 from undeadzone_identify.models import least_squares
 from undeadzone_identify.models.chain import ChainModel, limit_rates
 from undeadzone_identify.models.elements import MapModel
@@ -42,6 +42,7 @@ RATES = (0.1, 0.25, 0.5, 1.0, 2.0)  # rms of a signal's changes, that its rate m
 BEHIND = 5  # lags of the readings
 AHEAD = (1.0, 3.0, 8.0)  # time constants of a lag ahead of the input's element [samples]
 VANISHING = 1e-6  # of a column: one that the model's own numbers explain
+NONE_EXPLAINS = "none of the known models explains this log"
 SURE = 2.0  # deviations, from which a weight counts
 ALIKE = 1e-3  # of the largest singular value: columns that say the same
 DEPENDS = {
@@ -128,7 +129,7 @@ class Remainder(NamedTuple):
         """
         on = f"{DEPENDS[self.on]} ({100 * self.share:.0f} % of it, {describe_p_value(self.chance)})"
         seen = f"the residual of the best one, {model}, depends on {on}"
-        finding = f"none of the known models explains this log: {seen}; nothing is named"
+        finding = f"{NONE_EXPLAINS}: {seen}; nothing is named"
         return finding, SEEN[self.on]
 
 
@@ -141,7 +142,9 @@ def largest_remainder(remainders: Sequence[Remainder], word: str) -> Remainder |
     """
     least = COARSE.get(word, {})
     real = [one for one in remainders if one.is_real and one.share > least.get(one.on, 0.0)]
-    return max(real, key=lambda one: one.share, default=None)
+    names = {one.on for one in real}  # levels of the input show its curves, too
+    own = [one for one in real if one.on != "levels of the input" or "input" not in names]
+    return max(own, key=lambda one: one.share, default=None)
 
 
 def find_remainders(fit: FittedModel[Model]) -> list[Remainder]:
@@ -154,34 +157,64 @@ def find_remainders(fit: FittedModel[Model]) -> list[Remainder]:
         return []
     squares = fit.squares.fit_coloured(fit.theta)
     data = squares.data
-    use = data.ok.copy()
-    for part in data.record_slices():
-        use[part.start : part.start + BEGIN] = False
-    e, rows = squares.residual_and_slopes(fit.theta)
-    own = np.column_stack([rows, np.ones(len(rows))])
-    if isinstance(fit.model, MapModel):  # a disturbance ahead of limits rounds their corners
-        own = np.column_stack([own, fit.model.blurred_limits(fit.theta, fit.density.rms)])
+    use, own, e = _residual_and_own(fit)
     if use.sum() < 4 * own.shape[1]:
         return []
     found = []
     for name, columns in _directions(fit).items():
-        centred = np.where(data.ok[:, None], columns - columns[data.ok].mean(axis=0), 0.0)
-        signals = (own, e, centred)
-        white = _remainder(name, rows.shape[1], *(squares.whiten(one)[use] for one in signals))
+        signals = (own, e, _centre(columns, data.ok))
+        white = _remainder(name, fit, *(squares.whiten(one)[use] for one in signals))
         # To whiten a residual that is slow by a misfit itself takes most of the misfit away.
-        raw = _remainder(name, rows.shape[1], *(one[use] for one in signals))
+        raw = _remainder(name, fit, *(one[use] for one in signals))
         found.append(raw if raw is not None and raw.is_most else white)
     return list(filter(None, found))
 
 
+def explains_more_bent(linear: FittedModel[Model], larger: FittedModel[Model]) -> bool:
+    """Return whether a linear plant whose spring bends explains more than a larger model.
+
+    Args:
+        linear: fit of the linear plant.
+        larger: fit of the same readings.
+    """
+    use, own, e = _residual_and_own(linear)
+    if use.sum() < 4 * own.shape[1]:
+        return False
+    bent = _centre(_bent_force(linear, linear.model.output(linear.theta)), linear.squares.data.ok)
+    spring = _remainder("spring", linear, *(one[use] for one in (own, e, bent)))
+    if spring is None or spring.chance > HARDLY:
+        return False
+    return linear.density.rms * math.sqrt(1 - spring.share) < larger.density.rms
+
+
+def _residual_and_own(fit: FittedModel[Model]) -> tuple[Flags, Floats, Floats]:
+    """Return flags of samples with a past (N), the derivatives by the model's own parameters
+    (N x P) and its residual (N).
+    """
+    data = fit.squares.data
+    use = data.ok.copy()
+    for part in data.record_slices():
+        use[part.start : part.start + BEGIN] = False
+    e, rows = fit.squares.residual_and_slopes(fit.theta)
+    own = np.column_stack([rows, np.ones(len(rows))])
+    if isinstance(fit.model, MapModel):  # a disturbance ahead of limits rounds their corners
+        own = np.column_stack([own, fit.model.blurred_limits(fit.theta, fit.density.rms)])
+    return use, own, e
+
+
+def _centre(columns: Floats, ok: Flags) -> Floats:
+    """Return columns less their means; 0 if a reading is missing (N x K)."""
+    return np.where(ok[:, None], columns - columns[ok].mean(axis=0), 0.0)
+
+
 def _remainder(
-    name: str, count: int, own: Floats, residual: Floats, columns: Floats
+    name: str, fit: FittedModel[Model], own: Floats, residual: Floats, columns: Floats
 ) -> Remainder | None:
     """Regress a residual on the columns of a direction; None if the model explains them.
 
     Args:
         name: of the direction.
-        count: of the model's free numbers.
+        fit: of the model.
         own: derivatives by these, and other columns of the model (N x P).
         residual: of the model (N).
         columns: of the direction (N x K).
@@ -192,7 +225,7 @@ def _remainder(
     target = least_squares.regression_residual(own, residual)
     weights, std, share, chance = least_squares.regress_residual(left, target)
     sure = np.where(np.abs(weights) > SURE * std, weights, 0.0)
-    return Remainder(name, share, chance, as_own[:count] @ sure)
+    return Remainder(name, share, chance, as_own[: fit.model.free.size] @ sure)
 
 
 def _left_over(own: Floats, columns: Floats) -> tuple[Floats, Floats]:
@@ -241,9 +274,14 @@ def _directions(fit: FittedModel[Model]) -> dict[str, Floats]:
             directions["ahead"] = _through_plant(fit, np.column_stack(behind))
             if isinstance(model, PlaceModel):  # one column finds what the hats of the input share
                 directions["beside"] = _through_plant(fit, u[:, None])
+    return directions | {"spring": _bent_force(fit, z)}
+
+
+def _bent_force(fit: FittedModel[Model], z: Floats) -> Floats:
+    """Return the response of the plant to forces that are no line of its output (N x 3)."""
     force = z / max(float(np.std(z)), 1e-12)
     bent = np.column_stack([force**2, force**3, force * np.abs(force)])
-    return directions | {"spring": _through_plant(fit, bent)}
+    return _through_plant(fit, bent)
 
 
 def hat_columns(values: Floats, count: int) -> Floats:

@@ -52,8 +52,10 @@ from undeadzone_identify.models.place import (
 from undeadzone_identify.models.play_gap import RUNS, PlayGap, find_play_gap
 from undeadzone_identify.models.zone_fit import ZoneFit, refit_busiest_part
 from undeadzone_identify.selection.adequacy import (
+    NONE_EXPLAINS,
     SEEN,
     Remainder,
+    explains_more_bent,
     find_remainders,
     largest_remainder,
 )
@@ -896,13 +898,26 @@ def with_adequacy(case: Case, found: Findings) -> Findings:
     fit = fit_of(case, found, word)
     remainders = [] if fit is None else find_remainders(fit)
     remainder = largest_remainder(remainders, word)
-    if remainder is None:
+    linear = fit_of(case, found, "none")
+    reasons: tuple[str, ...]
+    if remainder is not None:
+        reasons = remainder.in_words(MODELS[word])
+    elif fit is not None and linear is not None and _may_bend(word, linear, fit):
+        less = f"a plant that bends leaves less than {MODELS[word]}; nothing is named"
+        reasons = (f"{NONE_EXPLAINS}: {less}", SEEN["spring"])
+    else:
         return _in_numbers(case, found._replace(remainders=remainders))
-    reasons: tuple[str, ...] = remainder.in_words(MODELS[word])
     if found.verdict.word == "unclear":  # for a reason of its own; this one may explain it
         reasons = (*found.verdict.reasons, reasons[1])
     verdict = build_verdict("unclear", *reasons)
     return found._replace(remainders=remainders, verdict=verdict, element=None)
+
+
+def _may_bend(word: str, linear: FittedModel[Any], fit: FittedModel[Any]) -> bool:
+    """Return whether a plant that bends explains more than a word's model, which holds a line."""
+    holds_line = "none" in SMALLER.get(word, ())
+    same = linear.squares.data.y.size == fit.squares.data.y.size
+    return holds_line and same and explains_more_bent(linear, fit)
 
 
 def _in_numbers(case: Case, found: Findings) -> Findings:
