@@ -34,7 +34,7 @@ from undeadzone_identify.models.place import PlaceModel
 SHARE = 0.03  # of the innovations' variance, from which a direction is real
 OF_ONE = 0.015  # the same of a direction of a single column, "beside"
 LARGE_SHARE, PERHAPS = 0.1, 0.02  # the same for a large share, of which p may be larger
-MOST, HARDLY = 0.5, 0.1  # and for most of the residual, before it is whitened, too
+MOST, HARDLY = 0.5, 0.1  # and for most of the residual that is not white
 BEGIN = 12  # samples of a record whose innovations lack a past
 AT_INPUT, AT_SENSOR = 7, 8  # hat functions of the input, and of z
 AT_LEVELS = 16  # of the input, so that they show its steps
@@ -163,10 +163,11 @@ def find_remainders(fit: FittedModel[Model]) -> list[Remainder]:
     found = []
     for name, columns in _directions(fit).items():
         signals = (own, e, _centre(columns, data.ok))
-        white = _remainder(name, fit, *(squares.whiten(one)[use] for one in signals))
-        # To whiten a residual that is slow by a misfit itself takes most of the misfit away.
-        raw = _remainder(name, fit, *(one[use] for one in signals))
-        found.append(raw if raw is not None and raw.is_most else white)
+        tested = _remainder(name, fit, *(squares.whiten(one)[use] for one in signals))
+        if name == "spring":  # to whiten what a slow plant leaves takes most of it away
+            raw = _remainder(name, fit, *(one[use] for one in signals))
+            tested = raw if raw is not None and raw.is_most else tested
+        found.append(tested)
     return list(filter(None, found))
 
 
