@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 import os
+import sys
 import sysconfig
 from collections.abc import Sequence
 from pathlib import Path
@@ -90,8 +91,8 @@ class Outcome(NamedTuple):
         covered: whether the interval that is shown holds each gap (joints).
         tip: rms distance of the tip from its path, over that of the true state.
         tip_known: the same with the joints of unknown gaps on their paths in both runs: a gap
-            that is never crossed leaves its link anywhere in it, whatever the filter. NaN if no
-            gap is known.
+            that is never crossed leaves its link anywhere in it, whatever the filter. NaN if the
+            joints of known gaps do not move the tip.
     """
 
     diverged: bool
@@ -185,6 +186,7 @@ def outcome(robot: Robot, seed: int) -> Outcome:
     crossings = list_crossings(plant.gears, plant.params, run.x)
     assert run.rms_tip is not None
     assert exact_run.rms_tip is not None
+    exact_error = tip_error(problem, exact_run, known)
     return Outcome(
         run.divergence_time is not None,
         known,
@@ -192,9 +194,7 @@ def outcome(robot: Robot, seed: int) -> Outcome:
         np.abs(gap - true) / run.width_std[-1],
         (np.array(numbers["gap_low"]) <= true) & (true <= np.array(numbers["gap_high"])),
         run.rms_tip / exact_run.rms_tip,
-        tip_error(problem, run, known) / tip_error(problem, exact_run, known)
-        if known.any()
-        else math.nan,
+        tip_error(problem, run, known) / exact_error if exact_error else math.nan,
     )
 
 
@@ -265,7 +265,10 @@ def table() -> str:
         if not (folder() / robot.path).exists():
             lines.append(row(label, "no file: pip install example-robot-data", *[""] * 6))
             continue
-        results = [outcome(robot, first + k) for k in range(count)]
+        results = []
+        for seed in range(first, first + count):
+            results.append(outcome(robot, seed))
+            print(label, seed, *results[-1], sep="; ", file=sys.stderr, flush=True)
         every += results
         lines.append(line(label, results))
         print(lines[-1], flush=True)
