@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 
 import casadi as ca
 import numpy as np
 import pytest
+from benchmarks.gears_robots import Outcome, line
 
 import undeadzone as uz
 from commands import undeadzone
@@ -427,3 +429,17 @@ def test_what_does_not_go_with_gears_is_refused(address: str, value: Any, words:
 def test_online_refuses_what_does_not_know_gears() -> None:
     with pytest.raises(InputError, match="takes motors for links"):
         uz.Online(uz.Kalman(right=0.1), scenario().plant, scenario().sensor, 1e-3)
+
+
+def test_a_row_of_the_robots_bench_counts_known_gaps_alone() -> None:
+    """A field that was renamed left the bench without a single row after 40 minutes."""
+    yes, no = np.array([True, False]), np.array([False, True])
+    runs = [
+        Outcome(False, yes, yes, np.array([0.5, 9.0]), yes, 1.5, 0.8),
+        Outcome(False, yes & no, no, np.array([7.0, 0.2]), ~yes, 3.0, math.nan),
+        Outcome(True, ~yes, no, np.array([8.0, 8.0]), no, 99.0, 99.0),
+    ]
+    cells = [cell.strip() for cell in line("leg", runs).strip("| ").split("|")]
+    assert cells[:4] == ["leg", "3 (1)", "1, 1, 2 of 4", "0"]
+    assert cells[4:6] == ["0.5; 0", "1.00, 0.50"]
+    assert cells[6:] == ["2.2 (3.0)", "0.8 (0.8)"]
