@@ -50,7 +50,11 @@ from undeadzone_identify.results.assemble import to_answer
 from undeadzone_identify.results.lost_motion import IdentifiedMotion
 from undeadzone_identify.results.result import Identified, IdentifiedOutputs
 from undeadzone_identify.selection import orders
-from undeadzone_identify.selection.adequacy import find_remainders, largest_remainder
+from undeadzone_identify.selection.adequacy import (
+    DEPENDS,
+    find_remainders,
+    largest_remainder,
+)
 from undeadzone_identify.selection.alternatives import (
     Findings,
     add_named_element,
@@ -455,7 +459,8 @@ def _fit_limits(grid: Grid, prepared: PreparedLog) -> FittedModel[MapModel] | No
     fit: FittedModel[Any] | None = fit_limits(every, orders, options.integrators, scaled)
     if fit is None or fit.density.rms > (1 - LEAST) * float(y[every.ok].std()):
         return None
-    return fit if largest_remainder(find_remainders(fit), "saturation") is None else None
+    remainders = find_remainders(fit, raw=DEPENDS)
+    return fit if largest_remainder(remainders, "saturation") is None else None
 
 
 def _begin_findings(case: Case) -> Findings:
@@ -490,9 +495,9 @@ def _has_unread_edges(case: Case) -> bool:
 # --- Hypotheses, in the order of their tests
 
 
-def _may_be_play(case: Case, found: Findings) -> bool:
-    """Return whether the log was not treated as that of a jump sensor, nor limits explain it."""
-    return case.jump_edges is None and not case.has_limits_as(found.verdict.word)
+def _has_no_jump(case: Case, found: Findings) -> bool:
+    """Return whether the log was not treated as that of a jump sensor."""
+    return case.jump_edges is None
 
 
 def _has_zone_with_zeros(case: Case, found: Findings) -> bool:
@@ -510,7 +515,7 @@ def _add_kalman_fit(case: Case, found: Findings) -> Findings:
 
 def _needs_zone_location(case: Case, found: Findings) -> bool:
     """Return whether the location of the zone is unknown and can be tested."""
-    known = case.options.place == "sensor" or not _may_be_play(case, found)
+    known = case.options.place == "sensor" or case.jump_edges
     return not (known or case.unreached or case.options.integrators)
 
 
@@ -560,7 +565,7 @@ def _add_actuator_zone(case: Case, found: Findings) -> Findings:
 
 HYPOTHESES = (
     Hypothesis("friction, or a zone of the input", _needs_zone_location, _add_zone_locations),
-    Hypothesis("a play, or a play and a dead zone", _may_be_play, add_play),
+    Hypothesis("a play, or a play and a dead zone", _has_no_jump, add_play),
     Hypothesis("a servo behind a play", _may_be_servo, add_servo),
     Hypothesis("a valve that sticks, and why a loop swings", needs_valve_test, add_valve),
     Hypothesis(

@@ -12,7 +12,7 @@ References:
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -147,11 +147,14 @@ def largest_remainder(remainders: Sequence[Remainder], word: str) -> Remainder |
     return max(own, key=lambda one: one.share, default=None)
 
 
-def find_remainders(fit: FittedModel[Model]) -> list[Remainder]:
+def find_remainders(fit: FittedModel[Model], raw: Collection[str] = ("spring",)) -> list[Remainder]:
     """Return the dependence of a model's innovations on each direction.
 
     Args:
         fit: the model; one that leaves next to nothing is not wrong.
+        raw: directions that most of the residual may not depend on, either. To whiten what a slow
+            plant leaves takes most of it away; but a slow disturbance in a short log depends on
+            anything.
     """
     if not LEAST_ODD < fit.density.rms < math.inf:
         return []
@@ -164,9 +167,9 @@ def find_remainders(fit: FittedModel[Model]) -> list[Remainder]:
     for name, columns in _directions(fit).items():
         signals = (own, e, _centre(columns, data.ok))
         tested = _remainder(name, fit, *(squares.whiten(one)[use] for one in signals))
-        if name == "spring":  # to whiten what a slow plant leaves takes most of it away
-            raw = _remainder(name, fit, *(one[use] for one in signals))
-            tested = raw if raw is not None and raw.is_most else tested
+        if name in raw:
+            slow = _remainder(name, fit, *(one[use] for one in signals))
+            tested = slow if slow is not None and slow.is_most else tested
         found.append(tested)
     return list(filter(None, found))
 
