@@ -118,6 +118,23 @@ def test_a_plant_that_bends_is_not_named(kind: str, seed: int, seen: str) -> Non
     assert "the plant may bend" in answer.answer.reasons[1]
 
 
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        ("line", {"saturation"}),
+        ("fan", {"input_curve"}),
+        ("play ahead, 12", {"input_play"}),
+        ("tank", {"unclear"}),
+        ("friction that falls", {"friction", "unclear"}),
+    ],
+)
+def test_limits_of_the_readings_hide_nothing_between_them(kind: str, words: set[str]) -> None:
+    """Limits are the answer by their own test alone: it must see whatever else is there."""
+    log = ALL[kind].make(np.random.default_rng(8501))
+    limited = np.clip(log.y, *np.quantile(log.y, [0.06, 0.92]))
+    assert identify_log(log.u, limited, **log.options).verdict in words
+
+
 def test_a_slow_disturbance_is_no_remainder() -> None:
     """It explains most of the residual of a line, but depends on no signal."""
     rng = np.random.default_rng(4)
