@@ -28,6 +28,7 @@ GAP = 0.2
 WIDER = 0.6
 FRICTION = 0.02  # of a motor's torque, of Coulomb friction that nobody measured
 FRICTION_SHARE = 0.1  # of the largest torque of the motion, above which it is no guess
+COASTING = 1.0  # [s] in which that friction alone stops a motor from its greatest speed, at least
 STEP = 0.001  # [s] of a sample of an arm with gears
 RESOLVED = 2.0  # largest product of a Runge-Kutta step and the fastest mode
 FEWEST = 4  # Runge-Kutta steps in a sample
@@ -75,11 +76,14 @@ def starting_scenario(found: Survey, path: str, gears: bool = False) -> str:
 def _gears(found: Survey, swing: Floats, widths: Floats) -> dict[str, Any]:
     """Return gears that might be the arm's, with the numbers that a filter and a simulation need.
 
-    Motors are as heavy as the links that they move.
+    Motors are as heavy as the links that they move. A wrist's link alone may have a thousandth of
+    the inertia of any rotor behind a reduction, so the coasting time sets a lower bound.
     """
     most = FRICTION_SHARE * np.max(_torques(found, swing))  # limits of files may be anything
     friction = np.fmin(FRICTION * found.body.chain.torque, most)
-    guessed = {"half": GAP * widths, "inertia": _links(found), "friction": friction}
+    fastest = np.array([joint.velocity for joint in found.joints])
+    inertia = np.fmax(_links(found), COASTING * friction / fastest)
+    guessed = {"half": GAP * widths, "inertia": inertia, "friction": friction}
     written = {name: _toml_numbers(numbers) for name, numbers in guessed.items()}
     numbers_of_gears = {name: json.loads(numbers) for name, numbers in written.items()}
     arm = build_geared_arm(found.body.chain, Gears(**numbers_of_gears))

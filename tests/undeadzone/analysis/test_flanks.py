@@ -50,6 +50,26 @@ def test_joint_by_joint_most_crossings_have_to_show(
         assert "2 of 5 crossings show no strike: its link floats in the gap" in verdict.reasons[0]
 
 
+@pytest.mark.parametrize(("inertia", "known"), [(4e-4, True), (1e-4, False)])
+def test_no_gap_is_known_beside_a_motor_that_friction_stops_at_once(
+    inertia: float, known: bool
+) -> None:
+    """Friction of 0.05 N m fades in 0.4 and in 0.1 samples of 1 ms."""
+    motors = Gears(half=0.05, inertia=[0.08, inertia], friction=[0.0, 0.05])
+    gears = build_geared_arm(build_two_link(), motors)
+    x, path = np.zeros((20, 8)), np.zeros((20, 3, 2))
+    x[:, 0] = 0.06 * np.repeat([1, -1], 10)
+    x[9, 4] = 1.0
+    detector = StrikeDetector([(0,), (1,)], np.full(2, 0.01), 0.2, 1e-3, np.full(2, 1e-4), 50.0)
+    verdict = gap_identifiability(gears, gears.values, x, path, 1e-3, detector)[0]
+    assert verdict.width == known
+    if not known:
+        assert (
+            "friction stops the light motor of q2 (inertia 0.0001) within 0.1"
+            in (verdict.reasons[0])
+        )
+
+
 def test_a_joint_is_free_of_torque_where_its_link_stands_upright_or_hangs() -> None:
     """The second link, however the first one stands; the nearer of both positions."""
     arm = build_arm(build_two_link())

@@ -6,7 +6,9 @@ readings of the encoder, against its noise and the unknown torque of the motor. 
 others must be weak enough to tell their effects on its link, in their gaps, from its own: joint by
 joint they were noise, a gap of zero foretold best, and a Panda's gaps came out as zero
 (docs/robots.md). Of a link that others push to and fro most crossings have to show: it was lost by
-its filter where it floats, and the first gap of a Kinova came out 14 deviations off.
+its filter where it floats, and the first gap of a Kinova came out 14 deviations off. No motor may
+be too light for the sample time: friction of 0.4 N m on 1.4e-4 kg m^2 made the filters of an xArm
+chaotic, and two gaps of other joints came out 13 and 14 deviations off.
 """
 
 from __future__ import annotations
@@ -27,6 +29,7 @@ LASTING = 0.05  # [s] that a torque must last to carry its link across
 POSTURES = 721  # of a joint within a turn, among which one without torque is sought
 COUPLED = 8.0  # coupling above which joint by joint a gap cannot be known
 DETECTED = 3.0  # deviations of the innovations by which a strike shows
+UNRESOLVED = 5.0  # sample times, over the time in which friction of a motor fades, at most
 FLOATING = 0.7  # share of crossings that show, below which a coupled link floats
 WINDOW = 0.15  # [s] for which a strike is looked for
 SETTLED = 1e-6  # change of a variance by a sample, relative, below which it no longer changes
@@ -226,6 +229,9 @@ def gap_identifiability(
     half = np.ravel(gears.gear_number(params, "half"))
     coupling = largest_couplings(body, links, path[:, 0], detector.groups)
     visits = flank_visits(tau, step)
+    friction = np.ravel(gears.gear_number(params, "friction"))
+    fading = friction * step / (inertia * gears.rest)
+    lightest = int(np.argmax(fading))
     verdicts = []
     for i, found in enumerate(list_crossings(gears, params, x)):
         planned = 2 * half[i] * detector.crossing / np.e
@@ -239,7 +245,11 @@ def gap_identifiability(
         else:  # an encoder at the link tells where it is
             unit = np.inf
         detected = int(np.count_nonzero(unit * strikes >= DETECTED))
-        if coupling[i].ratio > COUPLED:
+        if fading[lightest] > UNRESOLVED:
+            why = _light_reason(
+                body.chain.joints[lightest], inertia[lightest], 1 / fading[lightest]
+            )
+        elif coupling[i].ratio > COUPLED:
             why = _coupling_reason(i, coupling[i].partner, coupling[i].ratio, body.chain.joints)
         elif detected < FLOATING * found.rows.size and detected and coupling[i].ratio > EVEN:
             why = _floating_reason(detected, found.rows.size)
@@ -280,6 +290,15 @@ def _coupling_reason(i: int, partner: int, ratio: float, joints: Sequence[str]) 
         f"turns about nearly the same axis as {joints[partner]} (coupling {ratio:.3g}): joint by "
         f"joint its gap cannot be known; give observer.groups = [{sorted((i, partner))}], or move "
         "where their axes are apart"
+    )
+
+
+def _light_reason(joint: str, inertia: float, samples: float) -> str:
+    """Describe that friction stops a motor too soon for the sample time."""
+    return (
+        f"friction stops the light motor of {joint} (inertia {inertia:.2g}) within {samples:.2g} "
+        "samples, which disturbs every filter: no gap can be known; check its inertia and "
+        "friction, or sample faster"
     )
 
 
