@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
+from undeadzone.analysis.identifiability import flanks
 from undeadzone.analysis.identifiability.flanks import (
     StrikeDetector,
     flank_visits,
@@ -15,7 +16,7 @@ from undeadzone.analysis.identifiability.flanks import (
 )
 from undeadzone.plants.robots.arm import build_arm
 from undeadzone.plants.robots.build import build_two_link
-from undeadzone.plants.robots.geared import Gears, build_geared_arm
+from undeadzone.plants.robots.geared import Coupling, Gears, build_geared_arm
 
 
 def test_a_load_of_one_sign_presses_on_one_flank() -> None:
@@ -68,6 +69,24 @@ def test_no_gap_is_known_beside_a_motor_that_friction_stops_at_once(
             "friction stops the light motor of q2 (inertia 0.0001) within 0.1"
             in (verdict.reasons[0])
         )
+
+
+@pytest.mark.parametrize(
+    ("ratios", "known"), [((6.0, 8.1), False), ((1.9, 8.1), True), ((6.0, 7.9), True)]
+)
+def test_a_joint_that_moves_with_a_lost_one_is_lost(
+    monkeypatch: pytest.MonkeyPatch, ratios: tuple[float, float], known: bool
+) -> None:
+    gears = build_geared_arm(build_two_link(), Gears(half=0.05, inertia=[0.08, 0.03]))
+    couplings = [Coupling(ratios[0], 1), Coupling(ratios[1], 0)]
+    monkeypatch.setattr(flanks, "largest_couplings", lambda *_: couplings)
+    x, path = np.zeros((20, 8)), np.zeros((20, 3, 2))
+    x[:, 0] = 0.06 * np.repeat([1, -1], 10)
+    x[9, 4] = 1.0
+    detector = StrikeDetector([(0,), (1,)], np.full(2, 0.01), 0.2, 1e-3, np.full(2, 1e-4), 50.0)
+    verdict = gap_identifiability(gears, gears.values, x, path, 1e-3, detector)[0]
+    assert verdict.width == known
+    assert known or "moves with q2 (coupling 6), whose own gap" in verdict.reasons[0]
 
 
 def test_a_joint_is_free_of_torque_where_its_link_stands_upright_or_hangs() -> None:

@@ -5,10 +5,11 @@ joint has to meet three conditions. Its link has to cross the gap. The strike ha
 readings of the encoder, against its noise and the unknown torque of the motor. And its coupling to
 others must be weak enough to tell their effects on its link, in their gaps, from its own: joint by
 joint they were noise, a gap of zero foretold best, and a Panda's gaps came out as zero
-(docs/robots.md). Of a link that others push to and fro most crossings have to show: it was lost by
-its filter where it floats, and the first gap of a Kinova came out 14 deviations off. No motor may
-be too light for the sample time: friction of 0.4 N m on 1.4e-4 kg m^2 made the filters of an xArm
-chaotic, and two gaps of other joints came out 13 and 14 deviations off.
+(docs/robots.md). A joint that moves with one that is lost for its coupling is lost, too: the second
+gap of an xArm came out 4.2 deviations off. Of a link that others push to and fro most crossings
+have to show: it was lost by its filter where it floats, and the first gap of a Kinova came out 14
+deviations off. No motor may be too light for the sample time: friction of 0.4 N m on 1.4e-4 kg m^2
+made the filters of an xArm chaotic, and two gaps of other joints came out 13 and 14 deviations off.
 """
 
 from __future__ import annotations
@@ -251,6 +252,8 @@ def gap_identifiability(
             )
         elif coupling[i].ratio > COUPLED:
             why = _coupling_reason(i, coupling[i].partner, coupling[i].ratio, body.chain.joints)
+        elif coupling[i].ratio > EVEN and coupling[coupling[i].partner].ratio > COUPLED:
+            why = _lost_partner_reason(body.chain.joints[coupling[i].partner], coupling[i].ratio)
         elif detected < FLOATING * found.rows.size and detected and coupling[i].ratio > EVEN:
             why = _floating_reason(detected, found.rows.size)
         elif detected:
@@ -290,6 +293,14 @@ def _coupling_reason(i: int, partner: int, ratio: float, joints: Sequence[str]) 
         f"turns about nearly the same axis as {joints[partner]} (coupling {ratio:.3g}): joint by "
         f"joint its gap cannot be known; give observer.groups = [{sorted((i, partner))}], or move "
         "where their axes are apart"
+    )
+
+
+def _lost_partner_reason(partner: str, ratio: float) -> str:
+    """Describe that a joint moves with one whose filter is lost."""
+    return (
+        f"moves with {partner} (coupling {ratio:.3g}), whose own gap cannot be known for its "
+        "coupling: neither can this one; move where its axis is apart from all others"
     )
 
 
