@@ -16,6 +16,7 @@ from scipy.signal import lfilter
 
 import undeadzone as uz
 from undeadzone.cli import group
+from undeadzone.nonlinearities.play import levels
 from undeadzone.scenario.reader import parse
 from undeadzone.util.arrays import Floats
 from undeadzone_identify.logs.grid import to_grid
@@ -515,6 +516,26 @@ def test_a_stuck_reading_is_missing_and_counted() -> None:
     answer = found(u, y, place="sensor")
     assert any("stuck" in remark for remark in answer.answer.remarks)
     assert answer.right.low <= 0.4 <= answer.right.high
+
+
+def test_a_sensor_that_freezes_now_and_then_is_no_play() -> None:
+    """Held readings were taken for the flats of a gap, with odds of 0.74."""
+    rng, u, z = driven(8, 900)
+    y = z + 0.02 * rng.standard_normal(z.size)
+    for begin in (100, 210, 330, 480, 620, 750):
+        y[begin : begin + 25] = y[begin]
+    answer = found(u, y)
+    assert any("150 such readings are taken as missing" in one for one in answer.answer.remarks)
+    assert answer.verdict == "none"
+
+
+def test_flats_of_a_gap_end_without_a_jump() -> None:
+    """They are no frozen readings, though nothing else repeats."""
+    t = np.arange(1200) * 0.05
+    z = np.sin(0.4 * t) + 0.5 * np.sin(0.13 * t)
+    y = levels(z[:, None], np.array([0.05]), np.array([0.05]), z[:1])[:, 0]
+    answer = found(z, y)
+    assert not any("stuck" in remark for remark in answer.answer.remarks)
 
 
 def test_one_hold_at_an_extreme_is_no_end_of_the_range() -> None:

@@ -32,6 +32,9 @@ ENOUGH = 0.7  # of the readings between the limits, so that they are left out
 LASTING = 0.01  # share of the readings that are silent in a row, from which there is a silence
 STUCK = 0.05  # share of the readings that hold one value, from which a sensor may be stuck
 LONGER = 5.0  # times the second longest hold
+HELD = 10  # repeats in a row, that are a hold
+JUMPS = 2.0  # times large steps, by which the reading jumps after a hold
+OFTEN_HELD, SELDOM = 0.2, 0.01  # share of the readings in such rows at most, and of other repeats
 MOVING = 0.3  # of its rms, by which the input moves meanwhile
 VISITS = 3  # of an end of the range, in a log that sticks there
 
@@ -129,25 +132,38 @@ def _flag_dropouts(grid: Grid, ok: Flags, remarks: list[str]) -> Flags:
 
 
 def _flag_stuck(grid: Grid, ok: Flags, remarks: list[str]) -> Flags:
-    """Return the flags of a long constant reading, not 0, while the input moves (N)."""
-    unchanged = np.append(False, (np.diff(grid.y) == 0) & ok[1:] & ok[:-1]) & (grid.y != 0)
+    """Return the flags of constant readings, not 0 (N).
+
+    They are some holds that end by a jump, of readings that else hardly repeat, or one long hold
+    while the input moves. Holds at the ends of the range are those of limits.
+    """
+    y, change = grid.y, np.diff(grid.y, prepend=np.nan)
+    unchanged = (change == 0) & ok & np.roll(ok, 1) & (y != 0)
     first, last = bounds_of_runs(unchanged)
-    stuck = np.zeros_like(ok)
-    if not first.size:
-        return stuck
     lengths = last - first + 1
-    longest = int(np.argmax(lengths))
-    second = float(np.delete(lengths, longest).max(initial=1.0))
-    part = slice(int(first[longest]) - 1, int(last[longest]) + 1)
-    moves = grid.u[part].std(axis=0) > MOVING * grid.u.std(axis=0)
-    least = max(STUCK * ok.sum(), LONGER * second)
-    if not least <= lengths[longest] < ok.sum() / 2 or not moves.any():
+    holds = np.flatnonzero(lengths >= HELD)
+    stuck = np.zeros_like(ok)
+    if not holds.size:
         return stuck
-    stuck[part] = True
-    remarks.append(
-        f"the reading is stuck at {grid.y[part.start]:.6g} for {stuck.sum()} samples from"
-        f" {grid.t[part.start]:.6g} s on, while the input moves: taken as missing"
-    )
+    many, count = lengths[holds].sum(), ok.sum()
+    is_rare = many < OFTEN_HELD * count and lengths.sum() - many < SELDOM * count
+    usual = np.nanquantile(np.abs(change[ok & ~unchanged]), 0.9)
+    jumps = np.abs(change[np.minimum(last[holds] + 1, y.size - 1)])
+    limits = (y[ok].min(), y[ok].max())
+    is_frozen = is_rare and holds.size > 1 and np.median(jumps) > JUMPS * usual
+    is_frozen &= not np.isin(y[first[holds]], limits).any()
+    least = max(STUCK * count, LONGER * np.sort(lengths)[:-1].max(initial=1))
+    for k in holds:
+        part = slice(int(first[k]) - 1, int(last[k]) + 1)
+        moved = grid.u[part].std(axis=0)
+        is_long = least <= lengths[k] < count / 2 and (moved > MOVING * grid.u.std(axis=0)).any()
+        stuck[part] = is_long or (is_frozen and moved.any())
+    if stuck.any():
+        at = int(stuck.argmax())
+        remarks.append(
+            f"the reading is stuck at {y[at]:.6g} from {grid.t[at]:.6g} s on; {stuck.sum()} such"
+            " readings are taken as missing"
+        )
     return stuck
 
 

@@ -31,8 +31,8 @@ from undeadzone_identify.models.least_squares import (
 )
 from undeadzone_identify.models.place import PlaceModel
 
-SHARE = 0.03  # of the innovations' variance, from which a direction is real
-OF_ONE = 0.015  # the same of a direction of a single column, "beside"
+SHARE = 0.045  # of the innovations' variance, from which a direction is real
+OF_ONE = 0.025  # the same of a direction of a single column, "beside"
 LARGE_SHARE, PERHAPS = 0.1, 0.02  # the same for a large share, of which p may be larger
 MOST, HARDLY = 0.5, 0.1  # and for most of the residual that is not white
 BEGIN = 12  # samples of a record whose innovations lack a past
