@@ -481,7 +481,7 @@ def _step_contact_filter(
         half = layout.slice_of("half")
         gaps = whole.whole.mean[half], ca.diag(whole.whole.cov)[half]
         jumps = accumulate_jumps(jumps, *gaps, q.modes.Q[half], WINDOW / drives[0].Ts)
-        apart = ca.fmax(apart, gaps[1] + jumps.excess)
+        apart = ca.fmax(apart, gaps[1] + largest_of_groups(groups, jumps.excess))
     doubt = Doubt(coupling, apart)
     estimate = _to_contact_estimate(setup, q, ones, whole, doubt, reading)._replace(
         **assumption_fields(ratios)
@@ -576,6 +576,21 @@ def accumulate_jumps(before: Jumps, value: Any, variance: Any, walk: Any, window
         variance=ca.if_else(is_over, variance, before.variance),
         excess=before.excess + ca.if_else(is_jump, squared_change - lost_variance, 0.0),
     )
+
+
+def largest_of_groups(groups: Groups, excess: Any) -> Any:
+    """Return the largest excess variance in the group of each half gap (N) [rad^2].
+
+    A contact that is mistaken at one joint moves every gap of its group.
+
+    Args:
+        groups: joints of each filter.
+        excess: of each half gap (N) [rad^2].
+    """
+    largest = ca.SX(excess.numel(), 1)
+    for group in map(list, groups):
+        largest[group] = ca.mmax(excess[group])
+    return largest
 
 
 def variance_of_starts(
