@@ -25,6 +25,7 @@ TRUTHS = {
     "cubic": "other",
 }
 SHORTEST, LONGEST = 200, 20_000  # samples
+CUBIC = 4.0  # of z, beyond which a cubic sensor goes on in parallel to the identity
 SUBSTEPS = 20  # of a step, in which friction is simulated
 PROPORTIONAL, INTEGRAL = 0.5, 0.2  # of the loop; the latter by the plant's natural frequency
 STEPS = (0.0, 0.3, 1.0, 3.0)  # of a converter, in rms of the noise
@@ -98,17 +99,21 @@ def draw_reference(rng: np.random.Generator, plant: Plant, size: int) -> Floats:
     return np.asarray(r / r.std())
 
 
-def make(seed: int, truth: str) -> NamedLog:
+def make(seed: int, truth: str, may_close: bool = True) -> NamedLog:
     """A log of a truth; everything else is drawn.
+
+    A loop on a cubic sensor may swing far beyond the range in which the sensor is cubic. That is
+    another truth, so such a log is drawn again without the loop.
 
     Args:
         seed: of the draws.
         truth: of `TRUTHS`.
+        may_close: whether the log may be of a closed loop.
     """
     rng = np.random.default_rng(700_000 + 100 * seed + list(TRUTHS).index(truth))
     plant = random_plant(rng)
     size = int(math.exp(rng.uniform(math.log(SHORTEST), math.log(LONGEST))))
-    closed, encoder = bool(rng.random() < 0.5), bool(rng.random() < 0.4)
+    closed, encoder = bool(rng.random() < 0.5) and may_close, bool(rng.random() < 0.4)
     r = draw_reference(rng, plant, size)
     widths = rng.uniform(0.15, 0.6, 2)
     gaps = rng.uniform(0.1, 0.5, 2)
@@ -136,6 +141,8 @@ def make(seed: int, truth: str) -> NamedLog:
             total += INTEGRAL * plant.omega * plant.step * error
             u[k] = r[k] + PROPORTIONAL * error + total
         z = moved(passes(u[k]) + w[k])
+        if truth == "cubic" and closed and abs(z) > CUBIC:
+            return make(seed, truth, may_close=False)
     own = (
         gaps if truth in ("play", "play and zone") else widths[::-1] if truth in DRIVEN else widths
     )
@@ -188,6 +195,6 @@ def _reader(truth: str, widths: Floats, gaps: Floats) -> Callable[[float], float
             return through_zone(z, *widths)
         if truth == "saturation":
             return min(max(z, -1.2 * widths[0] - 0.2), 1.2 * widths[1] + 0.2)
-        return z + 0.4 * min(max(z, -4.0), 4.0) ** 3 if truth == "cubic" else z  # in a loop too
+        return z + 0.4 * min(max(z, -CUBIC), CUBIC) ** 3 if truth == "cubic" else z
 
     return read
