@@ -46,6 +46,8 @@ from undeadzone.util import toml
 from undeadzone.util.arrays import Floats
 from undeadzone.util.earlier import SCHEMA
 
+LEARNT = 1 / 3  # of the declared deviation, above which a gap is not known
+
 
 def verdicts_of_run(problem: Problem, signal: Outputs) -> list[WidthIdentifiability]:
     """Return the identifiability of each output's widths from a run's readings.
@@ -96,6 +98,32 @@ def _verdicts_on_gaps(problem: Problem, x: Floats) -> list[WidthIdentifiability]
     detector = StrikeDetector(traits.groups or [range(N)], unknown, FADING, JERK, noise, crossing)
     verdicts = gap_identifiability(gears, plant.params, x, along, step, detector)
     return verdicts * (plant.p // N)
+
+
+def withdraw_vague_gaps(
+    problem: Problem, verdicts: list[WidthIdentifiability], estimate: Estimate
+) -> list[WidthIdentifiability]:
+    """Return the verdicts of a run, with a no for each gap that its filter has hardly learnt.
+
+    Args:
+        problem: the simulated problem.
+        verdicts: of each output.
+        estimate: a row per sample.
+    """
+    ranges = problem.observer.traits.halves
+    if problem.plant.gears is None or ranges is None:
+        return verdicts
+    declared = np.ptp(ranges, axis=1) / np.sqrt(3)  # of the whole gap, twice half of it
+    after = []
+    for verdict, std, prior in zip(verdicts, estimate.width_std[-1], declared, strict=True):
+        if verdict.width and 0 < LEARNT * prior < std:
+            why = (
+                f"its strikes show, yet they left it uncertain by {std:.2g}, of {prior:.2g} as it"
+                " was declared: turn it faster, for longer, or declare less"
+            )
+            verdict = verdict.add_reasons(why, right=False, left=False, width=False, centre=False)
+        after.append(verdict)
+    return after
 
 
 def withhold_gaps(
@@ -251,7 +279,7 @@ def collect(problem: Problem, signal: Outputs, error: IntegrationError | None, b
         began: reading of the performance counter when the run began [s].
     """
     t = np.arange(problem.steps + 1) * problem.scenario.simulation.step
-    verdicts = verdicts_of_run(problem, signal)
+    verdicts = withdraw_vague_gaps(problem, verdicts_of_run(problem, signal), signal.estimate)
     estimate = withhold_gaps(problem, verdicts, signal.estimate)
     given = signals_from_estimate(estimate)
     proof = certificate(problem)

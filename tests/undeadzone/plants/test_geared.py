@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
@@ -14,6 +15,7 @@ from benchmarks.gears_robots import Outcome, line
 
 import undeadzone as uz
 from commands import undeadzone
+from undeadzone.analysis.identifiability.linear import WidthIdentifiability
 from undeadzone.errors import InputError
 from undeadzone.numerics.runge_kutta import rk4_change
 from undeadzone.plants.robots.arm import build_arm
@@ -21,6 +23,7 @@ from undeadzone.plants.robots.build import build_one_link, build_two_link
 from undeadzone.plants.robots.geared import Geared, Gears, build_geared_arm, largest_couplings
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert
+from undeadzone.simulation.collect import withdraw_vague_gaps
 from undeadzone.util.arrays import Floats
 
 GEARS: dict[str, Any] = {"half": [0.05, 0.06], "inertia": [0.08, 0.03]}
@@ -443,3 +446,19 @@ def test_a_row_of_the_robots_bench_counts_known_gaps_alone() -> None:
     assert cells[:4] == ["leg", "3 (1)", "1, 1, 2 of 4", "0"]
     assert cells[4:6] == ["0.5; 0", "1.00, 0.50"]
     assert cells[6:] == ["2.2 (3.0)", "0.8 (0.8)"]
+
+
+@pytest.mark.parametrize(("std", "known"), [(0.0057, True), (0.0059, False)])
+def test_a_gap_that_strikes_left_uncertain_is_not_known(std: float, known: bool) -> None:
+    """Half of it is declared as [0, 0.03]: a deviation of the whole gap of 0.0173."""
+    traits = SimpleNamespace(halves=np.array([[0.0, 0.03], [0.0, 0.0]]))
+    problem: Any = SimpleNamespace(
+        plant=SimpleNamespace(gears=True), observer=SimpleNamespace(traits=traits)
+    )
+    estimate: Any = SimpleNamespace(width_std=np.array([[0.0173, 0.0], [std, 0.0]]))
+    yes = WidthIdentifiability(True, True, True, True, (), crossings=4)
+    gap, encoder = withdraw_vague_gaps(problem, [yes, yes], estimate)
+    assert gap.width == known
+    assert known or "uncertain by 0.0059, of 0.017 as it was declared" in gap.reasons[0]
+    assert gap.crossings == 4
+    assert encoder == yes
