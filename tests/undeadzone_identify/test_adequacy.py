@@ -489,8 +489,9 @@ def test_rounded_readings_are_not_those_of_a_recorder(quantum: float) -> None:
         ("friction", "output", 0.09, False),
         ("friction", "turns of the output", 0.05, False),
         ("friction", "turns of the output", 0.15, True),
-        ("input_zone", "beside", 0.02, True),
-        ("input_zone", "beside", 0.01, False),
+        ("input_zone", "beside", 0.03, True),
+        ("input_zone", "beside", 0.02, False),
+        ("input_zone", "rate of the output", 0.04, False),
         ("dead_zone", "output", 0.09, True),
     ],
 )

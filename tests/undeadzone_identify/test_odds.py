@@ -524,6 +524,7 @@ def test_a_sensor_that_freezes_now_and_then_is_no_play() -> None:
     y = z + 0.02 * rng.standard_normal(z.size)
     for begin in (100, 210, 330, 480, 620, 750):
         y[begin : begin + 25] = y[begin]
+    y[[40, 41, 560]] = np.nan
     answer = found(u, y)
     assert any("150 such readings are taken as missing" in one for one in answer.answer.remarks)
     assert answer.verdict == "none"

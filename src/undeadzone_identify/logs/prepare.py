@@ -137,8 +137,9 @@ def _flag_stuck(grid: Grid, ok: Flags, remarks: list[str]) -> Flags:
     They are some holds that end by a jump, of readings that else hardly repeat, or one long hold
     while the input moves. Holds at the ends of the range are those of limits.
     """
-    y, change = grid.y, np.diff(grid.y, prepend=np.nan)
-    unchanged = (change == 0) & ok & np.roll(ok, 1) & (y != 0)
+    y, change = grid.y, np.diff(grid.y, prepend=np.inf)
+    known = ok & np.roll(ok, 1)
+    unchanged = (change == 0) & known & (y != 0)
     first, last = bounds_of_runs(unchanged)
     lengths = last - first + 1
     holds = np.flatnonzero(lengths >= HELD)
@@ -147,7 +148,8 @@ def _flag_stuck(grid: Grid, ok: Flags, remarks: list[str]) -> Flags:
         return stuck
     many, count = lengths[holds].sum(), ok.sum()
     is_rare = many < OFTEN_HELD * count and lengths.sum() - many < SELDOM * count
-    usual = np.nanquantile(np.abs(change[ok & ~unchanged]), 0.9)
+    steps = np.append(np.abs(change[known & ~unchanged]), np.inf)
+    usual = np.quantile(steps, 0.9, method="lower")
     jumps = np.abs(change[np.minimum(last[holds] + 1, y.size - 1)])
     limits = (y[ok].min(), y[ok].max())
     is_frozen = is_rare and holds.size > 1 and np.median(jumps) > JUMPS * usual
