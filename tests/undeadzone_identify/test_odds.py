@@ -531,7 +531,7 @@ def test_a_sensor_that_freezes_now_and_then_is_no_play() -> None:
 
 
 def test_flats_of_a_gap_end_without_a_jump() -> None:
-    """They are no frozen readings, though nothing else repeats."""
+    """Its held readings count, although no other reading repeats."""
     t = np.arange(1200) * 0.05
     z = np.sin(0.4 * t) + 0.5 * np.sin(0.13 * t)
     y = levels(z[:, None], np.array([0.05]), np.array([0.05]), z[:1])[:, 0]

@@ -80,13 +80,13 @@ def _gears(found: Survey, swing: Floats, widths: Floats) -> dict[str, Any]:
     the inertia of any rotor behind a reduction, so the coasting time sets a lower bound.
     """
     most = FRICTION_SHARE * np.max(_torques(found, swing))  # limits of files may be anything
-    friction = np.fmin(FRICTION * found.body.chain.torque, most)
-    fastest = np.array([joint.velocity for joint in found.joints])
-    inertia = np.fmax(_links(found), COASTING * friction / fastest)
+    chain = found.body.chain
+    friction = np.fmin(FRICTION * chain.torque, most)
+    inertia = np.fmax(_links(found), COASTING * friction / chain.speed)
     guessed = {"half": GAP * widths, "inertia": inertia, "friction": friction}
     written = {name: _toml_numbers(numbers) for name, numbers in guessed.items()}
     numbers_of_gears = {name: json.loads(numbers) for name, numbers in written.items()}
-    arm = build_geared_arm(found.body.chain, Gears(**numbers_of_gears))
+    arm = build_geared_arm(chain, Gears(**numbers_of_gears))
     postures = found.q + np.linspace(-1, 1, PLACES)[:, None] * swing
     steps = int(np.ceil(STEP * fastest_contact(arm, arm.values, postures) / RESOLVED))
     ranges = [f"[0.0, {float(f'{WIDER * width:.3g}')}]" for width in widths]

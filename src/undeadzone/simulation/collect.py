@@ -31,6 +31,7 @@ from undeadzone.scenario.operating_point import restore_signals
 from undeadzone.scenario.problem import Problem, constant_gains
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.identifiability import (
+    NONE,
     actuator_unknown,
     as_far_as_known,
     late_inputs,
@@ -121,7 +122,7 @@ def withdraw_vague_gaps(
                 f"its strikes show, yet they left it uncertain by {std:.2g}, of {prior:.2g} as it"
                 " was declared: turn it faster, for longer, or declare less"
             )
-            verdict = verdict.add_reasons(why, right=False, left=False, width=False, centre=False)
+            verdict = verdict.add_reasons(why, **NONE)
         after.append(verdict)
     return after
 

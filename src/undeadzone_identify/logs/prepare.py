@@ -155,7 +155,7 @@ def _flag_stuck(grid: Grid, ok: Flags, remarks: list[str]) -> Flags:
     is_frozen = is_rare and holds.size > 1 and np.median(jumps) > JUMPS * usual
     is_frozen &= not np.isin(y[first[holds]], limits).any()
     least = max(STUCK * count, LONGER * np.sort(lengths)[:-1].max(initial=1))
-    for k in holds:
+    for k in holds if is_frozen else holds[lengths[holds] >= least]:
         part = slice(int(first[k]) - 1, int(last[k]) + 1)
         moved = grid.u[part].std(axis=0)
         is_long = least <= lengths[k] < count / 2 and (moved > MOVING * grid.u.std(axis=0)).any()

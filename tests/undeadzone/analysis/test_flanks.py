@@ -14,9 +14,22 @@ from undeadzone.analysis.identifiability.flanks import (
     gap_identifiability,
     torque_free_position,
 )
+from undeadzone.analysis.identifiability.linear import WidthIdentifiability
 from undeadzone.plants.robots.arm import build_arm
 from undeadzone.plants.robots.build import build_two_link
-from undeadzone.plants.robots.geared import Coupling, Gears, build_geared_arm
+from undeadzone.plants.robots.geared import Coupling, Geared, Gears, build_geared_arm
+
+
+def first_verdict(
+    gears: Geared, speeds: Sequence[float], groups: Sequence[Sequence[int]] = ((0,), (1,))
+) -> WidthIdentifiability:
+    """The verdict on the first of two links that crosses its gap at these speeds of its motor."""
+    rows = 10 * (len(speeds) + 1)
+    x, path = np.zeros((rows, 8)), np.zeros((rows, 3, 2))
+    x[:, 0] = 0.06 * np.repeat((-1.0) ** np.arange(len(speeds) + 1), 10)
+    x[9:-1:10, 4] = speeds
+    detector = StrikeDetector(groups, np.full(2, 0.01), 0.2, 1e-3, np.full(2, 1e-4), 50.0)
+    return gap_identifiability(gears, gears.values, x, path, 1e-3, detector)[0]
 
 
 def test_a_load_of_one_sign_presses_on_one_flank() -> None:
@@ -39,12 +52,7 @@ def test_joint_by_joint_most_crossings_have_to_show(
 ) -> None:
     """The first link crosses five times, so often fast enough for its strike to show."""
     gears = build_geared_arm(build_two_link(), Gears(half=0.05, inertia=[0.08, 0.03]))
-    x, path = np.zeros((60, 8)), np.zeros((60, 3, 2))
-    x[:, 0] = 0.06 * np.repeat([1, -1, 1, -1, 1, -1], 10)
-    for crossing in range(5):
-        x[10 * crossing + 9, 4] = 1.0 if crossing < visible else 1e-6
-    detector = StrikeDetector(groups, np.full(2, 0.01), 0.2, 1e-3, np.full(2, 1e-4), 50.0)
-    verdict = gap_identifiability(gears, gears.values, x, path, 1e-3, detector)[0]
+    verdict = first_verdict(gears, [1.0] * visible + [1e-6] * (5 - visible), groups)
     assert verdict.width == known
     assert verdict.crossings == visible
     if visible and not known:
@@ -58,11 +66,7 @@ def test_no_gap_is_known_beside_a_motor_that_friction_stops_at_once(
     """Friction of 0.05 N m fades in 0.4 and in 0.1 samples of 1 ms."""
     motors = Gears(half=0.05, inertia=[0.08, inertia], friction=[0.0, 0.05])
     gears = build_geared_arm(build_two_link(), motors)
-    x, path = np.zeros((20, 8)), np.zeros((20, 3, 2))
-    x[:, 0] = 0.06 * np.repeat([1, -1], 10)
-    x[9, 4] = 1.0
-    detector = StrikeDetector([(0,), (1,)], np.full(2, 0.01), 0.2, 1e-3, np.full(2, 1e-4), 50.0)
-    verdict = gap_identifiability(gears, gears.values, x, path, 1e-3, detector)[0]
+    verdict = first_verdict(gears, [1.0])
     assert verdict.width == known
     if not known:
         assert (
@@ -80,11 +84,7 @@ def test_a_joint_that_moves_with_a_lost_one_is_lost(
     gears = build_geared_arm(build_two_link(), Gears(half=0.05, inertia=[0.08, 0.03]))
     couplings = [Coupling(ratios[0], 1), Coupling(ratios[1], 0)]
     monkeypatch.setattr(flanks, "largest_couplings", lambda *_: couplings)
-    x, path = np.zeros((20, 8)), np.zeros((20, 3, 2))
-    x[:, 0] = 0.06 * np.repeat([1, -1], 10)
-    x[9, 4] = 1.0
-    detector = StrikeDetector([(0,), (1,)], np.full(2, 0.01), 0.2, 1e-3, np.full(2, 1e-4), 50.0)
-    verdict = gap_identifiability(gears, gears.values, x, path, 1e-3, detector)[0]
+    verdict = first_verdict(gears, [1.0])
     assert verdict.width == known
     assert known or "moves with q2 (coupling 6), whose own gap" in verdict.reasons[0]
 

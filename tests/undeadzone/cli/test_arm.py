@@ -188,6 +188,19 @@ def test_with_gears_a_started_scenario_follows_its_path(tmp_path: Path) -> None:
     assert run.rms_tip < 2e-3
 
 
+def test_friction_stops_a_guessed_motor_in_a_second_or_more(tmp_path: Path) -> None:
+    """The last link of a UR5 is lighter than any such motor, that of the shoulder heavier."""
+    assert undeadzone("arm", UR5, "--gears", "--out", tmp_path).returncode == 0
+    arm = uz.read(tmp_path / "ur5.toml").plant.arm
+    assert isinstance(arm, uz.plants.URDF)
+    assert arm.gears is not None
+    speeds = np.array([joint.velocity for joint in survey_urdf(UR5).joints])
+    coasting = np.asarray(arm.gears.inertia) * speeds / np.asarray(arm.gears.friction)
+    assert (coasting > 0.999).all()
+    assert coasting[0] > 1.5
+    assert coasting[-1] == pytest.approx(1.0, rel=1e-3)
+
+
 def test_a_large_arm_with_gears_starts_with_a_filter_that_runs() -> None:
     scenario = parse(starting_scenario(survey_urdf(UR5), str(UR5), gears=True))
     assert isinstance(scenario.observer, uz.observers.Contact)
