@@ -8,6 +8,7 @@ model is fitted and compared, and its parameters are estimated. The last finding
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -426,8 +427,13 @@ def _fit_zone_and_maps(grid: Grid, options: Options, advance: Callable[[int], No
         chosen = chosen._replace(singles=no_zone.fit, pairs=no_zone.fit)
     fits = {one.n: one for one in fitted.fits} | {chosen.n: chosen}
     maps = {}  # behind plants of each order, on the readings as they are
-    for n, one in fits.items():
-        maps[n] = fit_maps(_fit_of_raw_readings(fitted.prepared, refit_busiest_part(one.singles)))
+    least, jump_gains = math.inf, True  # a jump takes the longest to fit: while an order gains
+    for n, one in sorted(fits.items()):
+        raw = _fit_of_raw_readings(fitted.prepared, refit_busiest_part(one.singles))
+        maps[n] = fit_maps(raw, jump_gains)
+        if jump_gains:
+            bic = maps[n]["jump"].density.bic
+            least, jump_gains = bic, bic < least
     limited = None
     if prepared.ends.has_ends and prepared.jumps is None:
         limited = _fit_limits(grid, fitted.prepared)

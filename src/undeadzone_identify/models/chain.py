@@ -433,7 +433,7 @@ def fit_chains(
     ]
     fits: list[ChainFit | None] = []
     for name, element in INPUTS.items():
-        scanned = [scan_input(plant, element) for plant in plants]
+        scanned = _scan_orders(plants, element)
         fits.append(_best_order(plants, scanned, partial(_model_of, name)))
     linear = [scan_input(plant, PLAIN) for plant in plants]
     taps = [np.array(f) for f in ([0.2, 0.2, 0.0, 0.0], [0.2] * TAPS)]
@@ -494,6 +494,28 @@ class ScannedStart(NamedTuple):
 
     cost: float
     theta: Floats
+
+
+def _scan_orders(
+    plants: Sequence[PlantSimulator], element: InputElement
+) -> list[list[ScannedStart]]:
+    """Return the best parameters of a scan for each plant, those of one order begin the next.
+
+    Args:
+        plants: plants of rising order, those of the same records together.
+        element: element of the input.
+    """
+    rows = list[list[ScannedStart]]()
+    before = None
+    for plant in plants:
+        tried = element
+        if before is not None and before.data is plant.data and rows[-1]:
+            own = before.layout.right
+            numbers = tuple(tuple(start.theta[own:].tolist()) for start in rows[-1])
+            tried = element._replace(scanned=numbers)
+        rows.append(scan_input(plant, tried))
+        before = plant
+    return rows
 
 
 def _best_order(

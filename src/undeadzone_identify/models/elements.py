@@ -372,24 +372,6 @@ class MapModel:
             zone = ", behind a dead zone of about {:.3g} right and {:.3g} left".format(*widths)
         return f"the readings end at {' and '.join(ends)}{zone}" if ends else ""
 
-    def blurred_limits(self, theta: Floats, blur: float) -> Floats:
-        """Return the mean change of the readings by noise ahead of their limits (N x 1); without
-        limits no column.
-
-        Args:
-            theta: parameters of the fit (P).
-            blur: rms of the noise, scaled.
-        """
-        z = self.output(theta)
-        if self.shape not in (saturation_map, limited_zone_map):
-            return np.empty((z.size, 0))
-        *widths, high, low = theta[self.base :]
-        passed = dead_zone(z, *widths) if widths else z
-        # A limited signal is the signal less what a dead zone as wide as the limits lets through.
-        limits = np.array([high, low])
-        beyond, noisy = dead_zone_map(passed, limits), noisy_zone_map(blur, passed, limits)
-        return (beyond[0] - noisy[0])[:, None]
-
     def slopes(self, theta: Floats) -> tuple[Floats, Floats]:
         """Return the readings (N), and their derivatives by the free parameters (N x F)."""
         z = self.output(theta)
@@ -401,11 +383,12 @@ class MapModel:
 # --- All of them in the place of the dead zone
 
 
-def fit_maps(fit: ZoneFit) -> dict[str, FittedModel[MapModel]]:
+def fit_maps(fit: ZoneFit, may_jump: bool = True) -> dict[str, FittedModel[MapModel]]:
     """Fit the dead zone and its static rivals by least squares.
 
     Args:
         fit: fit of a plant with a zone, which gives the start points.
+        may_jump: whether a jump is fitted.
 
     Returns:
         Fits by class: none, dead_zone, saturation, jump, other (|z|, cubic).
@@ -413,6 +396,8 @@ def fit_maps(fit: ZoneFit) -> dict[str, FittedModel[MapModel]]:
     fits = []
     blurred: list[Floats] = []  # the jump with more noise ahead
     for name, shape, starts in _start_maps(fit):
+        if name == "jump" and not may_jump:
+            continue
         squares = LeastSquares(MapModel(fit.objective.simulator, name, shape))
         points = [_start_point(squares.model, *start) for start in starts]
         if name == "jump":  # less noise has a narrower maximum, near that of more noise

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from copy import copy
 from functools import cache
 from operator import itemgetter
@@ -55,6 +55,7 @@ FAR = 1.6  # largest |ln(S / best S)| of these
 SCATTER = 3.0  # safety factor of the standard deviation of differences of log likelihoods
 DRAWS = 500  # draws of the log likelihoods
 CHUNK = 12  # positions that are regressed at once: their regressors fit into the cache
+COARSELY = 2000  # readings that a coarse grid predicts: more tell its points apart no better
 TURN = 0.25  # least reversal of u that counts [range of u]
 BESIDE = (0.1, 0.16, 0.25, 0.4, 0.63, 1.0)  # widths of plays that are regressors beside u [range]
 
@@ -157,6 +158,7 @@ class Regression:
         ok: flags of the readings that are not missing (N).
         order: lags of the readings.
         first: first sample that is predicted.
+        stride: every how many of the samples that can be predicted are.
 
     Attributes:
         rows: samples that are predicted (n).
@@ -164,18 +166,28 @@ class Regression:
         y: readings that are predicted (n).
     """
 
-    def __init__(self, y: Floats, ok: Flags, order: int, first: int) -> None:
+    def __init__(self, y: Floats, ok: Flags, order: int, first: int, stride: int = 1) -> None:
         whole = ok[first:].copy()
         for k in range(1, order + 1):
             whole &= ok[first - k : y.size - k]
-        self.rows: Integers = first + np.flatnonzero(whole)
+        self.rows: Integers = (first + np.flatnonzero(whole))[::stride]
+        # A slice is read ten times as fast as samples by their numbers.
+        span = range(int(self.rows[0]), int(self.rows[-1]) + 1, stride)
+        self._span = span if len(span) == self.rows.size else None
         self.order = order
         known = np.maximum.accumulate(np.where(ok, np.arange(y.size), int(np.argmax(ok))))
-        lags = [y[self.rows - k] for k in range(1, order + 1)]
+        lags = [self._before(y, k) for k in range(1, order + 1)]
         averages = _averages(y[known][None])[0][:, self.rows - 1].T
         self.past = np.column_stack([*lags, averages])
         self.y = y[self.rows]
         self._explain_by(np.column_stack([np.ones(self.rows.size), self.past]))
+
+    def _before(self, x: Floats, lag: int) -> Floats:
+        """Return signals (... x N) a lag before the samples that are predicted (... x n)."""
+        span = self._span
+        if span is None:
+            return np.asarray(x[..., self.rows - lag])
+        return x[..., span.start - lag : span.stop - lag : span.step]
 
     def _explain_by(self, columns: Floats) -> None:
         """Set the regressors of every model (n x L)."""
@@ -207,8 +219,8 @@ class Regression:
         averages = _averages(v) if averages is None else averages
         columns = np.empty((len(v), len(lags) + len(MEMORY), self.rows.size))
         for place, k in enumerate(lags):
-            columns[:, place] = v[:, self.rows - k]
-        columns[:, len(lags) :] = averages[:, :, self.rows - lags[0]]
+            columns[:, place] = self._before(v, k)
+        columns[:, len(lags) :] = self._before(averages, lags[0])
         return columns
 
     def prediction_errors(self, v: Floats, lags: range, others: Floats | None = None) -> Floats:
@@ -242,8 +254,8 @@ class Regression:
 
     def prediction_errors_of_each(
         self, v: Floats, lags: range, averages: Floats | None = None
-    ) -> Floats:
-        """Return the one-step prediction errors for each of several positions (n x K).
+    ) -> Iterator[Floats]:
+        """Yield the one-step prediction errors of several positions, a few at a time (k x n).
 
         Args:
             v: positions (N x K).
@@ -253,7 +265,6 @@ class Regression:
         # Each regressor is a row, so that products of rows run along the memory.
         positions = np.ascontiguousarray(v.T)
         averages = _averages(positions) if averages is None else averages
-        errors = np.empty((self.rows.size, v.shape[1]))
         for begin in range(0, v.shape[1], CHUNK):
             chunk = slice(begin, begin + CHUNK)
             each = self.lagged(positions[chunk], lags, averages[chunk])
@@ -264,9 +275,17 @@ class Regression:
             trace = np.trace(gram, axis1=1, axis2=2)[:, None, None]
             gram += 1e-10 * (trace + 1e-12) * np.eye(gram.shape[1])
             coefficients = np.linalg.solve(gram, np.matmul(each, self._target)[:, :, None])
-            explained = np.matmul(coefficients.transpose(0, 2, 1), each)[:, 0]
-            errors[:, chunk] = self._target[:, None] - explained.T
-        return errors
+            yield self._target - np.matmul(coefficients.transpose(0, 2, 1), each)[:, 0]
+
+    def mean_squares_of_each(
+        self, v: Floats, lags: range, averages: Floats | None = None
+    ) -> Floats:
+        """Return the mean squared one-step prediction error for each of several positions (K).
+
+        Arguments of `prediction_errors_of_each`.
+        """
+        errors = self.prediction_errors_of_each(v, lags, averages)
+        return np.concatenate([np.mean(e**2, axis=1) for e in errors])
 
     def regressors(self, v: Floats, lags: range) -> Floats:
         """Return the past, the lagged position, and a constant (n x columns).
@@ -364,10 +383,9 @@ def _density(name: str, e: Floats, numbers: int) -> Density:
     return build_gaussian_density(name, e, numbers, max(float(np.mean(e**2)), 1e-20))
 
 
-def _bic_of(e: Floats, numbers: Floats | Integers | int) -> Floats:
-    """Return the BIC of prediction errors (n, or n x K for K models), up to a constant."""
-    size = len(e)
-    return np.asarray(size * np.log(np.mean(e**2, axis=0)) + numbers * math.log(size))
+def _bic_of(e: Floats, numbers: int) -> float:
+    """Return the BIC of prediction errors (n), up to a constant."""
+    return e.size * math.log(np.mean(e**2)) + numbers * math.log(e.size)
 
 
 class LoopLog:
@@ -418,29 +436,42 @@ class LoopLog:
         """Return the orders for which the log has enough samples."""
         return [k for k in ORDERS if 8 * (2 * k + MORE) < self.y.size]
 
-    def regress(self, order: int, first: int) -> Regression:
-        """Return the regression of an order, with `first` the first predicted sample."""
-        return Regression(self.y, self.ok, order, first)
+    def regress(self, order: int, first: int, stride: int = 1) -> Regression:
+        """Return the regression of an order.
 
-    def find_structure(self, valves: Floats) -> Structure:
+        Args:
+            order: lags of the readings.
+            first: first sample that is predicted.
+            stride: every how many samples are predicted.
+        """
+        return Regression(self.y, self.ok, order, first, stride)
+
+    @property
+    def coarse_stride(self) -> int:
+        """Return the stride by which a regression predicts enough readings for a coarse grid."""
+        return max(1, self.y.size // COARSELY)
+
+    def find_structure(self, valves: Floats, stride: int = 1) -> Structure:
         """Find order and delay by BIC, for u itself and for several valves.
 
         Args:
             valves: positions of the valves (N x K) [range of u].
+            stride: every how many samples are predicted.
         """
         longest = min(LATEST, self.y.size // 20)
         # In an oscillation a delay cannot be distinguished from one that is a period longer.
         latest = int(min(longest, max(self.period / 2, 4) + 1))
         first = longest + MORE + max(self.orders) + 6
         positions = np.column_stack([self.u, valves])
-        low_order = self.regress(4, first)
+        low_order = self.regress(4, first, stride)
         valve_numbers = 4 * (np.arange(positions.shape[1]) > 0)
         averages = _averages(np.ascontiguousarray(positions.T))
         candidates = []
         for delay in range(1, latest):
             lags = range(delay, delay + 3)
-            errors = low_order.prediction_errors_of_each(positions, lags, averages)
-            cost = _bic_of(errors, valve_numbers)
+            squares = low_order.mean_squares_of_each(positions, lags, averages)
+            size = low_order.rows.size
+            cost = size * np.log(squares) + valve_numbers * math.log(size)
             candidates.append((float(cost.min()), delay, int(np.argmin(cost))))
         _, delay, best = min(candidates)
         lag = max(1, delay - 1)
@@ -450,11 +481,11 @@ class LoopLog:
             sources.append((self.u, oscillation, 1 + oscillation.shape[1]))
         costs = []
         for order in self.orders:
-            regression = self.regress(order, first)
+            regression = self.regress(order, first, stride)
             lags = range(lag, lag + order + MORE)
             for v, others, numbers in sources:
                 e = regression.prediction_errors(v, lags, others)
-                costs.append((float(_bic_of(e, 2 * order + numbers)), order))
+                costs.append((_bic_of(e, 2 * order + numbers), order))
         order = min(costs)[1]
         return Structure(order, range(lag, lag + order + MORE), first, oscillation)
 
@@ -481,11 +512,11 @@ class LoopLog:
             oscillation = np.column_stack(waves)
             errors = beside.prediction_errors_beside(oscillation, counts)
             for count, e in zip(counts, errors, strict=True):
-                cost = float(_bic_of(e, count))
+                cost = _bic_of(e, count)
                 best = min(best, (cost, oscillation[:, :count]), key=itemgetter(0))
         return best[1]
 
-    def fit_all(self, structure: Structure, thinned: int, rounds: int) -> LoopFits:
+    def fit_all(self, structure: Structure, thinned: int = 1, rounds: int = ROUNDS) -> LoopFits:
         """Fit the loop with an ideal valve, with an external oscillation, and with faulty valves.
 
         Args:
@@ -511,7 +542,7 @@ class LoopLog:
             ("stiction", KANO, sticks),
             ("stiction", HE, sticks),
         ):
-            pair = self._refine_grid(regression, lags, account, pairs, rounds)
+            pair = self._refine_grid(structure, account, pairs, rounds)
             fit = ValveFit(word, account, *pair, densities["none"])
             valve_numbers = BREAKS + 1 + (word == "stiction")
             e = regression.prediction_errors(fit.position(self.u), lags)
@@ -519,30 +550,42 @@ class LoopLog:
         return LoopFits(self, structure, regression, densities, tuple(fits))
 
     def _refine_grid(
-        self, regression: Regression, lags: range, account: str, pairs: Floats, rounds: int
+        self, structure: Structure, account: str, pairs: Floats, rounds: int
     ) -> tuple[float, float]:
         """Return the S and J of least squared prediction errors, by a grid that is refined.
 
         Args:
-            regression: regression of the readings.
-            lags: lags of the position [samples].
+            structure: order and delay of the regression.
             account: model of the valve.
             pairs: grid of S and J (K x 2) [range of u].
-            rounds: number of refinements about the best pairs.
+            rounds: number of refinements about the best pairs, by all readings.
         """
         is_play = not pairs[:, 1].any()
-        best: list[tuple[float, float, float]] = []
-        for k in range(rounds + 1):
-            v = valve_positions(self.u, pairs[:, 0], pairs[:, 1], account)
-            cost = np.sum(regression.prediction_errors_of_each(v, lags) ** 2, axis=0)
-            best += [(float(c), float(s), float(j)) for c, (s, j) in zip(cost, pairs, strict=True)]
-            best = sorted(best)[: TOPS if k == 0 else 3]
+        best = self._best_pairs(structure, account, pairs, self.coarse_stride)[:TOPS]
+        for k in range(rounds):
             width = 0.09 / 2.5**k
             moves = itertools.product(
                 best, width * np.linspace(-1, 1, 7), width * np.linspace(-2, 2, 1 if is_play else 5)
             )
-            pairs = np.array([_shift_pair(s, j, a, b, is_play) for (_, s, j), a, b in moves])
-        return best[0][1:]
+            pairs = np.array([_shift_pair(*pair, a, b, is_play) for pair, a, b in moves])
+            best = self._best_pairs(structure, account, pairs, 1)[:3]
+        return best[0]
+
+    def _best_pairs(
+        self, structure: Structure, account: str, pairs: Floats, stride: int
+    ) -> list[tuple[float, float]]:
+        """Return pairs of S and J (K), that of the least squared prediction errors first.
+
+        Args:
+            structure: order and delay of the regression.
+            account: model of the valve.
+            pairs: S and J (K x 2) [range of u].
+            stride: every how many samples are predicted.
+        """
+        v = valve_positions(self.u, pairs[:, 0], pairs[:, 1], account)
+        regression = self.regress(structure.order, structure.first, stride)
+        squares = regression.mean_squares_of_each(v, structure.lags)
+        return [(s, j) for _, s, j in sorted(np.column_stack([squares, pairs]).tolist())]
 
 
 def _shift_pair(
@@ -615,11 +658,11 @@ class LoopFits(NamedTuple):
         u = self.log.u
         lags = self.structure.lags
         stick, jump = _pairs_around(fit)
-        e = [self.regression.prediction_errors(fit.position(u), lags)[:, None]]
+        e = [self.regression.prediction_errors(fit.position(u), lags)[None]]
         for account in (KANO, HE):
             positions = valve_positions(u, stick, jump, account)
-            e.append(self.regression.prediction_errors_of_each(positions, lags))
-        errors = np.hstack(e)
+            e.extend(self.regression.prediction_errors_of_each(positions, lags))
+        errors = np.vstack(e).T
         variance = np.mean(errors**2, axis=0)
         values = -0.5 * errors**2 / variance - 0.5 * np.log(variance)
         weight = _bagged_weights(values)
@@ -708,9 +751,9 @@ def fit_loop(log: LoopLog) -> LoopFits:
     """
     coarse = np.array(list(itertools.product(np.geomspace(0.02, 1.0, 18), (0.0, 0.4, 1.0))))
     valves = valve_positions(log.u, coarse[:, 0], coarse[:, 0] * coarse[:, 1], KANO)
-    first = log.fit_all(log.find_structure(valves), 3, 0)
+    first = log.fit_all(log.find_structure(valves, log.coarse_stride), 3, 0)
     best = np.column_stack([fit.position(log.u) for fit in first.valves])
-    return log.fit_all(log.find_structure(best), 1, ROUNDS)
+    return log.fit_all(log.find_structure(best))
 
 
 def oscillation_of(e: Floats) -> tuple[float, float]:

@@ -345,7 +345,9 @@ def _with_valve(answer: Answer, valve: ValveFindings) -> Answer:
     if doubt:
         found = answer.found._replace(odds={})
         return answer._replace(verdict="undecided", reasons=[doubt], found=found)
-    reasons = describe_loop(answer.case, answer.verdict, valve) or answer.reasons
+    reasons = describe_loop(answer.case, answer.verdict, valve)
+    if answer.verdict == "operating_point" or not reasons:
+        reasons = [*answer.reasons, *reasons]
     return answer._replace(width=valve.stick if is_faulty else None, reasons=reasons)
 
 

@@ -26,18 +26,17 @@ def describe_loop(case: Case, verdict: str, valve: ValveFindings) -> list[str]:
         valve: findings on the valve.
     """
     grid = case.grid
-    stick, jump = (_percent(one, grid) for one in (valve.stick, valve.jump))
     period = _period(valve, grid)
     if verdict == "stiction":
         return [
-            f"the valve sticks: S {stick}, J {jump}",
+            f"the valve sticks: S {_percent(valve.stick, grid)}, J {_percent(valve.jump, grid)}",
             "tuning does not cure it: see to its packing, its positioner and the size of its"
             " actuator",
             BUMP,
         ]
     if verdict == "input_play":
         return [
-            f"the valve has a dead band (play) of {stick}, and no jump",
+            f"the valve has a dead band (play) of {_percent(valve.stick, grid)}, and no jump",
             "alone it makes no cycle of a self-regulating loop; a level loop cycles, and any loop"
             " answers late: see to linkage and positioner, or add the dead band at each turn",
             BUMP,
@@ -54,7 +53,7 @@ def describe_loop(case: Case, verdict: str, valve: ValveFindings) -> list[str]:
             " the valve follows",
             f"divide the controller's gain by about {_gain_to_cut(valve):.2g}, then record again",
         ]
-    if verdict == "none":
+    if verdict in ("none", "operating_point"):
         swings = f"; the loop swings, {period}" if valve.swings else ""
         return [f"the plant answers to {grid.inputs[0]} without stiction or play{swings}"]
     return []

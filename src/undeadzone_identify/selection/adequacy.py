@@ -16,12 +16,12 @@ from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.polynomial.hermite_e import hermegauss
 from scipy.signal import lfilter
 
 from undeadzone.util.arrays import Flags, Floats
 from undeadzone_identify.models import least_squares
 from undeadzone_identify.models.chain import ChainModel, limit_rates
-from undeadzone_identify.models.elements import MapModel
 from undeadzone_identify.models.least_squares import (
     CHANCE,
     LEAST_ODD,
@@ -35,6 +35,8 @@ SHARE = 0.045  # of the innovations' variance, from which a direction is real
 OF_ONE = 0.025  # the same of a direction of a single column, "beside"
 LARGE_SHARE, PERHAPS = 0.1, 0.02  # the same for a large share, of which p may be larger
 MOST, HARDLY = 0.5, 0.1  # and for most of the residual that is not white
+BLURS = (1.0, 2.0)  # rms of a disturbance of z, in that of a residual
+NODES = 7  # of a mean over that disturbance
 BEGIN = 12  # samples of a record whose innovations lack a past
 AT_INPUT, AT_SENSOR = 7, 8  # hat functions of the input, and of z
 AT_LEVELS = 16  # of the input, so that they show its steps
@@ -200,10 +202,27 @@ def _residual_and_own(fit: FittedModel[Model]) -> tuple[Flags, Floats, Floats]:
     for part in data.record_slices():
         use[part.start : part.start + BEGIN] = False
     e, rows = fit.squares.residual_and_slopes(fit.theta)
-    own = np.column_stack([rows, np.ones(len(rows))])
-    if isinstance(fit.model, MapModel):  # a disturbance ahead of limits rounds their corners
-        own = np.column_stack([own, fit.model.blurred_limits(fit.theta, fit.density.rms)])
+    own = np.column_stack([rows, np.ones(len(rows)), _blurred_readings(fit)])
     return use, own, e
+
+
+def _blurred_readings(fit: FittedModel[Model]) -> Floats:
+    """Return by how much a disturbance of z changes the mean readings of a bent sensor (N x K).
+
+    It rounds the corners of a zone or of limits. What is left shows its rms only where the sensor
+    passes it on, so that larger ones are tried as well.
+    """
+    z = fit.model.output(fit.theta)
+    nodes, weights = hermegauss(NODES)
+    weights /= weights.sum()
+
+    def mean_of(blur: float) -> Floats:
+        """Return the mean readings with a Gaussian disturbance of this rms (N)."""
+        read = [fit.model.noise_free_readings(z + blur * node, fit.theta) for node in nodes]
+        return np.asarray(weights @ read)
+
+    sharp = fit.model.noise_free_readings(z, fit.theta)
+    return np.column_stack([mean_of(scale * fit.density.rms) - sharp for scale in BLURS])
 
 
 def _centre(columns: Floats, ok: Flags) -> Floats:

@@ -86,6 +86,7 @@ from undeadzone_identify.selection.valve import (
     ValveFindings,
     ask_valve,
     is_control_loop,
+    is_named_loop,
     may_be_valve,
 )
 from undeadzone_identify.selection.widths import widen_by_offset
@@ -301,7 +302,11 @@ def add_valve(case: Case, found: Findings) -> Findings:
             return with_loop._replace(verdict=verdict)
         answer = answer.of_loop_alone(excluded)
         with_loop = with_loop._replace(models=answer.families, odds=answer.odds)
-    return with_loop._replace(verdict=answer.verdict, valve=answer.valve)
+    verdict = answer.verdict
+    is_at_rest = found.verdict.word == "operating_point" and verdict.word == "none"
+    if is_at_rest and not is_named_loop(case.grid):  # its sensor is asked for, not its valve
+        verdict = found.verdict
+    return with_loop._replace(verdict=verdict, valve=answer.valve)
 
 
 # --- Is it a play, or a play and a dead zone?

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from functools import cached_property
 from operator import itemgetter
 from typing import NamedTuple
 
@@ -24,7 +25,7 @@ from undeadzone_identify.models.least_squares import (
 )
 from undeadzone_identify.models.likelihood import root_mean_square
 from undeadzone_identify.models.plant import PlantSimulator, RecordData
-from undeadzone_identify.models.valve import LoopFits, LoopLog, ValveFit, fit_loop
+from undeadzone_identify.models.valve import LoopFits, LoopLog, fit_loop
 from undeadzone_identify.models.zone_fit import fit_linear
 from undeadzone_identify.selection.decision import (
     LIKELY,
@@ -58,43 +59,100 @@ TIGHT = 2.0  # |sensitivity| at the period, above which a loop is tuned too tigh
 LEAST_POLE = 1e-6  # of a sampled plant: a pole below it is 0
 
 
-class ValveFindings(NamedTuple):
-    """Findings on the valve of a loop.
+class ValveFindings:
+    """Findings on the valve of a loop; what takes time is computed when it is first asked for.
+
+    Args:
+        case: the log.
+        fits: of the loop.
+        part: samples of the record.
+        odds: by word; a fault that is likelier than not moves the valve.
+        shape: width of the ellipse of PV over OP, in the range of OP.
 
     Attributes:
         fit: the valve that explains the loop best.
-        stick, jump: S and J [u].
-        position: of the valve along the record [u].
-        part: samples of the record.
         late: samples by which the plant answers late.
-        plant: linear plant behind the valve, or behind u if the valve follows; None: none settles.
-        held_out: one step ahead.
-        without: the same rms without the valve, scaled as the readings.
         regularity: of the oscillation; above 1 it is regular.
         period: of the oscillation [samples]; inf without.
-        sensitivity: |1 / (1 + C G)| about this period, beside an oscillation from outside.
-        apparent: the same if there is no such oscillation.
-        shape: width of the ellipse of PV over OP, in the range of OP.
         turns: how often u turned by more than a quarter of its range.
-        hidden: p of what a play explains beside u itself.
     """
 
-    fit: ValveFit
-    stick: Interval
-    jump: Interval
-    position: Floats
-    part: slice
-    late: int
-    plant: ChainFit | None
-    held_out: HeldOutScore
-    without: float
-    regularity: float
-    period: float
-    sensitivity: float
-    apparent: float
-    shape: float
-    turns: int
-    hidden: float
+    def __init__(
+        self, case: Case, fits: LoopFits, part: slice, odds: dict[str, float], shape: float
+    ) -> None:
+        words = ("stiction", "input_play")
+        word = max(words, key=lambda one: odds.get(one, 0.0))
+        self.fit = min(
+            (one for one in fits.valves if one.word == word), key=lambda one: one.density.bic
+        )
+        self.part = part
+        self.shape = shape
+        self.late = fits.structure.lags[0] - 1
+        self.regularity = fits.log.regularity
+        self.period = fits.log.period
+        self.turns = fits.log.turns
+        self._case = case
+        self._fits = fits
+        self._scale = fits.log.range * float(case.recorded.u_scale[0])
+        is_faulty = sum(odds.get(one, 0.0) for one in words) > 0.5
+        self._acting = self.fit.position(fits.log.u) if is_faulty else fits.log.u
+
+    @property
+    def position(self) -> Floats:
+        """Return the position of the valve along the record [u]."""
+        data, log = self._case.recorded, self._fits.log
+        mean = float(data.u[self.part, 0].mean() * data.u_scale[0])
+        return self.fit.position(log.u) * self._scale + mean
+
+    @cached_property
+    def _intervals(self) -> list[Interval]:
+        """Return S and J [u]."""
+        return [one.scale_by(self._scale) for one in self._fits.intervals(self.fit)]
+
+    @property
+    def stick(self) -> Interval:
+        """Return S [u]."""
+        return self._intervals[0]
+
+    @property
+    def jump(self) -> Interval:
+        """Return J [u]."""
+        return self._intervals[1]
+
+    @cached_property
+    def plant(self) -> ChainFit | None:
+        """Return the linear plant behind the valve, behind u if it follows; None: none settles."""
+        return _plant_behind(self._case, self._acting, self.late, self.part)
+
+    @cached_property
+    def _scores(self) -> tuple[HeldOutScore, float]:
+        """Return how readings are predicted one step ahead, and the rms behind u itself."""
+        return _score(self._case, self._fits, self._acting, self.part)
+
+    @property
+    def held_out(self) -> HeldOutScore:
+        """Return how held-out readings are predicted one step ahead."""
+        return self._scores[0]
+
+    @property
+    def without(self) -> float:
+        """Return the rms of the same without the valve, scaled as the readings."""
+        return self._scores[1]
+
+    @cached_property
+    def sensitivity(self) -> float:
+        """Return |1 / (1 + C G)| about the period, beside an oscillation from outside."""
+        return self._fits.sensitivity(self._acting, self._fits.structure.oscillation)
+
+    @cached_property
+    def apparent(self) -> float:
+        """Return the same if there is no such oscillation."""
+        return self._fits.sensitivity(self._acting)
+
+    @cached_property
+    def hidden(self) -> float:
+        """Return the p value of what a play explains beside u itself."""
+        return self._fits.chance_of_play()
 
     @property
     def swings(self) -> bool:
@@ -189,7 +247,8 @@ def ask_valve(case: Case, models: tuple[Family, ...], excluded: frozenset[str]) 
     families = _comparable_families(fits, log, models, data, part)
     shape = ellipse_width(log)
     odds = _probabilities_of_loop(families, shape, excluded)
-    return answer_by_odds(families, odds, _measure(case, fits, part, odds, shape))
+    valve = ValveFindings(case, fits, part, odds, shape)
+    return answer_by_odds(families, odds, valve)
 
 
 def answer_by_odds(
@@ -269,40 +328,6 @@ def _comparable_families(
         other = {word: one[word]._replace(numbers=one[word].numbers + RARE) for word in left}
         others.append({**other, "none": own._replace(value=own.value + behind)})
     return (family, *others)
-
-
-def _measure(
-    case: Case, fits: LoopFits, part: slice, odds: dict[str, float], shape: float
-) -> ValveFindings:
-    """Measure the valve of a loop, whatever the odds are."""
-    log, data = fits.log, case.recorded
-    words = ("stiction", "input_play")
-    word = max(words, key=lambda one: odds.get(one, 0.0))
-    fit = min((one for one in fits.valves if one.word == word), key=lambda one: one.density.bic)
-    scale = log.range * float(data.u_scale[0])
-    stick, jump = (one.scale_by(scale) for one in fits.intervals(fit))
-    is_faulty = sum(odds.get(one, 0.0) for one in words) > 0.5
-    position = fit.position(log.u)
-    acting = position if is_faulty else log.u
-    held_out, without = _score(case, fits, acting, part)
-    return ValveFindings(
-        fit=fit,
-        stick=stick,
-        jump=jump,
-        position=position * scale + float(data.u[part, 0].mean() * data.u_scale[0]),
-        part=part,
-        late=fits.structure.lags[0] - 1,
-        plant=_plant_behind(case, acting, fits.structure.lags[0] - 1, part),
-        held_out=held_out,
-        without=without,
-        regularity=log.regularity,
-        period=log.period,
-        sensitivity=fits.sensitivity(acting, fits.structure.oscillation),
-        apparent=fits.sensitivity(acting),
-        shape=shape,
-        turns=log.turns,
-        hidden=fits.chance_of_play(),
-    )
 
 
 def _score(case: Case, fits: LoopFits, v: Floats, part: slice) -> tuple[HeldOutScore, float]:
