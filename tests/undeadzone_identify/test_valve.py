@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benchmarks.names_logs import make as draw_log
 from benchmarks.valve_loops import ACCOUNTS, ValveLoop, make
 from scipy.signal import freqz, lfilter
 
@@ -19,6 +20,7 @@ from commands import undeadzone
 from undeadzone.nonlinearities.play import levels
 from undeadzone_identify.models.least_squares import CHANCE, Density
 from undeadzone_identify.models.valve import (
+    CHUNK,
     HE,
     KANO,
     LoopFits,
@@ -98,6 +100,22 @@ def test_a_missing_reading_is_left_out_of_the_regression() -> None:
     assert stick.low < loop.stick < stick.high
 
 
+@pytest.mark.parametrize("stride", [1, 3])
+@pytest.mark.parametrize("missing", [0.0, 0.02])
+def test_many_positions_are_regressed_as_each_is_alone(stride: int, missing: float) -> None:
+    """By normal equations in chunks as by orthogonal factors, also of every third sample."""
+    loop = make(1, "stiction", SIZE)
+    ok = np.random.default_rng(0).uniform(size=SIZE) >= missing
+    log = LoopLog(loop.op, loop.pv, ok, loop.sp)
+    widths = np.geomspace(0.02, 0.4, 2 * CHUNK + 1)
+    positions = valve_positions(log.u, widths, 0.4 * widths, KANO)
+    regression = log.regress(3, 40, stride)
+    squares = regression.mean_squares_of_each(positions, range(2, 7))
+    alone = [np.mean(regression.prediction_errors(v, range(2, 7)) ** 2) for v in positions.T]
+    assert squares == pytest.approx(alone, rel=1e-6)
+    assert list(regression.rows) == list(log.regress(3, 40).rows[::stride])
+
+
 SEEDS = {"stiction": 1, "dead band": 7, "tight tuning": 3, "external": 4}
 WORDS = {"tight tuning": "tight_tuning", "external": "external"}
 
@@ -145,6 +163,23 @@ def test_a_loop_in_order_is_not_a_valve(tmp_path: Path) -> None:
     assert found.verdict not in ("stiction", "input_play", "friction", "play")
     odds = found.numbers()["odds"]
     assert odds.get("stiction", 0) + odds.get("input_play", 0) < 0.5
+
+
+@pytest.mark.parametrize(("names", "word"), [("t,u,y", "operating_point"), ("t,OP,PV", "none")])
+def test_at_an_operating_point_a_loop_has_no_zone_and_a_valve_that_follows(
+    names: str, word: str, tmp_path: Path
+) -> None:
+    """Of a process its valve is asked for, of any other loop its sensor."""
+    log = draw_log(9302, "operating point")
+    last = slice(-6000, None)
+    rows = np.column_stack([log.step * np.arange(log.y.size), log.u, log.y])[last]
+    path = tmp_path / "loop.csv"
+    np.savetxt(path, rows, delimiter=",", header=names, comments="")
+    found = uz.identify(path)
+    assert found.verdict == word
+    reasons = found.answer.reasons
+    assert any("without stiction or play" in one for one in reasons)
+    assert any("operating point" in one for one in reasons) == (word == "operating_point")
 
 
 def test_a_valve_that_sticks_has_no_scenario(tmp_path: Path) -> None:

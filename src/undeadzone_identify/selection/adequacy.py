@@ -34,6 +34,7 @@ from undeadzone_identify.models.place import PlaceModel
 SHARE = 0.045  # of the innovations' variance, from which a direction is real
 OF_ONE = 0.025  # the same of a direction of a single column, "beside"
 LARGE_SHARE, PERHAPS = 0.1, 0.02  # the same for a large share, of which p may be larger
+NOTABLE_SHARE, HARDLY_BY_CHANCE = 0.05, 0.003  # and for one between both
 MOST, HARDLY = 0.5, 0.1  # and for most of the residual that is not white
 BLURS = (1.0, 2.0)  # rms of a disturbance of z, in that of a residual
 NODES = 7  # of a mean over that disturbance
@@ -120,6 +121,7 @@ class Remainder(NamedTuple):
         if self.is_most:
             return True
         is_large = self.share > LARGE_SHARE and self.chance < PERHAPS
+        is_large |= self.share > NOTABLE_SHARE and self.chance < HARDLY_BY_CHANCE
         least = OF_ONE if self.on == "beside" else SHARE
         return is_large or (self.share > least and self.chance < CHANCE)
 
@@ -190,7 +192,13 @@ def explains_more_bent(linear: FittedModel[Model], larger: FittedModel[Model]) -
     spring = _remainder("spring", linear, *(one[use] for one in (own, e, bent)))
     if spring is None or spring.chance > HARDLY:
         return False
-    return linear.density.rms * math.sqrt(1 - spring.share) < larger.density.rms
+    # By BIC: a bend has as many numbers as columns.
+    numbers = linear.model.free.size + bent.shape[1] - larger.model.free.size
+    price = numbers * math.log(len(bent)) / use.sum()
+    gain = 2 * math.log(larger.density.rms / linear.density.rms) - math.log(
+        max(1 - spring.share, 1e-12)
+    )
+    return gain > price
 
 
 def _residual_and_own(fit: FittedModel[Model]) -> tuple[Flags, Floats, Floats]:
@@ -222,6 +230,8 @@ def _blurred_readings(fit: FittedModel[Model]) -> Floats:
         return np.asarray(weights @ read)
 
     sharp = fit.model.noise_free_readings(z, fit.theta)
+    if isinstance(fit.model, ChainModel) and fit.model.shaped:  # its edges are round themselves
+        return np.empty((z.size, 0))
     return np.column_stack([mean_of(scale * fit.density.rms) - sharp for scale in BLURS])
 
 

@@ -80,12 +80,11 @@ class ValveFindings:
     def __init__(
         self, case: Case, fits: LoopFits, part: slice, odds: dict[str, float], shape: float
     ) -> None:
-        words = ("stiction", "input_play")
-        word = max(words, key=lambda one: odds.get(one, 0.0))
+        word = max(VALVE, key=lambda one: odds.get(one, 0.0))
         self.fit = min(
             (one for one in fits.valves if one.word == word), key=lambda one: one.density.bic
         )
-        self.part = part
+        self._part = part
         self.shape = shape
         self.late = fits.structure.lags[0] - 1
         self.regularity = fits.log.regularity
@@ -94,15 +93,8 @@ class ValveFindings:
         self._case = case
         self._fits = fits
         self._scale = fits.log.range * float(case.recorded.u_scale[0])
-        is_faulty = sum(odds.get(one, 0.0) for one in words) > 0.5
+        is_faulty = sum(odds.get(one, 0.0) for one in VALVE) > 0.5
         self._acting = self.fit.position(fits.log.u) if is_faulty else fits.log.u
-
-    @property
-    def position(self) -> Floats:
-        """Return the position of the valve along the record [u]."""
-        data, log = self._case.recorded, self._fits.log
-        mean = float(data.u[self.part, 0].mean() * data.u_scale[0])
-        return self.fit.position(log.u) * self._scale + mean
 
     @cached_property
     def _intervals(self) -> list[Interval]:
@@ -122,12 +114,12 @@ class ValveFindings:
     @cached_property
     def plant(self) -> ChainFit | None:
         """Return the linear plant behind the valve, behind u if it follows; None: none settles."""
-        return _plant_behind(self._case, self._acting, self.late, self.part)
+        return _plant_behind(self._case, self._acting, self.late, self._part)
 
     @cached_property
     def _scores(self) -> tuple[HeldOutScore, float]:
         """Return how readings are predicted one step ahead, and the rms behind u itself."""
-        return _score(self._case, self._fits, self._acting, self.part)
+        return _score(self._case, self._fits, self._acting, self._part)
 
     @property
     def held_out(self) -> HeldOutScore:
