@@ -43,6 +43,7 @@ SHARPEST = 1e-4  # least radius of a round edge [rms of z]
 ROUND = 0.02  # radius below which an edge is sharp [width of the zone]
 PLACES = 13  # edges of a scan for a zone of the input that is not about 0
 LATE = 0.05  # lag below which a filter is negligible [samples]
+SELDOM = 0.03  # of the samples, in which a drive of limited rate has reached its target
 NEAR_BOUND = 1e-3  # distance below which a parameter of a curve is at its bound
 STEP = 1e-5  # of z, for differences [rms of y]
 
@@ -340,8 +341,14 @@ class ChainModel:
             is_plain &= rounding < ROUND * theta[self.edges].sum()
         return "dead_zone" if is_plain else "filtered_zone"
 
-    def has_curve_at_bound(self, theta: Floats) -> bool:
-        """Return whether a parameter of the input's curve is at its bound."""
+    def is_at_bound(self, theta: Floats) -> bool:
+        """Return whether a parameter of the input's element is at the end of what it models.
+
+        A curve is at its bound. A drive that hardly ever reaches its target acts as a relay.
+        """
+        if self.element == "rate":
+            u = self.simulator.data.u[:, 0]
+            return float(np.mean(self.pass_input(u, theta) == u)) < SELDOM
         own = theta[self.inputs]
         count = self.inputs.stop - self.inputs.start
         near = np.minimum(own - self.low[:count], self.high[:count] - own) < NEAR_BOUND

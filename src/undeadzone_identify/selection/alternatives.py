@@ -935,10 +935,8 @@ def _in_numbers(case: Case, found: Findings) -> Findings:
     if one is None or not isinstance(one.model, ChainModel):
         return found
     description = one.model.in_words(one.theta, float(data.u_scale[0]), data.y_scale)
-    if word == "input_curve" and one.model.has_curve_at_bound(one.theta):
-        seen = (
-            f"the best model is at the limit of the known curves: {description}; nothing is named"
-        )
+    if one.model.is_at_bound(one.theta):
+        seen = f"the best model is at the end of what it models: {description}; nothing is named"
         return found._replace(verdict=build_verdict("unclear", seen, SEEN["input"]))
     if _may_be_neutral(one):
         reason = (
