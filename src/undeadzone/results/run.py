@@ -451,7 +451,7 @@ def _describe_verdict(verdict: Mapping[str, Any]) -> str:
     """Return the identifiability of an output's widths as text, of gears that of their gap."""
     crossings = verdict.get("crossings")
     if crossings is not None:
-        return f"yes, {count_noun(crossings, 'strike')} heard" if verdict["width"] else "NO"
+        return f"yes, {count_noun(crossings, 'strike')} detected" if verdict["width"] else "NO"
     return "yes" if all(verdict[each] for each in DIRECTIONS) else format_yes_no(verdict)
 
 

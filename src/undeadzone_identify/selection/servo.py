@@ -61,7 +61,7 @@ from undeadzone_identify.servo.predictor import DEGREES
 WITHOUT_PLAY = ("none", "friction")  # classes that exclude a play
 LINEAR = (*WITHOUT_PLAY, "operating_point")
 AT_MOTOR = (
-    "an encoder on the motor's side of the gears hears a gap only by the load behind it: where the"
+    "an encoder on the motor's side of the gears shows a gap only through the load behind it: where the"
     " encoder is there, a gap behind it is not excluded"
 )
 BURSTS = (

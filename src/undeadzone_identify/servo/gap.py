@@ -7,7 +7,7 @@ say another gap, or the errors are none of a servo's, no gap is given.
 
 Logs simulated with a fit: what the predictor makes of a gap that is known.
 
-Ticks that come early are heard with little variance, so they weigh more, and a torque that nobody
+Ticks that come early have little variance, so they weigh more, and a torque that nobody
 knows makes the gap a little too small. Logs with the plant, gap, torque and encoder of the fit show
 by how much, and how far the gap scatters.
 """

@@ -14,7 +14,7 @@ its boundary B where the level was:
     e = B + s (c + w) / 2 - z^,  w = min(|v^| dt, q),  variance P_zz + w^2 / 12 + (q / 10)^2   (S3)
 
 Where the motor turned within the sample, B + s c / 2 is its peak, and z has fallen back since.
-Between two ticks nothing is heard. A tick is a stopping time, so the errors' mean is 0 whenever it
+Between two ticks nothing is known. A tick is a stopping time, so the errors' mean is 0 whenever it
 comes.
 
 **Noise.** The output of the play is a level l with a Gaussian's moments of its own:
@@ -226,7 +226,7 @@ def tick_predictor(what: str = "all") -> lanes.Kernel:
         A kernel whose inputs are u(t), u(t - 1), ..., the side of a tick or 0, its boundary,
         whether it is a reversal, whether it is the first of a record, whether a record starts, and
         whether its error counts; whose lanes differ in `NUMBERS` and in how late the input acts.
-        Errors are of ticks alone; a free one forgets z at a reversal, so that nothing is heard of
+        Errors are of ticks alone; a free one forgets z at a reversal, so that nothing is known of
         the gap.
     """
     state = ca.SX.sym("s", MEAN + len(TRIANGLE) + 1)
