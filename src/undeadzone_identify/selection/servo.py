@@ -61,8 +61,8 @@ from undeadzone_identify.servo.predictor import DEGREES
 WITHOUT_PLAY = ("none", "friction")  # classes that exclude a play
 LINEAR = (*WITHOUT_PLAY, "operating_point")
 AT_MOTOR = (
-    "an encoder on the motor's side of the gears shows a gap only through the load behind it: where the"
-    " encoder is there, a gap behind it is not excluded"
+    "an encoder on the motor's side of the gears shows a gap only through the load behind it: if"
+    " the encoder is there, a gap behind it is not excluded"
 )
 BURSTS = (
     "what a motor leaves comes in bursts, as strikes of a load make that is free in a gap, or"
