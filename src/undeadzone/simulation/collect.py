@@ -112,11 +112,13 @@ def withdraw_vague_gaps(
         estimate: a row per sample.
     """
     ranges = problem.observer.traits.halves
-    if problem.plant.gears is None or ranges is None:
+    gears = problem.plant.gears
+    if gears is None or ranges is None:
         return verdicts
+    N = gears.joint_count
     declared = np.ptp(ranges, axis=1) / np.sqrt(3)  # of the whole gap, twice half of it
     after = []
-    for verdict, std, prior in zip(verdicts, estimate.width_std[-1], declared, strict=True):
+    for verdict, std, prior in zip(verdicts[:N], estimate.width_std[-1], declared, strict=False):
         if verdict.width and 0 < LEARNT * prior < std:
             why = (
                 f"its strikes show, yet they left it uncertain by {std:.2g}, of {prior:.2g} as it"
@@ -124,7 +126,7 @@ def withdraw_vague_gaps(
             )
             verdict = verdict.add_reasons(why, **NONE)
         after.append(verdict)
-    return after
+    return after * (len(verdicts) // N)  # of encoders at motors as of those at links
 
 
 def withhold_gaps(

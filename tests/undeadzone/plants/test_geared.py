@@ -453,7 +453,8 @@ def test_a_gap_that_strikes_left_uncertain_is_not_known(std: float, known: bool)
     """Half of it is declared as [0, 0.03]: a deviation of the whole gap of 0.0173."""
     traits = SimpleNamespace(halves=np.array([[0.0, 0.03], [0.0, 0.0]]))
     problem: Any = SimpleNamespace(
-        plant=SimpleNamespace(gears=True), observer=SimpleNamespace(traits=traits)
+        plant=SimpleNamespace(gears=SimpleNamespace(joint_count=1)),
+        observer=SimpleNamespace(traits=traits),
     )
     estimate: Any = SimpleNamespace(width_std=np.array([[0.0173, 0.0], [std, 0.0]]))
     yes = WidthIdentifiability(True, True, True, True, (), crossings=4)
@@ -461,4 +462,4 @@ def test_a_gap_that_strikes_left_uncertain_is_not_known(std: float, known: bool)
     assert gap.width == known
     assert known or "uncertain by 0.0059, of 0.017 as it was declared" in gap.reasons[0]
     assert gap.crossings == 4
-    assert encoder == yes
+    assert encoder == gap
