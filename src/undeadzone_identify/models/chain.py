@@ -441,36 +441,30 @@ def fit_chains(
     fits: list[ChainFit | None] = []
     for name, element in INPUTS.items():
         scanned = _scan_orders(plants, element)
-        fits.append(_best_order(plants, scanned, partial(_model_of, name)))
+        fits.append(_best_order(plants, scanned, partial(ChainModel, element=name)))
     linear = [scan_input(plant, PLAIN) for plant in plants]
-    taps = [np.array(f) for f in ([0.2, 0.2, 0.0, 0.0], [0.2] * TAPS)]
+    taps = [[0.2, 0.2, 0.0, 0.0], [0.2] * TAPS]
     filtered_starts = [_with_taps(row, taps) for row in linear]
-    fits.append(_best_order(plants, filtered_starts, lambda plant: ChainModel(plant, taps=TAPS)))
+    fits.append(_best_order(plants, filtered_starts, partial(ChainModel, taps=TAPS)))
     zoned = starts.plant
     widths = starts.widths
     if "dead_zone" in places:
         zone = places["dead_zone"]
         zoned = zone.theta[: layout.right]
         widths = zone.model.part_numbers(zone.theta, "sensor")
-    lag = ChainModel(starts.simulator, zone=True, lags=True)
-    points = [np.concatenate([zoned, widths, [pole]]) for pole in (0.3, 0.7)]
-    fits.append(LeastSquares(lag).fit_from_starts(points))
-    filtered = ChainModel(starts.simulator, zone=True, taps=TAPS)
-    points = [np.concatenate([zoned, widths, f]) for f in taps]
-    fits.append(LeastSquares(filtered).fit_from_starts(points))
-    shaped = None
+    zone_model = partial(ChainModel, starts.simulator, zone=True)
+    behind = [(zone_model(lags=True), [[0.3], [0.7]]), (zone_model(taps=TAPS), taps)]
     if not data.silent_zeros:  # noise ahead of a zone makes its edges round as well
-        squares = LeastSquares(ChainModel(starts.simulator, zone=True, lags=True, shaped=True))
-        shapes = [[1.0, share * widths.sum(), pole] for share, pole in ((0.02, 0.02), (0.1, 0.4))]
-        shaped = squares.fit_from_starts(
-            [np.concatenate([zoned, widths, shape]) for shape in shapes]
-        )
+        width = float(widths.sum())
+        shapes = [[1.0, 0.02 * width, 0.02], [1.0, 0.1 * width, 0.4]]
+        behind.append((zone_model(lags=True, shaped=True), shapes))
+    for model, ends in behind:
+        points = [np.concatenate([zoned, widths, end]) for end in ends]
+        fits.append(LeastSquares(model).fit_from_starts(points))
     rows = (
-        (fit.model.class_word(fit.theta), fit.density.bic, fit)
-        for fit in (*fits, shaped)
-        if fit is not None
+        (fit.model.class_word(fit.theta), fit.density.bic, fit) for fit in fits if fit is not None
     )
-    return Chains(best_of_each(rows), shaped)
+    return Chains(best_of_each(rows), None if data.silent_zeros else fits[-1])
 
 
 class Chains(NamedTuple):
@@ -485,22 +479,24 @@ class Chains(NamedTuple):
     shaped: ChainFit | None = None
 
 
-def _model_of(name: str, simulator: PlantSimulator) -> ChainModel:
-    """Return the model of a plant behind an input element of `INPUTS`."""
-    return ChainModel(simulator, name)
-
-
-def _with_taps(starts: Sequence[ScannedStart], taps: Sequence[Floats]) -> list[ScannedStart]:
+def _with_taps(starts: Sequence[ScannedStart], taps: Sequence[list[float]]) -> list[ScannedStart]:
     """Return each start point with each of several filters appended."""
     pairs = itertools.product(starts, taps)
     return [ScannedStart(start.cost, np.append(start.theta, f)) for start, f in pairs]
 
 
 class ScannedStart(NamedTuple):
-    """Start point of a fit, and the BIC of its linear plant."""
+    """Start point of a fit.
+
+    Attributes:
+        cost: BIC of its linear plant.
+        theta: the start point (P).
+        scanned: its parameters of the element.
+    """
 
     cost: float
     theta: Floats
+    scanned: tuple[float, ...] = ()
 
 
 def _scan_orders(
@@ -513,15 +509,11 @@ def _scan_orders(
         element: element of the input.
     """
     rows = list[list[ScannedStart]]()
-    before = None
-    for plant in plants:
+    for k, plant in enumerate(plants):
         tried = element
-        if before is not None and before.data is plant.data and rows[-1]:
-            own = before.layout.right
-            numbers = tuple(tuple(start.theta[own:].tolist()) for start in rows[-1])
-            tried = element._replace(scanned=numbers)
+        if k and plants[k - 1].data is plant.data and rows[-1]:
+            tried = element._replace(scanned=tuple(start.scanned for start in rows[-1]))
         rows.append(scan_input(plant, tried))
-        before = plant
     return rows
 
 
@@ -579,5 +571,5 @@ def scan_input(
         fit = fit_linear(PlantSimulator(passed, layout.n, layout.integrators), data.ok)
         theta = fit.theta[: layout.right].copy()
         theta[layout.numerators] /= scale
-        starts.append(ScannedStart(fit.bic, np.append(theta, numbers)))
+        starts.append(ScannedStart(fit.bic, np.append(theta, numbers), numbers))
     return sorted(starts, key=lambda start: start.cost)[:count]

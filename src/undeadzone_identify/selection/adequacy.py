@@ -220,19 +220,14 @@ def _blurred_readings(fit: FittedModel[Model]) -> Floats:
     It rounds the corners of a zone or of limits. What is left shows its rms only where the sensor
     passes it on, so that larger ones are tried as well.
     """
-    z = fit.model.output(fit.theta)
-    nodes, weights = hermegauss(NODES)
-    weights /= weights.sum()
-
-    def mean_of(blur: float) -> Floats:
-        """Return the mean readings with a Gaussian disturbance of this rms (N)."""
-        read = [fit.model.noise_free_readings(z + blur * node, fit.theta) for node in nodes]
-        return np.asarray(weights @ read)
-
-    sharp = fit.model.noise_free_readings(z, fit.theta)
-    if isinstance(fit.model, ChainModel) and fit.model.shaped:  # its edges are round themselves
+    model, z = fit.model, fit.model.output(fit.theta)
+    if isinstance(model, ChainModel) and model.shaped:  # its edges are round themselves
         return np.empty((z.size, 0))
-    return np.column_stack([mean_of(scale * fit.density.rms) - sharp for scale in BLURS])
+    nodes, weights = hermegauss(NODES)
+    moved = z + fit.density.rms * np.multiply.outer(BLURS, nodes)[..., None]
+    read = [[model.noise_free_readings(one, fit.theta) for one in row] for row in moved]
+    blurred = weights / weights.sum() @ np.array(read)
+    return np.asarray(blurred - model.noise_free_readings(z, fit.theta)).T
 
 
 def _centre(columns: Floats, ok: Flags) -> Floats:
