@@ -83,7 +83,11 @@ from undeadzone_identify.selection.decision import (
     build_verdict,
     withdraw_zone_with_offset,
 )
-from undeadzone_identify.selection.delays import drop_unvisited_edges, fit_with_delay
+from undeadzone_identify.selection.delays import (
+    delay_fits,
+    drop_unvisited_edges,
+    fit_with_delay,
+)
 from undeadzone_identify.selection.location import find_zone_locations
 from undeadzone_identify.selection.lost_motion import (
     find_lost_motion,
@@ -429,8 +433,7 @@ def _fit_zone_and_maps(grid: Grid, options: Options, advance: Callable[[int], No
     maps = {}  # behind plants of each order, on the readings as they are
     least, jump_gains = math.inf, True  # a jump takes the longest to fit: while an order gains
     for n, one in sorted(fits.items()):
-        raw = _fit_of_raw_readings(fitted.prepared, refit_busiest_part(one.singles))
-        maps[n] = fit_maps(raw, jump_gains)
+        maps[n] = fit_maps(_raw_part(fitted.prepared, one), jump_gains)
         if jump_gains:
             bic = maps[n]["jump"].density.bic
             least, jump_gains = bic, bic < least
@@ -438,6 +441,11 @@ def _fit_zone_and_maps(grid: Grid, options: Options, advance: Callable[[int], No
     if prepared.ends.has_ends and prepared.jumps is None:
         limited = _fit_limits(grid, fitted.prepared)
     suited = min(maps, key=lambda n: min(one.density.bic for one in maps[n].values()))
+    found = [*maps.values()]
+    if fitted.delay and options.delay == "auto":  # of a zone: a curve need not be late
+        (early,) = delay_fits([fits[suited]], -fitted.delay)
+        curves = fit_maps(_raw_part(fitted.prepared, early), may_jump=False)
+        found.append({word: curves[word] for word in ("saturation", "other") if word in curves})
     advance(1)
     return Case(
         grid=grid,
@@ -447,7 +455,7 @@ def _fit_zone_and_maps(grid: Grid, options: Options, advance: Callable[[int], No
         fitted=fitted,
         chosen=chosen,
         no_zone=no_zone,
-        maps=best_maps(itertools.chain(*(one.values() for one in maps.values()))),
+        maps=best_maps(itertools.chain(*(one.values() for one in found))),
         limited=limited,
         suited=fits[suited],
         advance=advance,
@@ -482,8 +490,9 @@ def _polish_order(chosen: orders.OrderFit) -> orders.OrderFit:
     return chosen._replace(singles=singles, pairs=pairs)
 
 
-def _fit_of_raw_readings(prepared: PreparedLog, fit: ZoneFit) -> ZoneFit:
-    """Return the fit with the raw readings of a jump sensor, the edges not subtracted."""
+def _raw_part(prepared: PreparedLog, one: orders.OrderFit) -> ZoneFit:
+    """Return the fit of an order to the busiest part, with the raw readings of a jump sensor."""
+    fit = refit_busiest_part(one.singles)
     if prepared.jumps is None:
         return fit
     data = fit.objective.data
@@ -528,7 +537,7 @@ def _needs_zone_location(case: Case, found: Findings) -> bool:
 def _add_zone_locations(case: Case, found: Findings) -> Findings:
     """Add models of friction, of a zone of the input, and of two zones."""
     fit = refit_longest_record(case.suited.pairs)
-    places = find_zone_locations(fit, case.quantum)
+    places = find_zone_locations(fit, case.quantum, case.fitted.prepared.orders)
     if "none" not in places:  # no plant alone settles within the record: nothing to compare with
         return found
     recorded = longest_record_of(case.recorded)

@@ -482,7 +482,7 @@ def _start_maps(fit: ZoneFit) -> list[MapStarts]:
         ("saturation", saturation_map, [(linear, 1.2, limits), (linear, 2.0, limits)]),
         ("saturation", limited_zone_map, [(fit, 1.0, [*widths, *limits])]),
         ("other", absolute_map, [(linear, 3.0, [0.0, 0.0]), (fit, 1.0, kink)]),
-        ("other", cubic_map, [(linear, 1.0, [0.0, 0.0])]),
+        ("other", cubic_map, [(linear, 1.0, [0.0, 0.0]), (linear, 0.5, [0.0, 1.0])]),
     ]
     jumps = [(linear, 1.0, widths), (linear, 1.1, mean_width), (fit, 0.8, widths)]
     blurs = [max(share * fit.disturbance_rms, LEAST_BLUR) for share in BLURS]

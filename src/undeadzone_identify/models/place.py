@@ -39,6 +39,7 @@ from undeadzone_identify.models.zone_fit import (
 )
 
 WIDTH = 32
+ADDED = (0.5, 0.8)  # poles that stand on a zero where a plant of the next order begins
 RUN_AWAY = 1e6  # bound of z, which keeps an unstable trial finite
 # Places of the element's parameters behind those of the plant; c_1 to c_n follow.
 PARTS = {"sensor": slice(0, 2), "inner": slice(2, 4), "sigma": slice(4, 5), "input": slice(5, 7)}
@@ -275,6 +276,25 @@ def fit_place(
 ) -> PlaceFit | None:
     """Fit a model from several start points; return the best fit, None if none is admissible."""
     return LeastSquares(PlaceModel(simulator, shape)).fit_from_starts(starts)
+
+
+def raise_order(fit: PlaceFit) -> PlaceFit | None:
+    """Fit a model without friction with a plant of the next order; None if no fit is admissible.
+
+    It begins at the same plant, with one more pole on a zero.
+
+    Args:
+        fit: of a plant of one input.
+    """
+    old, theta = fit.model, fit.theta
+    simulator = old.simulator
+    following = PlantSimulator(simulator.data, old.n + 1, simulator.layout.integrators)
+    a, b, *records = theta[: old.base].reshape(-1, old.n)  # states at the start of each record
+    starts = []
+    for pole in ADDED:
+        parts = [np.convolve(part, [1.0, -pole]) for part in (np.append(1.0, a), b, *records)]
+        starts.append(np.hstack([*parts, theta[old.base :], 0.0])[1:])
+    return fit_place(following, old.shape, starts)
 
 
 # --- Start points

@@ -714,10 +714,16 @@ def add_named_element(case: Case, found: Findings) -> Findings:
 
 
 def _records_of(case: Case, fit: FittedModel[Any]) -> plant.RecordData:
-    """Return the records whose longest was fitted: as shifted, or as they were recorded."""
-    own, shifted = fit.squares.data.u, plant.longest_record_of(case.record_data).u
-    is_recorded = own.shape == shifted.shape and not np.array_equal(own, shifted)
-    return case.recorded if is_recorded else case.record_data
+    """Return the records of which a part was fitted: as shifted, or as they were recorded."""
+    own = fit.squares.data.u
+
+    def distance(whole: plant.RecordData) -> float:
+        """Return how far the inputs of its parts are from those of the fit, scaled."""
+        parts = (plant.longest_record_of(whole).u, plant.busiest_stretches(whole).u)
+        apart = (float(np.abs(u - own).sum()) for u in parts if u.shape == own.shape)
+        return min(apart, default=math.inf)
+
+    return min((case.record_data, case.recorded), key=distance)
 
 
 def measure_word(

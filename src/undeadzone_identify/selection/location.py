@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 from undeadzone.util.arrays import Floats
 from undeadzone_identify.models.chain import VANISHING
 from undeadzone_identify.models.elements import best_of_each
-from undeadzone_identify.models.place import WIDTHS, PlaceFit, PlaceShape, PlaceStarts, fit_place
+from undeadzone_identify.models.place import (
+    WIDTHS,
+    PlaceFit,
+    PlaceShape,
+    PlaceStarts,
+    fit_place,
+    raise_order,
+)
 from undeadzone_identify.models.zone_fit import ZoneFit
 
 WORDS = {  # by the parts of a model that do not vanish
@@ -19,15 +28,29 @@ WORDS = {  # by the parts of a model that do not vanish
 STEPS = 1.5  # quanta of rounded readings, below which a zone may be their own
 
 
-def find_zone_locations(fit: ZoneFit, quantum: float) -> dict[str, PlaceFit]:
+def find_zone_locations(
+    fit: ZoneFit, quantum: float, orders: Collection[int] = ()
+) -> dict[str, PlaceFit]:
     """Find the best model of each location of the zone, by the verdict's class.
+
+    The order of the plant is that behind the input itself. If a zone of the input leads, higher
+    orders are tried behind it.
 
     Args:
         fit: plant and sensor zone, one record.
         quantum: of the readings, scaled.
+        orders: of plants for which the log has enough samples.
     """
     fits = filter(lambda one: not _is_rounding_zone(one, quantum), _fit_all_locations(fit).values())
-    return best_of_each((_word_of(one), one.density.bic, one) for one in fits)
+    found = best_of_each((_word_of(one), one.density.bic, one) for one in fits)
+    top: PlaceFit | None = min(found.values(), key=lambda one: one.density.bic)
+    while top is not None and top.model.shape.input and top.model.n + 1 in orders:
+        word, bic = _word_of(top), top.density.bic
+        top = raise_order(top)
+        if top is None or top.density.bic > bic or _word_of(top) != word:
+            break
+        found[word] = top
+    return found
 
 
 def _word_of(one: PlaceFit) -> str:
