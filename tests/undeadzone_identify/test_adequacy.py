@@ -157,6 +157,31 @@ def test_a_disturbance_ahead_of_a_zone_is_no_curve(truth: str, seed: int) -> Non
     assert max(left[on].share for on in ("output", "behind")) < 0.02
 
 
+def test_the_order_behind_two_zones_is_not_that_of_a_zone_of_the_sensor() -> None:
+    """Static maps hold no zone of the input: with theirs a third lag of the plant was left."""
+    log = make(9501, "sensor and input")
+    answer = identify_log(log.u[:3000], log.y[:3000])
+    assert answer.verdict == "two_zones"
+    places = answer.answer.found.places
+    assert places["two_zones"].model.n > places["dead_zone"].model.n
+    assert all(one.share < 0.02 for one in answer.answer.found.remainders)
+
+
+def test_a_curve_of_the_sensor_is_not_late_by_the_delay_of_a_zone() -> None:
+    """In a loop a zone's model is late by a sample. What is left is the encoder's rounding."""
+    log = make(9308, "cubic")
+    answer = identify_log(log.u[:2500], log.y[:2500])
+    assert answer.verdict == "other"
+    assert answer.answer.found.delay == 0
+    assert answer.numbers()["held_out"]["error"] == pytest.approx(0.03 / np.sqrt(12), rel=0.1)
+
+
+def test_a_strong_curve_is_found_beside_its_line() -> None:
+    """From a line alone the climb ended beside the top: 12 % were left."""
+    log = make(9513, "cubic")
+    assert identify_log(log.u, log.y).verdict == "other"
+
+
 def test_friction_in_a_short_log_is_no_plant_that_bends() -> None:
     """Three numbers of a bend leave as little as two of friction."""
     log = make(9301, "friction")
@@ -509,6 +534,7 @@ def test_rounded_readings_are_not_those_of_a_recorder(quantum: float) -> None:
         ("friction", "output", 0.09, False),
         ("friction", "turns of the output", 0.05, False),
         ("friction", "turns of the output", 0.15, True),
+        ("friction", "rate of the input", 0.06, False),
         ("input_zone", "beside", 0.03, True),
         ("input_zone", "beside", 0.02, False),
         ("input_zone", "rate of the output", 0.04, False),
