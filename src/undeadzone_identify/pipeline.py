@@ -88,7 +88,7 @@ from undeadzone_identify.selection.delays import (
     drop_unvisited_edges,
     fit_with_delay,
 )
-from undeadzone_identify.selection.location import find_zone_locations
+from undeadzone_identify.selection.location import find_zone_locations, is_rounding_play
 from undeadzone_identify.selection.lost_motion import (
     find_lost_motion,
     is_motor_position,
@@ -542,9 +542,12 @@ def _add_zone_locations(case: Case, found: Findings) -> Findings:
         return found
     recorded = longest_record_of(case.recorded)
     chains = fit_chains(fit, places, recorded, case.fitted.prepared.orders)
-    models: dict[str, Any] = {**places, **chains.by_word}
+    by_word = {
+        word: one for word, one in chains.by_word.items() if not is_rounding_play(one, case.quantum)
+    }
+    models: dict[str, Any] = {**places, **by_word}
     rows = [(word, one.density.bic, one.density) for word, one in models.items()]
-    found = found._replace(places=places, chains=chains.by_word, shaped=chains.shaped)
+    found = found._replace(places=places, chains=by_word, shaped=chains.shaped)
     return found.add_models(case, best_of_each(rows))
 
 

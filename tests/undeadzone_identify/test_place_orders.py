@@ -1,4 +1,4 @@
-"""A plant of the next order, between zones, begins where the plant of this order ends."""
+"""Elements of the input: the order of the plant behind them, and what rounding makes of them."""
 
 from __future__ import annotations
 
@@ -8,8 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
+from undeadzone_identify.models.chain import ChainFit, ChainModel
+from undeadzone_identify.models.least_squares import LeastSquares
 from undeadzone_identify.models.place import PlaceModel, PlaceShape, fit_place, raise_order
 from undeadzone_identify.models.plant import PlantSimulator, RecordData
+from undeadzone_identify.selection.location import is_rounding_play
 
 SIZE = 400
 
@@ -71,3 +74,17 @@ def test_a_plant_of_the_next_order_is_not_worse() -> None:
     assert second is not None
     assert second.density.rms < 1.001 * first.density.rms
     assert second.density.bic > first.density.bic
+
+
+@pytest.mark.parametrize(("gap", "is_rounding"), [(0.02, True), (0.025, False)])
+def test_a_play_that_moves_less_than_a_rounded_reading_is_rounding(
+    gap: float, is_rounding: bool
+) -> None:
+    """A loop around an encoder at an operating point had a play of 0.013 with odds of 1.00."""
+    data = records(np.random.default_rng(3), [0.9], 0.01)
+    squares = LeastSquares(ChainModel(PlantSimulator(data, 1), "play"))
+    theta = np.zeros(squares.model.filter.stop)
+    theta[:2] = -0.9, 0.2  # a gain of 2: 1.5 quanta are 0.0225 of the input
+    theta[squares.model.inputs] = gap
+    fit = ChainFit(squares, theta, squares.autoregressive_density(theta))
+    assert is_rounding_play(fit, 0.03) == is_rounding

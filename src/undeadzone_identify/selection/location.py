@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 
 from undeadzone.util.arrays import Floats
-from undeadzone_identify.models.chain import VANISHING
+from undeadzone_identify.models.chain import VANISHING, ChainFit
 from undeadzone_identify.models.elements import best_of_each
 from undeadzone_identify.models.place import (
     WIDTHS,
@@ -68,6 +68,20 @@ def _is_rounding_zone(one: PlaceFit, quantum: float) -> bool:
     """Return whether rounding explains the sensor zone of a model with a second zone."""
     shape, sensor = one.model.shape, one.model.part_numbers(one.theta, "sensor")
     return bool(shape.sensor and (shape.input or shape.inner) and sensor.sum() < STEPS * quantum)
+
+
+def is_rounding_play(one: ChainFit, quantum: float) -> bool:
+    """Return whether rounding of the readings explains a play of the input.
+
+    In a loop the input has steps of a rounded reading. A play takes them off.
+
+    Args:
+        one: fit of a chain.
+        quantum: of the readings, scaled.
+    """
+    gap = float(one.theta[one.model.inputs].sum())
+    moved = gap * abs(float(one.model.simulator.dc_gain(one.theta)[0]))
+    return one.model.element == "play" and moved < STEPS * quantum
 
 
 def _fit_all_locations(fit: ZoneFit) -> dict[str, PlaceFit]:
