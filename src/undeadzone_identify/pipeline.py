@@ -35,6 +35,7 @@ from undeadzone_identify.models.elements import (
     best_of_each,
     fit_limits,
     fit_maps,
+    has_strong_curve,
 )
 from undeadzone_identify.models.estimates import CachedMaxima, array_digest
 from undeadzone_identify.models.kalman_fit import fit_kalman
@@ -442,10 +443,11 @@ def _fit_zone_and_maps(grid: Grid, options: Options, advance: Callable[[int], No
         limited = _fit_limits(grid, fitted.prepared)
     suited = min(maps, key=lambda n: min(one.density.bic for one in maps[n].values()))
     found = [*maps.values()]
-    if fitted.delay and options.delay == "auto":  # of a zone: a curve need not be late
+    if fitted.delay and options.delay == "auto":  # of a zone, which a strong curve misleads
         (early,) = delay_fits([fits[suited]], -fitted.delay)
-        curves = fit_maps(_raw_part(fitted.prepared, early), may_jump=False)
-        found.append({word: curves[word] for word in ("saturation", "other") if word in curves})
+        rivals = fit_maps(_raw_part(fitted.prepared, early), may_jump=False)
+        if has_strong_curve(rivals):
+            found.append(rivals)
     advance(1)
     return Case(
         grid=grid,

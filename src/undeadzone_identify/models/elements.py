@@ -8,7 +8,7 @@ only the sum of both centres is identifiable. A static map reads y = g(z).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import TypeVar
 
@@ -26,6 +26,7 @@ from undeadzone_identify.models.zone_fit import ZoneFit, fit_linear, widths_abou
 HALVES = (0.15, 0.5, 1.0)  # start values of the half gap [rms of y]
 LOUDER = 1.1  # start value of the gain behind a play, over that of a linear fit
 GAINS = (1.0, 1.2, 2.0)  # start values of the gain ahead of limits, over that of a linear fit
+STRONG = 0.5  # rms that a strong curve leaves, over that of a line
 FAR_LIMIT = 1.5  # of the largest reading: start value of a limit that no reading reaches
 INSIDE = 0.999  # of a limit: readings below it
 BLURS = (1.0, 0.3, 0.1)  # rms of the noise ahead of a map [rms of the disturbance of z]
@@ -207,7 +208,10 @@ def _start_gaps(model: PlayModel) -> list[Floats]:
 
 
 def _start_point(
-    model: PlayModel | MapModel, plant: ZoneFit, gain: float, p: Sequence[float]
+    model: PlayModel | MapModel,
+    plant: ZoneFit | FittedModel[MapModel],
+    gain: float,
+    p: Sequence[float],
 ) -> Floats:
     """Return a start point (P): a plant with a gain factor, then the element's parameters p."""
     theta = np.append(plant.theta[: model.base], p)
@@ -411,7 +415,25 @@ def fit_maps(fit: ZoneFit, may_jump: bool = True) -> dict[str, FittedModel[MapMo
         breaks = BREAKS if has_edge else 0
         numbers = fitted.density.numbers + breaks
         fits.append(fitted._replace(density=fitted.density._replace(numbers=numbers)))
-    return best_maps(fits)
+    maps = best_maps(fits)
+    return maps if not has_strong_curve(maps) else best_maps([*fits, *_fit_from_strong(maps)])
+
+
+def has_strong_curve(maps: Mapping[str, FittedModel[MapModel]]) -> bool:
+    """Return whether another curve of the sensor leaves far less than a line.
+
+    Args:
+        maps: fits by class.
+    """
+    return maps["other"].density.rms < STRONG * maps["none"].density.rms
+
+
+def _fit_from_strong(maps: Mapping[str, FittedModel[MapModel]]) -> list[FittedModel[MapModel]]:
+    """Return the fit of a cubic from a strong one; beside a line a climb may end before it."""
+    line = maps["none"]
+    squares = LeastSquares(MapModel(line.model.simulator, "other", cubic_map))
+    fitted = squares.fit_from_starts([_start_point(squares.model, line, 0.5, [0.0, 1.0])])
+    return [] if fitted is None else [fitted]
 
 
 def fit_limits(
@@ -482,7 +504,7 @@ def _start_maps(fit: ZoneFit) -> list[MapStarts]:
         ("saturation", saturation_map, [(linear, 1.2, limits), (linear, 2.0, limits)]),
         ("saturation", limited_zone_map, [(fit, 1.0, [*widths, *limits])]),
         ("other", absolute_map, [(linear, 3.0, [0.0, 0.0]), (fit, 1.0, kink)]),
-        ("other", cubic_map, [(linear, 1.0, [0.0, 0.0]), (linear, 0.5, [0.0, 1.0])]),
+        ("other", cubic_map, [(linear, 1.0, [0.0, 0.0])]),
     ]
     jumps = [(linear, 1.0, widths), (linear, 1.1, mean_width), (fit, 0.8, widths)]
     blurs = [max(share * fit.disturbance_rms, LEAST_BLUR) for share in BLURS]

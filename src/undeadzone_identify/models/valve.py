@@ -561,20 +561,21 @@ class LoopLog:
             rounds: number of refinements about the best pairs, by all readings.
         """
         is_play = not pairs[:, 1].any()
-        best = self._best_pairs(structure, account, pairs, self.coarse_stride)[:TOPS]
+        tops = self._rank_pairs(structure, account, pairs, self.coarse_stride)[:TOPS]
+        best = self._rank_pairs(structure, account, np.array(tops)[:, 1:], 1)
         for k in range(rounds):
             width = 0.09 / 2.5**k
             moves = itertools.product(
                 best, width * np.linspace(-1, 1, 7), width * np.linspace(-2, 2, 1 if is_play else 5)
             )
-            pairs = np.array([_shift_pair(*pair, a, b, is_play) for pair, a, b in moves])
-            best = self._best_pairs(structure, account, pairs, 1)[:3]
-        return best[0]
+            pairs = np.array([_shift_pair(s, j, a, b, is_play) for (_, s, j), a, b in moves])
+            best = sorted(best + self._rank_pairs(structure, account, pairs, 1))[:3]
+        return best[0][1:]
 
-    def _best_pairs(
+    def _rank_pairs(
         self, structure: Structure, account: str, pairs: Floats, stride: int
-    ) -> list[tuple[float, float]]:
-        """Return pairs of S and J (K), that of the least squared prediction errors first.
+    ) -> list[tuple[float, float, float]]:
+        """Return mean squared errors with pairs of S and J, the least error first (K).
 
         Args:
             structure: order and delay of the regression.
@@ -585,7 +586,7 @@ class LoopLog:
         v = valve_positions(self.u, pairs[:, 0], pairs[:, 1], account)
         regression = self.regress(structure.order, structure.first, stride)
         squares = regression.mean_squares_of_each(v, structure.lags)
-        return [(s, j) for _, s, j in sorted(np.column_stack([squares, pairs]).tolist())]
+        return sorted(zip(squares.tolist(), *pairs.T.tolist(), strict=True))
 
 
 def _shift_pair(

@@ -36,7 +36,7 @@ OF_ONE = 0.025  # the same of a direction of a single column, "beside"
 LARGE_SHARE, PERHAPS = 0.1, 0.02  # the same for a large share, of which p may be larger
 NOTABLE_SHARE, HARDLY_BY_CHANCE = 0.05, 0.003  # and for one between both
 MOST, HARDLY = 0.5, 0.1  # and for most of the residual that is not white
-BLURS = (1.0, 2.0)  # rms of a disturbance of z, in that of a residual
+BLURRED = 0.2  # largest rms of a residual that may be a disturbance of z [rms of the readings]
 NODES = 7  # of a mean over that disturbance
 BEGIN = 12  # samples of a record whose innovations lack a past
 AT_INPUT, AT_SENSOR = 7, 8  # hat functions of the input, and of z
@@ -215,19 +215,18 @@ def _residual_and_own(fit: FittedModel[Model]) -> tuple[Flags, Floats, Floats]:
 
 
 def _blurred_readings(fit: FittedModel[Model]) -> Floats:
-    """Return by how much a disturbance of z changes the mean readings of a bent sensor (N x K).
+    """Return by how much a disturbance of z changes the mean readings of a bent sensor (N x 1).
 
-    It rounds the corners of a zone or of limits. What is left shows its rms only where the sensor
-    passes it on, so that larger ones are tried as well.
+    It rounds the corners of a zone or of limits. There is no column if the edges of the model are
+    round themselves, or if it leaves more of the readings than a disturbance would.
     """
-    model, z = fit.model, fit.model.output(fit.theta)
-    if isinstance(model, ChainModel) and model.shaped:  # its edges are round themselves
+    model, z, rms = fit.model, fit.model.output(fit.theta), fit.density.rms
+    if rms > BLURRED or (isinstance(model, ChainModel) and model.shaped):
         return np.empty((z.size, 0))
     nodes, weights = hermegauss(NODES)
-    moved = z + fit.density.rms * np.multiply.outer(BLURS, nodes)[..., None]
-    read = [[model.noise_free_readings(one, fit.theta) for one in row] for row in moved]
+    read = [model.noise_free_readings(z + rms * node, fit.theta) for node in nodes]
     blurred = weights / weights.sum() @ np.array(read)
-    return np.asarray(blurred - model.noise_free_readings(z, fit.theta)).T
+    return np.asarray(blurred - model.noise_free_readings(z, fit.theta))[:, None]
 
 
 def _centre(columns: Floats, ok: Flags) -> Floats:
