@@ -451,8 +451,23 @@ def test_a_plant_that_integrates_is_neither_play_nor_friction() -> None:
 
 
 def test_a_play_that_held_out_data_may_owe_to_chance_is_undecided() -> None:
-    """An encoder's steps of 0.03 pass for a play of 0.014 with odds of 0.99."""
-    log = make_named_log(8605, "operating point")
+    """One-step errors prefer the play ahead of a zone, held-out blocks hardly."""
+    log = make_named_log(9806, "play and zone")
     found = uz.identify(t=log.step, u=log.u, y=log.y)
     assert found.verdict == "undecided"
     assert "by chance, perhaps" in found.answer.reasons[0]
+
+
+@pytest.mark.parametrize(("truth", "seed"), [("sensor and input", 9818), ("play and zone", 9619)])
+def test_a_zone_is_not_named_for_a_larger_model_with_other_widths(truth: str, seed: int) -> None:
+    """A zone of the input was not excluded, and the sensor's alone had odds above 0.99."""
+    log = make_named_log(seed, truth)
+    found = uz.identify(t=log.step, u=log.u, y=log.y)
+    assert found.verdict in ("undecided", "unclear")
+
+
+def test_the_steps_of_an_encoder_are_no_play() -> None:
+    """An encoder's steps of 0.03 pass for a play of 0.014 with odds of 0.99."""
+    log = make_named_log(8605, "operating point")
+    found = uz.identify(t=log.step, u=log.u, y=log.y)
+    assert found.verdict == "operating_point"

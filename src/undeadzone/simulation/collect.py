@@ -47,7 +47,7 @@ from undeadzone.util import toml
 from undeadzone.util.arrays import Floats
 from undeadzone.util.earlier import SCHEMA
 
-LEARNT = 1 / 3  # of the declared deviation, above which a gap is not known
+LEARNT = 1 / 5  # of the declared deviation, above which a gap is not known
 
 
 def verdicts_of_run(problem: Problem, signal: Outputs) -> list[WidthIdentifiability]:

@@ -248,7 +248,7 @@ def classify_by_probabilities(
         other = _find_unclear(case, word, best, fits) or _verdict_at_range_ends(case, word, odds)
     if other is not None:
         return other
-    more = list(filter(lambda one: odds.get(one, 0.0) > UNLIKELY, LARGER.get(word, ())))
+    more = [one for one in LARGER.get(word, ()) if odds.get(one, 0.0) > UNLIKELY]
     sure = sum(odds.get(one, 0.0) for one in (word, *more))
     in_loop = word == "none" and sure < LIKELY_IN_LOOP and detect_feedback(case).is_closed
     if (sure < LIKELY or in_loop) and not (word == case.options.kind == "play"):
@@ -291,14 +291,16 @@ def _most_probable_word(odds: dict[str, float]) -> str:
     """Return the likeliest class; without a clear leader, a simpler class that larger models
     contain.
 
-    Beside a zone of the input that leads, the sensor's alone has other widths; a small play in
-    front of it changes them little.
+    Beside a zone of the input that leads, or that is not excluded beside another leader, the
+    sensor's alone has other widths; a small play in front of it changes them little.
     """
     first = next(iter(odds))
     if first == "two_zones" or (first != "zone_and_friction" and odds[first] >= LIKELY):
         return first
     for word, more in LARGER.items():
         held = sum(odds.get(one, 0.0) for one in (word, *more))
+        if word == "dead_zone" and odds.get("two_zones", 0.0) > UNLIKELY:
+            continue
         if held >= LIKELY and (first == "zone_and_friction" or odds.get(word, 0.0) > UNLIKELY):
             return word
     return first

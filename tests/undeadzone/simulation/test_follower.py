@@ -346,6 +346,7 @@ def stopped(self, *arguments):
 
 Follower._count = stopped
 signal.signal(signal.SIGINT, signal.default_int_handler)
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # under nohup a process inherits SIG_IGN
 main()
 """
 

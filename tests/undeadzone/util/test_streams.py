@@ -70,6 +70,11 @@ def test_every_line_comes_through_a_pipe_that_does_not_block(scenario: Path) -> 
     assert len({line.count(b",") for line in lines}) == 1
 
 
+def stop_ignoring_hangup() -> None:
+    """Undo `nohup`, under which a process inherits that it ignores SIGHUP."""
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+
 def test_a_pause_on_stdin_is_no_end_and_a_hangup_saves(scenario: Path) -> None:
     state = scenario.with_name("state.npz")
     reading, writing = os.pipe()
@@ -79,6 +84,7 @@ def test_a_pause_on_stdin_is_no_end_and_a_hangup_saves(scenario: Path) -> None:
         stdin=reading,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
+        preexec_fn=stop_ignoring_hangup,
     ) as process:
         os.close(reading)
         assert process.stdout is not None
