@@ -416,7 +416,9 @@ def fit_maps(fit: ZoneFit, may_jump: bool = True) -> dict[str, FittedModel[MapMo
         numbers = fitted.density.numbers + breaks
         fits.append(fitted._replace(density=fitted.density._replace(numbers=numbers)))
     maps = best_maps(fits)
-    return maps if not has_strong_curve(maps) else best_maps([*fits, *_fit_from_strong(maps)])
+    if has_strong_curve(maps):
+        maps = best_maps([*fits, *_fit_from_strong(maps)])
+    return maps
 
 
 def has_strong_curve(maps: Mapping[str, FittedModel[MapModel]]) -> bool:

@@ -217,8 +217,8 @@ def _residual_and_own(fit: FittedModel[Model]) -> tuple[Flags, Floats, Floats]:
 def _blurred_readings(fit: FittedModel[Model]) -> Floats:
     """Return by how much a disturbance of z changes the mean readings of a bent sensor (N x 1).
 
-    It rounds the corners of a zone or of limits. There is no column if the edges of the model are
-    round themselves, or if it leaves more of the readings than a disturbance would.
+    A disturbance rounds the corners of a zone or of limits in the mean. There is no column for a
+    model whose edges are round, or whose residual is larger than that of a disturbance.
     """
     model, z, rms = fit.model, fit.model.output(fit.theta), fit.density.rms
     if rms > BLURRED or (isinstance(model, ChainModel) and model.shaped):

@@ -298,9 +298,9 @@ def _most_probable_word(odds: dict[str, float]) -> str:
     if first == "two_zones" or (first != "zone_and_friction" and odds[first] >= LIKELY):
         return first
     for word, more in LARGER.items():
-        held = sum(odds.get(one, 0.0) for one in (word, *more))
         if word == "dead_zone" and odds.get("two_zones", 0.0) > UNLIKELY:
             continue
+        held = sum(odds.get(one, 0.0) for one in (word, *more))
         if held >= LIKELY and (first == "zone_and_friction" or odds.get(word, 0.0) > UNLIKELY):
             return word
     return first
