@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import casadi as ca
 import numpy as np
 
 from undeadzone.controllers.parts.tracked_error import require_square, select_tracked_output
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate
+from undeadzone.numerics.clip import clip
 from undeadzone.plants.system import System
 from undeadzone.registry import Options
 from undeadzone.util.arrays import (
@@ -87,7 +87,7 @@ class PID(Options, frozen=True, kw_only=True, tag="pid"):
                 unsaturated = unsaturated + target.u_ff
             u = unsaturated
             if limited:
-                u = ca.fmax(ca.fmin(unsaturated, p.high), p.low)
+                u = clip(unsaturated, p.low, p.high)
             integral_change = p.k_i * (target.r - z) + p.unwind * (u - unsaturated)
             filtered = model.keep * s.filtered + p.rate * lag
             return State(filtered, model.keep * s.integral + integral_change), u

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 
 import casadi as ca
 
+from undeadzone.numerics.clip import clip
 from undeadzone.numerics.runge_kutta import hermite, hermite_slope, rk4
 
 NEWTON = 4  # iterations
@@ -389,9 +390,9 @@ def _solve_crossing(arc: DenseStep, course: _OutputPath, crossing: Crossing) -> 
     part = ca.sqrt(ca.fmax((course.peak - level) / (course.peak - end), 0.0))
     parabola = ca.if_else(before, turn * (1.0 - part), turn + (1.0 - turn) * part)
     line = (level - z0) / (z1 - z0)
-    c = _clamp_between(ca.if_else(turns, parabola, line), low, high)
+    c = clip(ca.if_else(turns, parabola, line), low, high)
     for _ in range(NEWTON):
-        c = _clamp_between(c - (arc.output(c) - level) / arc.slope(c), low, high)
+        c = clip(c - (arc.output(c) - level) / arc.slope(c), low, high)
     return c
 
 
@@ -406,10 +407,5 @@ def _find_slope_zero(slope: Callable[[Any], ca.SX], s0: ca.SX, s1: ca.SX) -> ca.
         settled = now == after
         before = c
         after = now
-        c = ca.if_else(settled, c, _clamp_between(moved, 0.0, 1.0))
+        c = ca.if_else(settled, c, clip(moved, 0.0, 1.0))
     return c
-
-
-def _clamp_between(c: ca.SX, low: Any, high: Any) -> ca.SX:
-    """Return c limited to the range from low to high."""
-    return ca.fmin(ca.fmax(c, low), high)

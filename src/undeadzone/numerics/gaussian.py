@@ -13,6 +13,8 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
+from undeadzone.numerics.clip import clip
+
 CLIP = 30.0  # standard deviations beyond which all readings are alike: all of them are wrong
 DEEP = 5.0  # standard deviations below which probabilities follow their asymptotes
 NARROW = 1e-6  # least chance of an interval, over that of its nearer end
@@ -339,7 +341,7 @@ def update_with_gain(
     if odds is None:
         after = _shift_estimate(belief, K, e, S, 0.0, R, use, shift)
         return RobustUpdate(after, e, std, ca.SX(1.0), 1.0, use * shift)
-    r = ca.fmax(ca.fmin(e / std, CLIP), -CLIP)
+    r = clip(e / std, -CLIP, CLIP)
     near = r * std
     wrong = ca.exp(odds) / (reach + TAIL * std)
     right = ca.exp(surprise - (r**2) / 2) / (math.sqrt(2 * math.pi) * std)

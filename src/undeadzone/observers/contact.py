@@ -19,6 +19,7 @@ from undeadzone.errors import InputError
 from undeadzone.interfaces import Estimate, Observer, Reading, Traits, build_estimate
 from undeadzone.nonlinearities.limits import require_pairs
 from undeadzone.nonlinearities.sensor import Zone, present
+from undeadzone.numerics.clip import clip
 from undeadzone.numerics.gaussian import Gaussian
 from undeadzone.observers.contact_filter.drive import (
     FADING,
@@ -244,7 +245,7 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         Raises InputError, ShapeError.
         """
         N = gears.joint_count
-        layout = Layout(gears.joint_count)
+        layout = Layout(N)
         Ts = drives[0].Ts
         of = layout.slice_of
         values = model.params
@@ -457,7 +458,8 @@ def _step_contact_filter(
     y = reading.y / q.slope
     layout = Layout(setup.gears.joint_count)
     parts = [group_numbers(q.modes, layout, group) for group in groups]
-    readings = [y[group_readings(group, layout.size, y.numel())] for group in groups]
+    rows = [group_readings(group, layout.size, y.numel()) for group in groups]
+    readings = [y[here] for here in rows]
     each = []
     for drive, part, modes, read in zip(drives, parts, s.modes, readings, strict=True):
         before = [(part, one, read) for one in modes]
@@ -467,15 +469,16 @@ def _step_contact_filter(
     ones = list(map(mix_posteriors, each, shares))
     whole = join_posteriors(layout, groups, ones)
     started = ca.SX(y.numel(), 1)
-    for group, modes in zip(groups, s.modes, strict=True):
-        started[group_readings(group, layout.size, y.numel())] = modes[0].begun
+    for here, modes in zip(rows, s.modes, strict=True):
+        started[here] = modes[0].begun
     seen = ca.logic_and(present(y), started > 0.5)
     sums = accumulate_innovations(
         s.sums, ca.if_else(seen, whole.e / whole.std, 0.0), seen, q.fade, q.keep
     )
     ratios = {"gust": ca.mmax(sums.ratio) / CHANCE}
     ratios["range"] = BEYOND * (_count_range_limits(layout, q.modes, whole.whole) > 0)
-    coupling, jumps = s.coupling, s.jumps
+    coupling = s.coupling
+    jumps = s.jumps
     apart = variance_of_starts(layout, groups, each, odds, whole.whole.mean)
     if setup.ones:
         half = layout.slice_of("half")
@@ -528,13 +531,11 @@ def _weigh_filters(
 
 def _count_range_limits(layout: Layout, q: Numbers, belief: Gaussian) -> Any:
     """Return the number of gaps, payloads and firmnesses at a limit of their range (1)."""
-    bound = ca.SX(0.0)
-    for name in ("half", "payload", "firmness"):
-        low, high, value = (
-            column[layout.slice_of(name)] for column in (q.low, q.high, belief.mean)
-        )
-        bound += ca.sum1(ca.logic_and(high > low, ca.logic_or(value <= low, value >= high)))
-    return bound
+    entries = layout.entries_of(("half", "payload", "firmness"))
+    low = q.low[entries]
+    high = q.high[entries]
+    value = belief.mean[entries]
+    return ca.sum1((high > low) * ((value <= low) + (value >= high)))
 
 
 class Doubt(NamedTuple):
@@ -650,7 +651,7 @@ def _to_contact_estimate(
     xi = mean[:N] - mean[N : 2 * N] + centre
     unseen = 0.0
     if setup.gears.measured == "motor":  # a link that is not seen is never beyond a flank
-        xi = ca.fmax(ca.fmin(xi, half), -half)
+        xi = clip(xi, -half, half)
         unseen = q.modes.slack
     link = mean[:N] + centre - xi
     x = ca.vertcat(mean[:N], link, mean[2 * N : 4 * N])

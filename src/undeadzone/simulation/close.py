@@ -22,6 +22,7 @@ from undeadzone.nonlinearities.limits import at_limit
 from undeadzone.nonlinearities.play import apply_backlash, contact
 from undeadzone.nonlinearities.sensor import branch, edges, quantise, side, zone
 from undeadzone.numerics import dense_output
+from undeadzone.numerics.clip import clip
 from undeadzone.numerics.dense_output import Levels
 from undeadzone.numerics.runge_kutta import rk4
 from undeadzone.plants.system import System
@@ -161,7 +162,7 @@ class Wiring(NamedTuple):
             parts = self.p.compensator, s.compensator, u, estimate, reading
             compensator, u = self.compensator.step(*parts)
         if self.plant.limit is not None:
-            u = ca.fmax(ca.fmin(u, self.plant.limit), -self.plant.limit)
+            u = clip(u, -self.plant.limit, self.plant.limit)
         return (
             Driven(tree.substitute_symbol(observer, unused, u), controller, compensator),
             u,
@@ -198,7 +199,7 @@ class Wiring(NamedTuple):
         elif self.kind != "play" and rounded:
             read = side(y, sensor.threshold, limits)
         elif limits is not None:
-            read = ca.fmax(ca.fmin(read, 1.0), -1.0) + at_limit(y, limits)
+            read = clip(read, -1.0, 1.0) + at_limit(y, limits)
         return Reading(y, read, s.plant)
 
     def _within_range(self, y: ca.SX) -> ca.SX:

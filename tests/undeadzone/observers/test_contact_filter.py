@@ -18,7 +18,12 @@ from undeadzone.observers.contact_filter.drive import (
     join_posteriors,
     mean_posture,
 )
-from undeadzone.observers.contact_filter.modes import Layout, Posterior, condition_on_impact
+from undeadzone.observers.contact_filter.modes import (
+    Layout,
+    Posterior,
+    _project_to_bounds,
+    condition_on_impact,
+)
 from undeadzone.plants.robots.build import build_two_link
 from undeadzone.plants.robots.geared import Gears, build_geared_arm, largest_couplings
 
@@ -59,6 +64,42 @@ def test_a_link_is_not_beyond_its_flanks_for_long() -> None:
     mean[half], cov[half, half], cov[motor, motor], cov[link, link] = 0.3, 0.01, 0.02, 5.0
     bounded = _link_variances(Gaussian(mean, cov), 1)
     assert float(bounded) == pytest.approx(0.09 + 0.01 + 0.02)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_mean_at_a_bound_is_the_most_probable_one(seed: int) -> None:
+    """Else readings that ask for more than the bound move the rest of x, again and again."""
+    layout, rng = Layout(1), np.random.default_rng(seed)
+    size, firmness = layout.entry_count, layout.slice_of("firmness").start
+    low, high = np.full(size, -1e300), np.full(size, 1e300)
+    high[firmness] = 1.0
+    root, mean = rng.normal(size=(size, size)), rng.normal(size=size)
+    mean[firmness] = 1.0 + rng.uniform(0.5, 2.0)
+    q: Any = SimpleNamespace(low=ca.DM(low), high=ca.DM(high))
+    belief = Gaussian(ca.SX(mean), ca.SX(ca.DM(root @ root.T)))
+    projected = np.asarray(ca.evalf(_project_to_bounds(layout, q, belief).mean)).ravel()
+    # Independent: minimise |root^-1 (x - mean)|^2 with x = 1 at the bound, by least squares.
+    free = np.delete(np.arange(size), firmness)
+    whitened = np.linalg.inv(root)
+    target = whitened @ mean - whitened[:, firmness]
+    best = np.linalg.lstsq(whitened[:, free], target, rcond=None)[0]
+    assert projected[firmness] == pytest.approx(1.0)
+    assert projected[free] == pytest.approx(best, rel=1e-6, abs=1e-6)
+
+
+def test_a_mean_within_its_bounds_and_a_known_one_stay() -> None:
+    layout = Layout(1)
+    size = layout.entry_count
+    half = layout.slice_of("half").start
+    low, high, mean = np.full(size, -1.0), np.full(size, 1.0), np.full(size, 0.5)
+    cov = np.eye(size)
+    q: Any = SimpleNamespace(low=ca.DM(low), high=ca.DM(high))
+    stay = _project_to_bounds(layout, q, Gaussian(ca.SX(mean), ca.SX(ca.DM(cov)))).mean
+    assert np.asarray(ca.evalf(stay)).ravel() == pytest.approx(mean)
+    mean[half], cov[half, half] = 2.0, 0.0  # no variance to move along
+    moved = _project_to_bounds(layout, q, Gaussian(ca.SX(mean), ca.SX(ca.DM(cov)))).mean
+    mean[half] = 1.0
+    assert np.asarray(ca.evalf(moved)).ravel() == pytest.approx(mean)
 
 
 @pytest.mark.parametrize("joint", [0, 1])

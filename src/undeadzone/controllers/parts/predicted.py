@@ -23,6 +23,7 @@ from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate
 from undeadzone.nonlinearities.actuator import Belief, input_range, through_line
+from undeadzone.numerics.clip import clip
 from undeadzone.plants.system import System, hold_integral
 from undeadzone.util import tree
 from undeadzone.util.arrays import LARGEST, Floats
@@ -107,5 +108,5 @@ def step_with_prediction(
             x = x + ahead.disturbance_gain @ estimate.w
     then = estimate._replace(x=x, z=model.output(ahead.model, x))
     after, u = controller.step(inner, s.controller, then, target)
-    line, _ = through_line(s.line, ca.fmax(ca.fmin(u, ahead.high), ahead.low))
+    line, _ = through_line(s.line, clip(u, ahead.low, ahead.high))
     return State(after, line), u

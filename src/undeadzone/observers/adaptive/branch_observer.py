@@ -13,6 +13,7 @@ import numpy as np
 
 from undeadzone.interfaces import Estimate, Observer, Reading, Traits, build_estimate
 from undeadzone.nonlinearities.sensor import Zone, offset, present
+from undeadzone.numerics.clip import clip
 from undeadzone.observers.adaptive.adaptation_laws import GRADIENT, AdaptationLaw, BranchWidths
 from undeadzone.observers.filtering.motion_detection import add_motion_detection
 from undeadzone.observers.filtering.prior import silence_gate
@@ -156,8 +157,8 @@ def build_branch_observer(
 
 def project_branch_state(law: AdaptationLaw, p: Params, s: State) -> State:
     """Return the state with widths clipped to [0, d_M], and gains reset if too small."""
-    right = ca.fmax(ca.fmin(s.right, p.limit), 0.0)
-    left = ca.fmax(ca.fmin(s.left, p.limit), 0.0)
+    right = clip(s.right, 0.0, p.limit)
+    left = clip(s.left, 0.0, p.limit)
     right_gain = law.reset(p.law, s.right_gain, p.gamma)
     left_gain = law.reset(p.law, s.left_gain, p.gamma)
     return State(s.x, right, left, right_gain, left_gain)

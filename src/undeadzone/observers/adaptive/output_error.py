@@ -22,6 +22,7 @@ from undeadzone.interfaces import (
     clip_expected_reading,
 )
 from undeadzone.nonlinearities.sensor import Zone, deadzone, jump, present
+from undeadzone.numerics.clip import clip
 from undeadzone.observers.adaptive.adaptation_laws import read_initial_widths
 from undeadzone.plants.system import System
 from undeadzone.util.arrays import Array, Floats, require_nonnegative
@@ -171,6 +172,6 @@ def zone_output_error(sensor: Zone, p: Params, s: State, z: Any, reading: Readin
 
 def project_widths(p: Params, s: State) -> State:
     """Return the state with its widths clipped to [0, d_M]."""
-    right = ca.fmax(ca.fmin(s.right, p.limit), 0.0)
-    left = ca.fmax(ca.fmin(s.left, p.limit), 0.0)
+    right = clip(s.right, 0.0, p.limit)
+    left = clip(s.left, 0.0, p.limit)
     return State(s.x, right, left)

@@ -58,7 +58,7 @@ def build_drive(gears: Geared, Ts: float, substeps: int, apart: bool = False) ->
         apart: whether it is an isolated group of joints of a larger arm.
     """
     N = gears.joint_count
-    layout = Layout(gears.joint_count)
+    layout = Layout(N)
 
     def rate(params: Any, x: Any, u: Any, contact: Contacts) -> tuple[Any, Any]:
         """Return x' (entries), and the torques through the gears (N) [N m]."""
@@ -128,7 +128,7 @@ def substitute_estimates(gears: Geared, params: Any, x: Any) -> Any:
         x: estimate of the filter (entries).
     """
     N = gears.joint_count
-    layout = Layout(gears.joint_count)
+    layout = Layout(N)
     column = ca.SX(params)
     for name in CONSTANTS:
         first = gears.names.index(f"{name}1")
@@ -500,8 +500,8 @@ def update_group_numbers(
         arm: posture at the mean.
     """
     gears = arm.gears
-    N = arm.gears.joint_count
-    body = arm.gears.arm
+    N = gears.joint_count
+    body = gears.arm
     links = gears.link_params(arm.params)
     names = body.names
     payload = links[names.index("payload")]
@@ -620,7 +620,7 @@ def _mean_gear_torques(arm: Posture, start: GearTorques, drive: Drive) -> Any:
         drive: functions of a group, for the sample time.
     """
     gears = arm.gears
-    N = arm.gears.joint_count
+    N = gears.joint_count
     Ts = drive.Ts
     inertia = gears.gear_number(arm.params, "inertia")
     K, damping = gears.contact_stiffness(arm.params)

@@ -23,6 +23,7 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.nonlinearities.sensor import present
+from undeadzone.numerics.clip import clip
 from undeadzone.numerics.first_passage import arrival_shares, chance_beyond, condition_on_edge
 from undeadzone.numerics.gaussian import (
     Bound,
@@ -57,6 +58,7 @@ AWAY = 1000.0  # difference of log densities above which the worse filter has di
 MOST = 60.0  # largest difference of log densities of modes
 LATE = 0.95  # probability of being beyond a flank above which the estimate is truncated
 SURE = 3.0  # distance from a flank above which it does not truncate [standard deviations]
+BOUNDED = ("half", "friction", "f", "firmness", "payload")  # quantities with bounds
 WALKING = ("half", "centre", "payload")  # random walks with a largest variance
 RESTING = 0.1  # speed below which a motor may be at rest, or a link on its flank [rad/s]
 
@@ -76,6 +78,10 @@ class Layout(NamedTuple):
             return slice(self.entry_count - 1, self.entry_count)
         first = QUANTITIES.index(name) * self.size
         return slice(first, first + self.size)
+
+    def entries_of(self, names: Sequence[str]) -> list[int]:
+        """Return the entries of some quantities in x."""
+        return list(np.r_[*map(self.slice_of, names)])
 
     @property
     def entry_count(self) -> int:
@@ -334,9 +340,28 @@ def _correct_mode(
     # Free links are between their flanks. Readings that make this more probable support the mode.
     for gaussian, sign in ((belief, 1), (predicted, -1)):
         log += sign * _log_gap_probability(drive.layout, contact, gaussian, q.slack)
-    bounded = Gaussian(ca.fmax(ca.fmin(belief.mean, q.high), q.low), belief.cov)
     columns = stack_updates(updates)
-    return CorrectedMode(bounded, log, columns.e, columns.std)
+    return CorrectedMode(_project_to_bounds(drive.layout, q, belief), log, columns.e, columns.std)
+
+
+def _project_to_bounds(layout: Layout, q: Numbers, belief: Gaussian) -> Gaussian:
+    """Return the Gaussian with the most probable mean within the bounds of x.
+
+    The other entries move with the bounded one, as their covariance has it (Simon, D. and Chia,
+    T. L. (2002), doi:10.1109/7.993234). If they did not, readings that ask for a softer contact
+    than its bound would move the link instead, ever farther into its flank.
+
+    Args:
+        layout: places of the quantities in x.
+        q: parameters of the filter.
+        belief: Gaussian of x.
+    """
+    mean, cov = belief
+    for entry in layout.entries_of(BOUNDED):
+        beyond = mean[entry] - clip(mean[entry], q.low[entry], q.high[entry])
+        mean -= beyond * cov[:, entry] / ca.fmax(cov[entry, entry], NONE)
+    # Each move may take an entry past a bound again, and a known one has no variance to move by.
+    return Gaussian(clip(mean, q.low, q.high), cov)
 
 
 def _log_gap_probability(layout: Layout, contact: Contacts, belief: Gaussian, slack: Any) -> Any:
@@ -587,9 +612,9 @@ def _move_mode(drive: Drive, q: Numbers, contact: Contacts, mode: Mode, u: Any) 
     motors = layout.slice_of("motor_speed")
     friction = ca.fmax(mean[layout.slice_of("friction")], q.least)
     Q[motors] += q.rest * friction**2 * _rest_weight(mean[motors])
-    for name in WALKING:  # a random walk slows down as its variance approaches the largest one
-        entries = layout.slice_of(name)
-        Q[entries] *= ca.fmax(1 - ca.diag(cov[entries, entries]) / q.most[entries], 0.0)
+    walking = layout.entries_of(WALKING)
+    # A random walk slows down as its variance approaches the largest one.
+    Q[walking] *= ca.fmax(1 - ca.diag(cov)[walking] / q.most[walking], 0.0)
     motion = _sample_motion(drive, q, contact, u)
     return Mode(mode.chance, predict_first_order(mode.belief, motion, ca.diag(Q)))
 

@@ -32,6 +32,7 @@ import numpy as np
 from undeadzone.interfaces import Estimate, Reading
 from undeadzone.nonlinearities.actuator import Belief
 from undeadzone.nonlinearities.sensor import Zone, offset
+from undeadzone.numerics.clip import clip
 from undeadzone.numerics.gaussian import Gaussian, normal_cdf, normal_density
 from undeadzone.observers.filtering.gaussian_filter import Augmentation, branch_deviations
 from undeadzone.observers.filtering.prior import Prior
@@ -182,7 +183,7 @@ def add_gap_estimates(q: Any, estimated: Estimate, belief: Gaussian, reading: Re
     gaps = gap_values(q, belief.mean)
     p = estimated.z.shape[0]
     if q.gaps.std.shape[0]:
-        gaps = ca.fmax(ca.fmin(gaps, q.gaps.ranges[:, 1]), q.gaps.ranges[:, 0])
+        gaps = clip(gaps, *ca.horzsplit(q.gaps.ranges))
         part = gap_slice(q, belief.mean.shape[0])
         right, left, both = branch_deviations(belief.cov[part, part])
         estimated = estimated._replace(gap_right_std=right, gap_left_std=left, gap_std=both)
@@ -271,7 +272,7 @@ def add_actuator_estimates(zones: Zones | None, estimated: Estimate, belief: Gau
         return estimated
     count = zones.middle.shape[0]
     widths = zones.middle + belief.mean[-count:]
-    inside = ca.fmax(ca.fmin(widths, zones.ranges[:, 1]), zones.ranges[:, 0])
+    inside = clip(widths, *ca.horzsplit(zones.ranges))
     std = ca.sqrt(ca.fmax(ca.diag(belief.cov)[-count:], 0.0))
     half = count // 2
     return estimated._replace(

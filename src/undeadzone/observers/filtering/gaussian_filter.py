@@ -11,6 +11,7 @@ import numpy as np
 
 from undeadzone.interfaces import Estimate, Reading, build_estimate
 from undeadzone.nonlinearities.sensor import Zone
+from undeadzone.numerics.clip import clip
 from undeadzone.numerics.gaussian import (
     Gaussian,
     Products,
@@ -429,7 +430,7 @@ def clip_to_ranges(
     """
     count = q.ranges.shape[0]
     widths = belief.mean[n : n + count]
-    inside = ca.fmax(ca.fmin(widths, q.ranges[:, 1]), q.ranges[:, 0])
+    inside = clip(widths, *ca.horzsplit(q.ranges))
     excess = widths - inside
     variances = ca.diag(belief.cov)[n : n + count]
     gained = ca.fmax(ca.if_else(excess**2 > FAR**2 * variances, excess**2, 0.0), alone)

@@ -16,6 +16,7 @@ import numpy as np
 
 from undeadzone.interfaces import ASSUMPTION_CHECKS, Reading
 from undeadzone.nonlinearities.sensor import present
+from undeadzone.numerics.clip import clip
 
 NOISY = 7.0  # square of the score of the size of innovations over `Doubt.most`, to refute the noise
 STUCK = 0.01  # share of readings that stay while z^ moves on, likewise
@@ -108,7 +109,7 @@ def update_scores(
     same = ca.if_else(is_repeated(doubt, y, s.last), s.same + 1, 0.0)
     stays = ca.logic_and(stays, ca.logic_or(far, same > doubt.run))
     stays = ca.logic_and(stays, ca.fabs(reading.side) < 2)  # at a limit a sound sensor stays
-    effect = ca.fmax(ca.fmin(doubt.push @ u, MOST), -MOST)
+    effect = clip(doubt.push @ u, -MOST, MOST)
     left = ca.vertsplit(ca.SX(doubt.means))
     before = (s.quick, s.brisk, s.slow)
     means = [effect + share * (mean - effect) for share, mean in zip(left, before, strict=True)]
