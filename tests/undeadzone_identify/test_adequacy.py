@@ -182,6 +182,15 @@ def test_a_strong_curve_is_found_beside_its_line() -> None:
     assert identify_log(log.u, log.y).verdict == "other"
 
 
+def test_friction_may_leave_more_than_a_tenth_by_the_output() -> None:
+    """It holds the plant at readings of which an encoder shows few: 14 % depend on them here."""
+    log = make(10016, "friction")
+    answer = identify_log(log.u, log.y)
+    assert answer.verdict == "friction"
+    _, low, high = answer.numbers()["friction"]
+    assert low < log.widths[0] < high
+
+
 def test_friction_in_a_short_log_is_no_plant_that_bends() -> None:
     """Three numbers of a bend leave as little as two of friction."""
     log = make(9301, "friction")
@@ -531,7 +540,8 @@ def test_rounded_readings_are_not_those_of_a_recorder(quantum: float) -> None:
         ("jump", "behind", 0.4, False),
         ("jump", "input", 0.15, False),
         ("jump", "input", 0.3, True),
-        ("friction", "output", 0.09, False),
+        ("friction", "output", 0.18, False),
+        ("friction", "output", 0.25, True),
         ("friction", "turns of the output", 0.05, False),
         ("friction", "turns of the output", 0.15, True),
         ("friction", "rate of the input", 0.06, False),

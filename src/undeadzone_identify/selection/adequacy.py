@@ -64,7 +64,7 @@ DEPENDS = {
 }
 COARSE = {  # least share of models that are coarse themselves, by direction
     # It holds the plant by the sample, when it turns and where it rests.
-    "friction": dict.fromkeys(("output", "turns of the output", "rate of the input"), LARGE_SHARE),
+    "friction": {"output": 0.2, "turns of the output": LARGE_SHARE, "rate of the input": 0.2},
     # It blurs its corners, each of which shifts the samples behind.
     "jump": dict.fromkeys(DEPENDS, 0.25) | {"behind": math.inf},
 }
