@@ -347,8 +347,8 @@ def _correct_mode(
 def _project_to_bounds(layout: Layout, q: Numbers, belief: Gaussian) -> Gaussian:
     """Return the Gaussian with the most probable mean within the bounds of x.
 
-    The other entries move with the bounded one, as their covariance has it (Simon, D. and Chia,
-    T. L. (2002), doi:10.1109/7.993234). If they did not, readings that ask for a softer contact
+    The other entries move with the bounded one, as their covariance has it (Teixeira and others
+    (2009), doi:10.1080/00207170802370033). If they did not, readings that ask for a softer contact
     than its bound would move the link instead, ever farther into its flank.
 
     Args:
