@@ -347,9 +347,11 @@ def _correct_mode(
 def _project_to_bounds(layout: Layout, q: Numbers, belief: Gaussian) -> Gaussian:
     """Return the Gaussian with the most probable mean within the bounds of x.
 
-    The other entries move with the bounded one, as their covariance has it (Teixeira and others
-    (2009), doi:10.1080/00207170802370033). If they did not, readings that ask for a softer contact
-    than its bound would move the link instead, ever farther into its flank.
+    The other entries move with the bounded one, as their covariance has it. If they did not,
+    readings that ask for a softer contact than its bound would move the link instead, ever farther
+    into its flank.
+
+    Source: Teixeira and others (2009), doi:10.1080/00207170802370033
 
     Args:
         layout: places of the quantities in x.
