@@ -351,7 +351,8 @@ def _project_to_bounds(layout: Layout, q: Numbers, belief: Gaussian) -> Gaussian
     readings that ask for a softer contact than its bound would move the link instead, ever farther
     into its flank.
 
-    Source: Teixeira and others (2009), doi:10.1080/00207170802370033
+    References:
+        B. O. S. Teixeira and others (2009), doi:10.1080/00207170802370033
 
     Args:
         layout: places of the quantities in x.
