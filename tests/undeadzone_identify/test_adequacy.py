@@ -547,6 +547,8 @@ def test_rounded_readings_are_not_those_of_a_recorder(quantum: float) -> None:
         ("friction", "rate of the input", 0.06, False),
         ("input_zone", "beside", 0.03, True),
         ("input_zone", "beside", 0.02, False),
+        ("input_curve", "ahead", 0.03, True),
+        ("input_curve", "ahead", 0.02, False),
         ("input_zone", "rate of the output", 0.04, False),
         ("dead_zone", "output", 0.09, True),
     ],

@@ -32,7 +32,7 @@ from undeadzone_identify.models.least_squares import (
 from undeadzone_identify.models.place import PlaceModel
 
 SHARE = 0.045  # of the innovations' variance, from which a direction is real
-OF_ONE = 0.025  # the same of a direction of a single column, "beside"
+OF_FEW = {"beside": 0.025, "ahead": 0.025}  # the same of directions of one and three columns
 LARGE_SHARE, PERHAPS = 0.1, 0.02  # the same for a large share, of which p may be larger
 NOTABLE_SHARE, HARDLY_BY_CHANCE = 0.05, 0.003  # and for one between both
 MOST, HARDLY = 0.5, 0.1  # and for most of the residual that is not white
@@ -122,8 +122,7 @@ class Remainder(NamedTuple):
             return True
         is_large = self.share > LARGE_SHARE and self.chance < PERHAPS
         is_large |= self.share > NOTABLE_SHARE and self.chance < HARDLY_BY_CHANCE
-        least = OF_ONE if self.on == "beside" else SHARE
-        return is_large or (self.share > least and self.chance < CHANCE)
+        return is_large or (self.share > OF_FEW.get(self.on, SHARE) and self.chance < CHANCE)
 
     def in_words(self, model: str) -> tuple[str, str]:
         """Return the finding, and the recording that shows its cause.
