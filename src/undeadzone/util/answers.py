@@ -19,7 +19,7 @@ from typing import Any, Final
 
 from undeadzone.errors import FileError, InputError, Terminated, UndeadzoneError
 from undeadzone.util.files import LARGEST_TABLE, convert_write_errors, lock_file, write_all_bytes
-from undeadzone.util.versions import package_versions
+from undeadzone.util.installed import package_versions
 
 CURE: Final = "delete it to start anew, or choose another name"
 

@@ -1,4 +1,4 @@
-"""Entry points of installed packages, found by group and imported by name, and a lean SciPy."""
+"""Installed packages: their versions, entry points by group and name, and a lean SciPy."""
 
 from __future__ import annotations
 
@@ -16,6 +16,30 @@ from undeadzone.errors import DamagedPackage, InputError
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
+
+PACKAGES = ("casadi", "llvmlite", "numpy", "scipy")  # they decide the last bits of results
+
+
+def package_versions() -> dict[str, str]:
+    """Return the versions of this package and of the packages that decide the last bits of its
+    results.
+    """
+    import undeadzone
+
+    return {
+        "undeadzone": undeadzone.__version__,
+        **{name: _version_of_package(name) for name in PACKAGES},
+    }
+
+
+def _version_of_package(name: str) -> str:
+    """Return the version of an installed package."""
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "missing"
 
 
 def list_registered_places(group: str) -> dict[str, str]:

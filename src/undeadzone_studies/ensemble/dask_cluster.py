@@ -18,7 +18,7 @@ from typing import Any
 
 from undeadzone.errors import ClusterError, InputError, UndeadzoneError
 from undeadzone.util.arrays import Floats
-from undeadzone.util.versions import package_versions
+from undeadzone.util.installed import package_versions
 from undeadzone_studies.ensemble.job import Job, Pool, compute_blocks
 
 REACH = 5.0  # [s] to connect to a scheduler

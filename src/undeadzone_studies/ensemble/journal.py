@@ -21,7 +21,7 @@ from undeadzone.errors import InputError, ShapeError
 from undeadzone.util.answers import load_saved_problem, require_same_problem
 from undeadzone.util.arrays import Floats
 from undeadzone.util.files import convert_write_errors, lock_file, write_all_bytes
-from undeadzone.util.versions import package_versions
+from undeadzone.util.installed import package_versions
 from undeadzone_studies.ensemble.job import Layout
 
 PAGE = 4096  # [bytes] the columns begin at a multiple of it
