@@ -47,6 +47,8 @@ WORLDS = {
     "zero off by up to 5 mrad": World(offset=5e-3),
     "eccentric, 0.5 to 2 mrad": World(eccentric=(5e-4, 2e-3)),
     "payload + 0.2 to 0.5 of the link": World(payload=(0.2, 0.5)),
+    "Stribeck friction": World(sticks=1.5),
+    "all of these": World(5e-3, (5e-4, 2e-3), (0.2, 0.5), 1.5),
     "all, with Stribeck friction, masses 5 % and rotor 10 % off": World(
         5e-3, (5e-4, 2e-3), (0.2, 0.5), 1.5, 0.05, 0.1
     ),
