@@ -551,6 +551,8 @@ def test_rounded_readings_are_not_those_of_a_recorder(quantum: float) -> None:
         ("input_curve", "ahead", 0.02, False),
         ("input_zone", "rate of the output", 0.04, False),
         ("dead_zone", "output", 0.09, True),
+        ("dead_zone", "spring", 0.03, True),
+        ("dead_zone", "spring", 0.02, False),
     ],
 )
 def test_coarse_models_may_leave_more(word: str, on: str, share: float, is_left: bool) -> None:
