@@ -213,14 +213,31 @@ def waits(pythons: dict[str, str]) -> str:
     ]
     lines += head("scenario", "checkout", "first sample [s]", "machine code [s]", "fastest [s]")
     with tempfile.TemporaryDirectory() as scratch:
-        files = scenarios(Path(scratch))
+        files = scenarios(Path(scratch)) | {"UR5, gears": _write_geared_arm(Path(scratch))}
         for python in pythons.values():  # compiles the modules
             _wait_times(python, TEMPLATE)
-        for name in ("template", "order 4", "order 8"):
+        for name in ("template", "order 4", "order 8", "UR5, gears"):
             for checkout, python in pythons.items():
                 times = [f"{each:.2f}" for each in _wait_times(python, files[name])]
                 lines.append(row(name, checkout, *times))
     return "\n".join([*lines, ""])
+
+
+def _write_geared_arm(folder: Path) -> Path:
+    """The scenario that `undeadzone arm --gears` writes for a UR5."""
+    urdf = ROOT / "examples" / "ur5.urdf"
+    command = [
+        sys.executable,
+        "-m",
+        "undeadzone",
+        "arm",
+        str(urdf),
+        "--gears",
+        "--out",
+        str(folder),
+    ]
+    subprocess.run(command, capture_output=True, check=True)
+    return folder / "ur5.toml"
 
 
 def _wait_times(python: str, path: Path) -> list[float]:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.signal import lfilter, medfilt
+from scipy.signal import filtfilt, lfilter, medfilt
 
 from undeadzone.util.arrays import Floats
 
@@ -460,7 +460,111 @@ def with_leak(rng: np.random.Generator) -> Strange:
     return Strange(u, noisy(rng, y + 0.3 * lags(y, 100.0, 1)), {}, BOTH)
 
 
+# --- Kinds that were chosen last
+
+
+def interpolated(rng: np.random.Generator) -> Strange:
+    """A linear plant whose recorder fills three of four readings along straight lines."""
+    u, k = walk(rng), np.arange(SIZE)
+    y = noisy(rng, lags(u))
+    return Strange(u, np.interp(k, k[::4], y[::4]))
+
+
+def with_inverse_response(rng: np.random.Generator) -> Strange:
+    """A linear plant that begins the wrong way."""
+    u = walk(rng)
+    return Strange(u, noisy(rng, lags(u, 12.0, 1) - 1.5 * lags(u, 4.0, 1)))
+
+
+def unstable_in_loop(rng: np.random.Generator) -> Strange:
+    """A linear plant that falls over, held by a controller."""
+    r, y, u, x = walk(rng, SIZE, 30.0), np.empty(SIZE), np.empty(SIZE), 0.0
+    for k in range(SIZE):
+        y[k] = x + 0.02 * rng.standard_normal()
+        u[k] = 3.0 * (r[k] - y[k])
+        x = 1.03 * x + 0.06 * u[k]
+    return Strange(u, y)
+
+
+def cogging(rng: np.random.Generator) -> Strange:
+    """The position of a motor whose magnets pull it to 12 places a turn."""
+    u, y, x, v = 2 * steps(rng, 2500), np.empty(2500), 0.0, 0.0
+    for k in range(y.size):
+        y[k] = x
+        for _ in range(10):
+            v += 0.001 * (5 * u[k] - 5 * v - 3 * np.sin(12 * x))
+            x += 0.001 * v
+    return Strange(u, noisy(rng, y, 0.003 * y.std()), {"integrators": 1})
+
+
+def preloaded(rng: np.random.Generator) -> Strange:
+    """A lever between springs that are wound up: as a speed with friction, it needs a force to
+    leave its middle.
+    """
+    u, y, x = walk(rng), np.empty(SIZE), 0.0
+    for k in range(SIZE):
+        y[k] = x
+        moved = x + 0.1 * (u[k] - 0.6 * np.sign(x or u[k]) - x)
+        rests = (x == 0 and abs(u[k]) < 0.6) or moved * x < 0
+        x = 0.0 if rests else moved
+    return Strange(u, noisy(rng, y / y.std()))
+
+
+def of_two_runs(rng: np.random.Generator) -> Strange:
+    """Two runs with a zone of the sensor, one behind the other in a file."""
+    runs = [walk(rng, SIZE // 2) for _ in range(2)]
+    y = np.concatenate([zone(lags(u)) for u in runs])
+    return Strange(np.concatenate(runs), noisy(rng, y, 0.01), {}, BOTH)
+
+
+def smoothed(rng: np.random.Generator) -> Strange:
+    """A linear plant whose readings were smoothed both ways afterwards."""
+    u = walk(rng)
+    return Strange(u, filtfilt([0.3], [1.0, -0.7], noisy(rng, lags(u), 0.1)))
+
+
+def with_lost_rows(rng: np.random.Generator) -> Strange:
+    """A linear plant, one in twenty of whose rows was lost without a trace."""
+    u = walk(rng)
+    left = rng.random(SIZE) > 0.05
+    return Strange(u[left], noisy(rng, lags(u))[left])
+
+
+def loaded(rng: np.random.Generator) -> Strange:
+    """A linear plant under loads that come and go, which nobody recorded."""
+    u = walk(rng)
+    return Strange(u, noisy(rng, lags(u) + 0.5 * lags(steps(rng, SIZE, 150), 12.0, 1)))
+
+
+def by_thermostat(rng: np.random.Generator) -> Strange:
+    """A linear plant that a thermostat switches by what it reads."""
+    goal, y, u, x, at = 0.3 * walk(rng, SIZE, 60.0), np.empty(SIZE), np.empty(SIZE), 0.0, 1.0
+    for k in range(SIZE):
+        y[k] = x + 0.01 * rng.standard_normal()
+        at = 1.0 if y[k] < goal[k] - 0.1 else -1.0 if y[k] > goal[k] + 0.1 else at
+        u[k] = at
+        x += 0.05 * (2 * u[k] - x)
+    return Strange(u, y)
+
+
+def hunting(rng: np.random.Generator) -> Strange:
+    """A zone of the input in a loop with an integral, which hunts about its reference."""
+    r, y, u, x, total = steps(rng, 2400, 200), np.empty(2400), np.empty(2400), 0.0, 0.0
+    for k in range(r.size):
+        y[k] = x + 0.005 * rng.standard_normal()
+        total += 0.03 * (r[k] - y[k])
+        u[k] = 1.5 * (r[k] - y[k]) + total
+        x += 0.08 * (float(zone(u[k], 0.3, 0.3)) - x)
+    return Strange(u, y, {}, 0.6)
+
+
+def apart_from_zero(z: Floats) -> Floats:
+    """A zone between 0.4 and 1.1, far from 0."""
+    return np.asarray(zone(z - 0.75, 0.35, 0.35))
+
+
 ZONE = ("dead_zone", "filtered_zone")
+LINEAR = ("none", "operating_point")
 BOTH = sum(WIDTHS)
 KINDS = {
     "fan": Kind(curved(lambda u: u * np.abs(u)), ("input_curve",)),
@@ -483,19 +587,19 @@ KINDS = {
     "rate limit of the sensor": Kind(sensed(slow_rate), ()),
     "soft sensor": Kind(sensed(lambda z: np.tanh(1.5 * z)), ("other", "saturation")),
     "joint, friction .3": Kind(joint(0.3), ("friction",)),
-    "joint": Kind(joint(0.0), ("none", "operating_point")),
-    "motor of 5": Kind(motor(5.0), ("none", "operating_point")),
-    "motor of 15": Kind(motor(15.0), ("none", "operating_point")),
-    "motor of 50": Kind(motor(50.0), ("none", "operating_point")),
-    "motor of 150": Kind(motor(150.0), ("none", "operating_point")),
-    "motor of 500": Kind(motor(500.0), ("none", "operating_point")),
-    "fifth order": Kind(of_fifth_order, ("none", "operating_point")),
-    "mean of 5": Kind(averaged, ("none", "operating_point")),
-    "an input that nobody recorded": Kind(of_two_inputs, ("none", "operating_point")),
+    "joint": Kind(joint(0.0), LINEAR),
+    "motor of 5": Kind(motor(5.0), LINEAR),
+    "motor of 15": Kind(motor(15.0), LINEAR),
+    "motor of 50": Kind(motor(50.0), LINEAR),
+    "motor of 150": Kind(motor(150.0), LINEAR),
+    "motor of 500": Kind(motor(500.0), LINEAR),
+    "fifth order": Kind(of_fifth_order, LINEAR),
+    "mean of 5": Kind(averaged, LINEAR),
+    "an input that nobody recorded": Kind(of_two_inputs, LINEAR),
     "spring that bends": Kind(softening, ()),
     "tank": Kind(tank, ()),
     "zone": Kind(sensed(zone, BOTH), ("dead_zone",)),
-    "line": Kind(sensed(lambda z: z), ("none", "operating_point")),
+    "line": Kind(sensed(lambda z: z), LINEAR),
 }
 EARLIER = {  # chosen after the code of the rounds before was finished
     "zone, heavy tails": Kind(tailed, ZONE),
@@ -513,30 +617,47 @@ EARLIER = {  # chosen after the code of the rounds before was finished
     "root of the output": Kind(
         sensed(lambda z: np.sign(z) * np.sqrt(np.abs(z))), ("other", "saturation")
     ),
-    "tenths of readings": Kind(sensed(lambda z: np.round(z, 1)), ("none", "operating_point")),
+    "tenths of readings": Kind(sensed(lambda z: np.round(z, 1)), LINEAR),
     "two slopes, no zone": Kind(sensed(lambda z: np.where(z > 0, z, 0.6 * z)), ("other",)),
     "limit of one side": Kind(sensed(lambda z: np.minimum(z, 0.8)), ("saturation", "other")),
     "drag by the square": Kind(dragging, ()),
-    "gain that sways": Kind(swaying, ("none", "operating_point")),
-    "input of uncertain time": Kind(jittery, ("none", "operating_point")),
-    "sensor's zero that wanders": Kind(wandering, ("none", "operating_point")),
+    "gain that sways": Kind(swaying, LINEAR),
+    "input of uncertain time": Kind(jittery, LINEAR),
+    "sensor's zero that wanders": Kind(wandering, LINEAR),
     "zone and spikes": Kind(with_spikes, ZONE),
     "relay with hysteresis": Kind(switching, ()),
     "lag, soft limit, plant": Kind(between_lags, ()),
     "zone beside a line": Kind(zone_beside, ("input_curve",)),
     "rounded input": Kind(curved(lambda u: np.round(u)), ()),
     "sensor of three slopes": Kind(sensed(lambda z: z - 0.5 * np.clip(z, -0.5, 0.4)), ("other",)),
-}
-LATER = {  # chosen last; the code was changed for some of them since
     "heater": Kind(heated, ("input_curve", "input_zone")),
     "recorder on change": Kind(on_change, ()),
-    "hum": Kind(humming, ("none", "operating_point")),
+    "hum": Kind(humming, LINEAR),
     "gain by the output": Kind(bilinear, ()),
     "least pulse": Kind(curved(least_pulse), ()),
-    "sensor that freezes": Kind(freezing, ("none", "operating_point")),
+    "sensor that freezes": Kind(freezing, LINEAR),
     "pendulum": Kind(swinging, ()),
     "limit of the input, zone": Kind(limited_and_sensed, ZONE),
-    "delay that sways": Kind(of_changing_delay, ("none", "operating_point")),
+    "delay that sways": Kind(of_changing_delay, LINEAR),
     "zone that creeps": Kind(with_leak, ZONE),
+}
+LATER = {  # chosen last
+    "interpolated readings": Kind(interpolated, LINEAR),
+    "coarse readings": Kind(sensed(lambda z: 0.6 * np.round(z / 0.6)), LINEAR),
+    "inverse response": Kind(with_inverse_response, LINEAR),
+    "unstable plant in a loop": Kind(unstable_in_loop, LINEAR),
+    "motor that cogs": Kind(cogging, ()),
+    "springs wound up": Kind(preloaded, ("friction",)),
+    "sensor of a logarithm": Kind(
+        sensed(lambda z: np.sign(z) * np.log1p(3 * np.abs(z))), ("other", "saturation")
+    ),
+    "zone, two runs": Kind(of_two_runs, ZONE),
+    "noise gate": Kind(sensed(lambda z: np.where(np.abs(z) > 0.4, z, 0.0), 0.8), ("jump",)),
+    "smoothed both ways": Kind(smoothed, LINEAR),
+    "lost rows": Kind(with_lost_rows, LINEAR),
+    "loads that come and go": Kind(loaded, LINEAR),
+    "thermostat": Kind(by_thermostat, LINEAR),
+    "zone of the input, hunting": Kind(hunting, ("input_zone",)),
+    "zone far from 0": Kind(sensed(apart_from_zero, 0.7), ZONE),
 }
 ALL = KINDS | EARLIER | LATER

@@ -532,10 +532,66 @@ def test_rounded_readings_are_not_those_of_a_recorder(quantum: float) -> None:
     assert identify_log(u, y).verdict in ("none", "operating_point")
 
 
+@pytest.mark.parametrize(("step", "noise"), [(0.6, 0.01), (0.3, 0.05)])
+def test_noise_behind_a_coarse_sensor_hides_no_steps(step: float, noise: float) -> None:
+    """They were a jump, or a play, with 1.00."""
+    rng = np.random.default_rng(7103)
+    u = walk(rng)
+    readings = step * np.round(two_lags(u) / step) + noise * rng.standard_normal(u.size)
+    answer = identify_log(u, readings)
+    assert answer.verdict == "none"
+    assert f"larger than any zone ({step:g})" in answer.answer.reasons[0]
+    assert any("the readings gather about steps of" in one for one in answer.answer.remarks)
+
+
+def test_steps_that_noise_blurs_are_no_jump() -> None:
+    rng = np.random.default_rng(7104)
+    u = walk(rng)
+    answer = identify_log(u, 0.6 * np.round(two_lags(u) / 0.6) + 0.18 * rng.standard_normal(u.size))
+    assert answer.verdict == "unclear"
+    assert "where the output lies between equal steps" in answer.answer.reasons[0]
+    assert not answer.numbers()["odds"]
+
+
+def test_a_gate_that_passes_large_readings_whole_is_a_jump() -> None:
+    answer = of_kind("noise gate", 7111)
+    assert answer.verdict == "jump"
+    left = {one.on: one.share for one in answer.answer.found.remainders}
+    assert left["steps"] < 0.03
+
+
+@pytest.mark.parametrize(
+    ("truth", "seed", "why"),
+    [
+        ("input", 10049, "a zone explains more than chance does (p = 1.9e-21)"),
+        ("sensor and input", 10056, "this record cannot tell a dead zone of the sensor from"),
+    ],
+)
+def test_a_name_that_its_own_test_or_a_wider_model_denies_is_withheld(
+    truth: str, seed: int, why: str
+) -> None:
+    """They were `none` at 0.99 and a zone of the sensor, at 0.46, with a zone of the input."""
+    log = make(seed, truth)
+    answer = uz.identify(t=log.step, u=log.u, y=log.y)
+    assert isinstance(answer, uz.Identified)
+    assert answer.verdict == "undecided"
+    assert answer.answer.reasons[0].startswith(why[:40])
+
+
+def test_loads_that_come_and_go_are_no_play() -> None:
+    """Its gap was 0, without a width, at 0.96."""
+    answer = of_kind("loads that come and go", 1)
+    assert answer.verdict == "undecided"
+    assert "turns that no input made hide the gap" in answer.answer.reasons[0]
+    assert not answer.numbers()["odds"]
+
+
 @pytest.mark.parametrize(
     ("word", "on", "share", "is_left"),
     [
         ("jump", "output", 0.2, False),
+        ("jump", "steps", 0.06, True),
+        ("jump", "steps", 0.04, False),
         ("jump", "output", 0.3, True),
         ("jump", "behind", 0.4, False),
         ("jump", "input", 0.15, False),

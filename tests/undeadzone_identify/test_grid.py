@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from undeadzone.errors import FileError
+from undeadzone.util.arrays import Floats
 from undeadzone_identify.logs.grid import (
     _fill_regular,
     _resample_log,
     common_spacing,
+    find_quantum,
     find_sample_time,
+    round_to_steps,
 )
 from undeadzone_identify.logs.log import log_from_arrays
 
@@ -57,3 +61,49 @@ def test_steps_may_differ_by_1_percent(late: float) -> None:
     else:
         with pytest.raises(FileError, match="2 of 199 steps differ by more than 1 %"):
             find_sample_time(log)
+
+
+def moved(size: int = 1500) -> Floats:
+    """A slow motion of rms 1."""
+    z = lfilter([1.0], [1.0, -1.9, 0.905], np.random.default_rng(2).standard_normal(size))
+    return np.asarray(z / z.std())
+
+
+@pytest.mark.parametrize(("scale", "offset"), [(1.0, 0.0), (1e-6, 0.0), (1e6, 7.3e6), (1.0, 0.2)])
+@pytest.mark.parametrize("noise", [0.02, 0.15])
+def test_noise_about_steps_is_taken_off(scale: float, offset: float, noise: float) -> None:
+    steps = 0.5 * np.round(moved() / 0.5)
+    blurred = steps + 0.5 * noise * np.random.default_rng(3).standard_normal(steps.size)
+    remarks: list[str] = []
+    rounded = round_to_steps(scale * blurred + offset, remarks)
+    is_off = np.abs(rounded - (scale * steps + offset)) > 0.1 * scale
+    assert is_off.mean() < 0.005  # noise of more than half a step
+    assert "gather about steps" in remarks[0]
+    if offset == 0.0:
+        assert find_quantum(rounded) == pytest.approx(0.5 * scale, rel=0.01)
+
+
+def readings_without_steps() -> dict[str, Floats]:
+    """Readings that are somewhere more often than elsewhere, and yet not rounded."""
+    rng = np.random.default_rng(4)
+    z, noise = moved(), 0.01 * rng.standard_normal(1500)
+    levels = np.repeat(rng.integers(-3, 4, 50), 30).astype(float)
+    return {
+        "anywhere": z + noise,
+        "within a zone": np.sign(z) * np.maximum(np.abs(z) - 0.5, 0.0) + noise,
+        "a gate": np.where(np.abs(z) > 0.4, z, 0.0) + noise,
+        "between limits": np.clip(z, -0.5, 0.5) + noise,
+        "a relay": np.sign(z) + noise,
+        "settled at levels": lfilter([0.2], [1.0, -0.8], levels) + noise,
+        "rounded without noise": 0.5 * np.round(z / 0.5),
+        "few": np.arange(5.0),
+        "constant": np.ones(100),
+        "huge": 1e308 * np.sign(z),
+    }
+
+
+@pytest.mark.parametrize("kind", readings_without_steps())
+def test_readings_without_blurred_steps_stay(kind: str) -> None:
+    y, remarks = readings_without_steps()[kind], list[str]()
+    np.testing.assert_array_equal(round_to_steps(y, remarks), y)
+    assert not remarks

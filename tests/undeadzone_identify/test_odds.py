@@ -39,6 +39,7 @@ from undeadzone_identify.page import build_identified_page
 from undeadzone_identify.results.assemble import _reference_remarks, to_answer
 from undeadzone_identify.selection import servo
 from undeadzone_identify.selection.decision import (
+    _joint_odds,
     _most_probable_word,
     detect_feedback,
 )
@@ -662,6 +663,15 @@ def test_a_larger_model_that_leads_keeps_its_word() -> None:
     assert _most_probable_word({"zone_and_friction": 0.6, "dead_zone": 0.4}) == "dead_zone"
     assert _most_probable_word({"both": 0.75, "dead_zone": 0.25}) == "dead_zone"
     assert _most_probable_word({"zone_and_friction": 0.5, "none": 0.5}) == "zone_and_friction"
+
+
+def test_a_zone_that_a_zone_of_the_input_may_widen_needs_its_own_odds() -> None:
+    odds = {"dead_zone": 0.5, "zone_and_friction": 0.3, "both": 0.14}
+    assert _joint_odds("dead_zone", odds | {"two_zones": 0.04}) == pytest.approx(0.98)
+    assert _joint_odds("dead_zone", odds | {"two_zones": 0.06}) == pytest.approx(0.5)
+    assert _joint_odds("friction", {"friction": 0.5, "zone_and_friction": 0.4}) == pytest.approx(
+        0.9
+    )
 
 
 def test_with_a_column_of_the_reference_the_zone_is_identified(loop: loop_logs.LoopLog) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +23,14 @@ COARSER = 1e-6  # of the range, from which a quantum matters
 SPIKE = 10.0  # times the 99 % quantile of a size, beyond which few values are none
 RARE = 0.005  # share of values that may be such
 ODD = 0.1  # quanta by which a change may differ from a multiple
+FEWEST_LEVELS, MOST_LEVELS = 4, 40  # about which the readings of a coarse sensor gather
+RARELY = 0.01  # share of the readings about a level that is not counted
+GATHERED = (
+    0.25  # least mean cosine of phases about levels; noise of a quarter of a step leaves 0.29
+)
+HARDLY_BY_CHANCE = 12.0  # its square times the readings; of one step e^-12 are as large by chance
+SURE = 4.0  # deviations
+SOME = 2000  # readings that tell a step
 
 
 class Grid(NamedTuple):
@@ -103,6 +112,7 @@ def to_grid(logs: list[Log], resample: float | None = None) -> Grid:
     cut = [piece._replace(u=piece.u[:, : m + known]) for piece in pieces]
     t, u, y, _ = (np.concatenate(parts) for parts in zip(*cut, strict=True))
     u, r, ok = u[:, :m], u[:, m:], np.isfinite(y)
+    y[ok] = round_to_steps(y[ok], remarks)
     return Grid(
         t,
         u,
@@ -271,6 +281,59 @@ def find_quantum(y: Floats) -> float:
     different = np.unique(np.append(np.abs(y), 0.0)).size
     few = 4 <= different <= 0.5 * max(int(np.count_nonzero(y)), 8)
     return rounding_step(y) if few else 0.0
+
+
+def round_to_steps(y: Floats, remarks: list[str]) -> Floats:
+    """Round readings to the steps that they gather about, if noise comes behind a coarse sensor.
+
+    The mean of exp(2 pi i y / step) has an absolute value near 1 at the step, and near 0 if the
+    readings lie anywhere. A plant that settles at levels passes between them, whereas a coarse
+    sensor changes from one level to the next at once, so that readings beside changes count, too.
+
+    Args:
+        y: readings (N), none missing.
+        remarks: list that is extended.
+
+    Returns:
+        The rounded readings; y itself without such steps.
+    """
+    if y.size < HARDLY_BY_CHANCE or np.mean(y[1:] == y[:-1]) > RARELY:  # noise does not repeat
+        return y
+    low, high = np.quantile(y, [RARELY, 1 - RARELY]).tolist()
+    if not 0.0 < high - low < math.inf:
+        return y
+    scaled = (y - low) / (high - low)
+    waves = np.arange(FEWEST_LEVELS - 1, MOST_LEVELS, 0.2)  # steps of the range
+    some = scaled[:: -(-y.size // SOME)]
+    means = np.exp(2j * np.pi * np.outer(waves, some)).mean(axis=1)
+    best = int(np.argmax(np.abs(means)))
+    line = np.array([1.0, np.angle(means[best]) / (2 * np.pi)]) / waves[best]
+    for _ in range(3):  # through the readings by their level
+        level = np.round((scaled - line[1]) / line[0])
+        if np.ptp(level) < FEWEST_LEVELS - 1:
+            return y
+        line = np.polyfit(level, scaled, 1)
+    step, offset = (high - low) * line + [0.0, low]
+    offset -= step * round(offset / step)
+    noise = float(np.std(y - offset - step * np.round((y - offset) / step)))
+    if abs(offset) < SURE * noise / math.sqrt(y.size):
+        offset = 0.0
+    level = np.round((y - offset) / step)
+    rounded = offset + step * level
+    gathered = np.cos(2 * np.pi * (y - rounded) / step)
+    changes = np.flatnonzero(np.diff(level))
+    for part in (np.union1d(changes, changes + 1), level != 0):  # a zone gathers readings at 0
+        values = gathered[part]
+        if values.mean() < max(GATHERED, math.sqrt(HARDLY_BY_CHANCE / values.size)):
+            return y
+    counts = np.unique(level, return_counts=True)[1]
+    if np.sum(counts > RARELY * y.size) < FEWEST_LEVELS or noise < EXACT * step:
+        return y
+    remarks.append(
+        f"the readings gather about steps of {step:.4g}, with noise of {noise:.2g}: they are taken"
+        " as rounded to these steps"
+    )
+    return rounded
 
 
 def rounding_step(y: Floats) -> float:

@@ -43,6 +43,7 @@ AT_INPUT, AT_SENSOR = 7, 8  # hat functions of the input, and of z
 AT_LEVELS = 16  # of the input, so that they show its steps
 RATES = (0.1, 0.25, 0.5, 1.0, 2.0)  # rms of a signal's changes, that its rate may be limited to
 BEHIND = 5  # lags of the readings
+WIDER = (1.0, 1.06, 1.12, 1.18)  # times a fitted jump: steps that may be behind it
 AHEAD = (1.0, 3.0, 8.0)  # time constants of a lag ahead of the input's element [samples]
 VANISHING = 1e-6  # of a column: one that the model's own numbers explain
 NONE_EXPLAINS = "none of the known models explains this log"
@@ -61,12 +62,13 @@ DEPENDS = {
     "rate of the input": "how fast the input changes",
     "rate of the output": "how fast the output changes",
     "time": "the time",
+    "steps": "where the output lies between equal steps",
 }
 COARSE = {  # least share of models that are coarse themselves, by direction
     # It holds the plant by the sample, when it turns and where it rests.
     "friction": {"output": 0.2, "turns of the output": LARGE_SHARE, "rate of the input": 0.2},
     # It blurs its corners, each of which shifts the samples behind.
-    "jump": dict.fromkeys(DEPENDS, 0.25) | {"behind": math.inf},
+    "jump": dict.fromkeys(DEPENDS, 0.25) | {"behind": math.inf, "steps": 0.05},
 }
 SEEN = {
     "input": "the input may act by a curve that is not known here; record steps to several levels"
@@ -91,6 +93,8 @@ SEEN = {
     " that changes more slowly",
     "rate of the output": "the sensor may be limited in its rate; record with an input that changes"
     " more slowly",
+    "steps": "the sensor may round its readings to coarse steps; record slow ramps through its"
+    " whole range",
     "time": "the plant or the sensor may drift; identify a shorter part of the log",
 }
 
@@ -293,6 +297,9 @@ def _directions(fit: FittedModel[Model]) -> dict[str, Floats]:
         lags = [_late(read, k) for k in range(1, BEHIND + 1)]
         lags += [_late(read - z, k) for k in range(1, 4)]
         directions["behind"] = np.column_stack(lags)
+    if model.name == "jump":  # a sensor of equal steps has one about 0, which the fit narrows
+        angle = 2 * np.pi * z[:, None] / (model.levels(theta).sum() * np.array(WIDER))
+        directions["steps"] = np.column_stack([np.sin(angle), np.cos(angle)])
     if isinstance(model, ChainModel | PlaceModel):
         passed = model.pass_input(u, theta)
         if float(np.std(passed - u)) > 0:

@@ -402,6 +402,9 @@ def add_play_gap(case: Case, found: Findings) -> Findings:
         smaller = {"both"} if fit.model.zone else set(MEMORY)
         found = found.add_models(case, without=smaller)
         return add_play_gap(case, found) if found.verdict.word in MEMORY else found
+    if gap.ahead is not None and not gap.sure and offsets.element_name == "neither":
+        reason = _describe_hidden_gap(gap.ahead.rms * whole.y_scale)
+        return found._replace(verdict=build_verdict("undecided", reason), odds={})
     element = build_play_element(gap, whole, case.offset_prior)
     delay = case.fitted.delay if whole is case.record_data else 0
     return found._replace(element=element, delay=delay)
@@ -460,7 +463,7 @@ def build_play_element(gap: PlayGap, whole: plant.RecordData, offset: float | No
         remarks=[],
     )
     if gap.ahead is not None and not gap.sure:
-        element = _withhold_widths(element, gap.ahead.rms * whole.y_scale)
+        element.remarks.append(_describe_hidden_gap(gap.ahead.rms * whole.y_scale))
     elif model.zone:
         element = _add_zone_widths(element, gap, whole.y_scale)
     else:
@@ -481,18 +484,12 @@ def _extend_to_records(gap: PlayGap, whole: plant.RecordData) -> tuple[PlayModel
     return model, model.simulator.layout.at_rest(old.simulator.layout, gap.theta)
 
 
-def _withhold_widths(element: Element, rms: float) -> Element:
-    """Return the element without widths, with the remark that a disturbance hides them.
-
-    Args:
-        element: the play.
-        rms: rms of the disturbance ahead of the play [y].
-    """
-    remark = (
+def _describe_hidden_gap(rms: float) -> str:
+    """Return the remark that a disturbance of a given rms ahead of a play hides its gap [y]."""
+    return (
         f"a disturbance of rms {rms:.3g} moves z ahead of the play, and turns that no input"
         " made hide the gap: no width is given; record with a larger input"
     )
-    return element._replace(remarks=[remark])
 
 
 def _add_zone_widths(element: Element, gap: PlayGap, scale: float) -> Element:
@@ -908,6 +905,8 @@ def with_adequacy(case: Case, found: Findings) -> Findings:
         word = next(iter(found.odds))
     fit = fit_of(case, found, word)
     remainders = [] if fit is None else find_remainders(fit)
+    if case.quantum:  # its steps are known: a jump stands in the odds of readings without a zone
+        remainders = [one for one in remainders if one.on != "steps"]
     remainder = largest_remainder(remainders, word)
     linear = fit_of(case, found, "none")
     reasons: tuple[str, ...]

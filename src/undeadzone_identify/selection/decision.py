@@ -28,6 +28,7 @@ LIKELY = 0.8  # odds from which a name is given
 LIKELY_IN_LOOP = 0.9  # odds of no zone, from which it is named in a loop, which hides one
 DOUBT = 0.01  # p of a plant without a zone, below which it is not named
 SURELY_NONE = 0.95  # odds of no zone, from which it is named all the same
+CONTRADICTED = 1e-6  # unless p is smaller
 UNLIKELY = 0.05  # odds below which a name is not worth a word
 FEW = 0.005  # of the readings, that may lie across 0 of an operating point
 WELL_INSIDE = 2.0  # rms of the noise between z^ and an edge
@@ -249,7 +250,7 @@ def classify_by_probabilities(
     if other is not None:
         return other
     more = [one for one in LARGER.get(word, ()) if odds.get(one, 0.0) > UNLIKELY]
-    sure = sum(odds.get(one, 0.0) for one in (word, *more))
+    sure = _joint_odds(word, odds)
     in_loop = word == "none" and sure < LIKELY_IN_LOOP and detect_feedback(case).is_closed
     if (sure < LIKELY or in_loop) and not (word == case.options.kind == "play"):
         return _undecided_among(odds)
@@ -290,20 +291,26 @@ def _verdict_at_range_ends(case: Case, word: str, odds: dict[str, float]) -> Ver
 def _most_probable_word(odds: dict[str, float]) -> str:
     """Return the likeliest class; without a clear leader, a simpler class that larger models
     contain.
-
-    Beside a zone of the input that leads, or that is not excluded beside another leader, the
-    sensor's alone has other widths; a small play in front of it changes them little.
     """
     first = next(iter(odds))
     if first == "two_zones" or (first != "zone_and_friction" and odds[first] >= LIKELY):
         return first
-    for word, more in LARGER.items():
-        if word == "dead_zone" and odds.get("two_zones", 0.0) > UNLIKELY:
-            continue
-        held = sum(odds.get(one, 0.0) for one in (word, *more))
-        if held >= LIKELY and (first == "zone_and_friction" or odds.get(word, 0.0) > UNLIKELY):
+    for word in LARGER:
+        is_there = first == "zone_and_friction" or odds.get(word, 0.0) > UNLIKELY
+        if is_there and _joint_odds(word, odds) >= LIKELY:
             return word
     return first
+
+
+def _joint_odds(word: str, odds: dict[str, float]) -> float:
+    """Return the odds of a class and of the larger models that contain it.
+
+    Beside a zone of the input that is not excluded, the sensor's alone has other widths; a small
+    play in front of it changes them little.
+    """
+    is_wider = word == "dead_zone" and odds.get("two_zones", 0.0) > UNLIKELY
+    larger = () if is_wider else LARGER.get(word, ())
+    return sum(odds.get(one, 0.0) for one in (word, *larger))
 
 
 def _verdict_on_jump(case: Case, odds: dict[str, float], models: Sequence[Family]) -> Verdict:
@@ -351,12 +358,12 @@ def _verdict_without_zone(case: Case, odds: dict[str, float]) -> Verdict:
         return build_verdict("operating_point", f"{point}; --zero {about}, or take it off")
     if _is_below_rounding(case):
         steps = "the readings are rounded to steps that are larger than any zone"
-        return build_verdict("none", f"{steps} ({case.quantum:.3g})")
+        return build_verdict("none", f"{steps} ({case.grid.quantum:.3g})")
     chance, behind = case.no_zone.chance, case.chosen.pairs.objective.kind == "behind"
     if not behind or chance >= DOUBT:
         return build_verdict("none", f"readings need no zone (p = {chance:.2g})")
     # The test takes what disturbs the plant as it is; the odds whiten it first.
-    if odds.get("none", 0.0) >= SURELY_NONE:
+    if odds.get("none", 0.0) >= SURELY_NONE and chance > CONTRADICTED:
         return build_verdict("none", "readings need no zone, for the colour of their disturbance")
     tested = f"a zone explains more than chance does (p = {chance:.2g}), and no model of one is"
     return build_verdict("undecided", f"{tested} likely; record for longer")
