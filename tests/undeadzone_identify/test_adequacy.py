@@ -578,6 +578,16 @@ def test_a_name_that_its_own_test_or_a_wider_model_denies_is_withheld(
     assert answer.answer.reasons[0].startswith(why[:40])
 
 
+def test_a_motor_that_cogs_has_its_period_and_no_name() -> None:
+    """It was `none` at 1.00: its magnets pull it to 12 places a turn, 0.52 rad apart."""
+    answer = of_kind("motor that cogs", 7112)
+    assert answer.verdict == "undecided"
+    found = re.search(r"repeats itself every ([0-9.]+) of its way", answer.answer.reasons[0])
+    assert found is not None
+    assert float(found[1]) == pytest.approx(2 * np.pi / 12, rel=0.05)
+    assert not answer.numbers()["odds"]
+
+
 def test_loads_that_come_and_go_are_no_play() -> None:
     """Its gap was 0, without a width, at 0.96."""
     answer = of_kind("loads that come and go", 1)

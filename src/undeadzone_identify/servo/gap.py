@@ -409,7 +409,7 @@ def _collect_gap_doubts(found: ServoGap, gaps: Floats) -> list[str]:
     if gap.low <= 0:
         reasons.append(
             f"a gap between motor and encoder, if there is one, is below {gap.high:.3g} (an encoder"
-            " at the motor's side hears little of the gap behind it)"
+            " at the motor's side shows little of the gap behind it)"
         )
     elif not found.log.ticks and gap.high < found.least_gap:
         reasons.append(
