@@ -20,6 +20,7 @@ from undeadzone_identify.logs.prepare import jump_edge_below
 from undeadzone_identify.models.plant import PlantSimulator, RecordData, delay_inputs
 from undeadzone_identify.models.zone import WidthLimits, ZoneObjective
 from undeadzone_identify.results.to_continuous import to_continuous_plant
+from undeadzone_identify.selection.adequacy import SEEN
 
 DENOMINATOR = [1.0, -1.6, 0.68]
 STEP = 0.05
@@ -221,7 +222,8 @@ def test_a_spring_that_stiffens_is_no_zone() -> None:
     answer = uz.identify(t=h, u=u, y=dead_zone(z, 0.5, 0.3), order=2, delay=0)
     assert answer.verdict == "unclear"
     assert "explains 31 % of the held-out" in answer.answer.reasons[0]
-    assert any("record slow ramps" in one for one in answer.answer.reasons)
+    # Both explain 17 % of the residual; which of them explains more, the processor decides.
+    assert answer.answer.reasons[1] in (SEEN["output"], SEEN["behind"])
 
 
 def test_an_edge_that_is_hardly_passed_has_its_profile() -> None:
