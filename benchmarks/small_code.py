@@ -209,7 +209,7 @@ def waits(pythons: dict[str, str]) -> str:
     lines = [
         "## Wait for a compiled step\n",
         "`Online(compiled=True)`, empty cache, CPU seconds since the start. The virtual machine",
-        "runs the first samples, then machine code of no effort, then the fastest.\n",
+        "runs the first samples, then unoptimised machine code, then the fastest.\n",
     ]
     lines += head("scenario", "checkout", "first sample [s]", "machine code [s]", "fastest [s]")
     with tempfile.TemporaryDirectory() as scratch:
@@ -226,17 +226,8 @@ def waits(pythons: dict[str, str]) -> str:
 def _write_geared_arm(folder: Path) -> Path:
     """The scenario that `undeadzone arm --gears` writes for a UR5."""
     urdf = ROOT / "examples" / "ur5.urdf"
-    command = [
-        sys.executable,
-        "-m",
-        "undeadzone",
-        "arm",
-        str(urdf),
-        "--gears",
-        "--out",
-        str(folder),
-    ]
-    subprocess.run(command, capture_output=True, check=True)
+    command = [sys.executable, "-m", "undeadzone", "arm", str(urdf), "--gears", "--out"]
+    subprocess.run([*command, str(folder)], capture_output=True, check=True)
     return folder / "ur5.toml"
 
 

@@ -544,6 +544,27 @@ def test_noise_behind_a_coarse_sensor_hides_no_steps(step: float, noise: float) 
     assert any("the readings gather about steps of" in one for one in answer.answer.remarks)
 
 
+def test_a_zone_behind_blurred_steps_goes_from_its_log_to_an_estimate(tmp_path: Path) -> None:
+    """The scenario that is written explains the log itself, with its noise about the steps."""
+    rng = np.random.default_rng(5)
+    u = walk(rng, 2000)
+    readings = 0.1 * np.round(zone(lags(u)) / 0.1) + 0.015 * rng.standard_normal(u.size)
+    log, out = tmp_path / "log.csv", tmp_path / "out"
+    columns = {"t": STEP * np.arange(u.size), "u": u, "y": readings}
+    pd.DataFrame(columns).to_csv(log, index=False)
+    runner = CliRunner()
+    done = runner.invoke(group, ["identify", str(log), "--no-figures", "--out", str(out)])
+    assert done.exit_code == 0, done.output
+    assert "gather about steps of 0.1" in done.output
+    files = [str(out / "log.toml"), str(log), "--out", str(out)]
+    done = runner.invoke(group, ["estimate", *files, "--no-figures", "--json"])
+    assert done.exit_code == 0, done.output
+    found = json.loads(done.stdout)
+    assert found["consistent"]
+    for (low, high), truth in zip(found["ranges"], (0.5, 0.35), strict=True):
+        assert low < truth < high
+
+
 def test_steps_that_noise_blurs_are_no_jump() -> None:
     rng = np.random.default_rng(7104)
     u = walk(rng)

@@ -25,9 +25,7 @@ RARE = 0.005  # share of values that may be such
 ODD = 0.1  # quanta by which a change may differ from a multiple
 FEWEST_LEVELS, MOST_LEVELS = 4, 40  # about which the readings of a coarse sensor gather
 RARELY = 0.01  # share of the readings about a level that is not counted
-GATHERED = (
-    0.25  # least mean cosine of phases about levels; noise of a quarter of a step leaves 0.29
-)
+GATHERED = 0.25  # least mean cosine of phases about levels; noise of 0.25 steps leaves 0.29
 HARDLY_BY_CHANCE = 12.0  # its square times the readings; of one step e^-12 are as large by chance
 SURE = 4.0  # deviations
 SOME = 2000  # readings that tell a step
@@ -315,10 +313,10 @@ def round_to_steps(y: Floats, remarks: list[str]) -> Floats:
         line = np.polyfit(level, scaled, 1)
     step, offset = (high - low) * line + [0.0, low]
     offset -= step * round(offset / step)
-    noise = float(np.std(y - offset - step * np.round((y - offset) / step)))
+    level = np.round((y - offset) / step)
+    noise = float(np.std(y - offset - step * level))
     if abs(offset) < SURE * noise / math.sqrt(y.size):
         offset = 0.0
-    level = np.round((y - offset) / step)
     rounded = offset + step * level
     gathered = np.cos(2 * np.pi * (y - rounded) / step)
     changes = np.flatnonzero(np.diff(level))

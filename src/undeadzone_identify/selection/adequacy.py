@@ -32,12 +32,8 @@ from undeadzone_identify.models.least_squares import (
 from undeadzone_identify.models.place import PlaceModel
 
 SHARE = 0.045  # of the innovations' variance, from which a direction is real
-OF_FEW = {
-    "beside": 0.025,
-    "ahead": 0.025,
-    "spring": 0.025,
-    "repetition": 0.025,
-}  # of directions of few columns
+# The same of directions of few columns.
+OF_FEW = dict.fromkeys(("beside", "ahead", "spring", "repetition"), 0.025)
 LARGE_SHARE, PERHAPS = 0.1, 0.02  # the same for a large share, of which p may be larger
 NOTABLE_SHARE, HARDLY_BY_CHANCE = 0.05, 0.003  # and for one between both
 MOST, HARDLY = 0.5, 0.1  # and for most of the residual that is not white

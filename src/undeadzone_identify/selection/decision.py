@@ -249,8 +249,9 @@ def classify_by_probabilities(
         other = _find_unclear(case, word, best, fits) or _verdict_at_range_ends(case, word, odds)
     if other is not None:
         return other
-    more = [one for one in LARGER.get(word, ()) if odds.get(one, 0.0) > UNLIKELY]
-    sure = _joint_odds(word, odds)
+    likely = {one: share for one, share in odds.items() if one == word or share > UNLIKELY}
+    more = [one for one in LARGER.get(word, ()) if one in likely]
+    sure = _joint_odds(word, likely)
     in_loop = word == "none" and sure < LIKELY_IN_LOOP and detect_feedback(case).is_closed
     if (sure < LIKELY or in_loop) and not (word == case.options.kind == "play"):
         return _undecided_among(odds)

@@ -21,7 +21,7 @@ from undeadzone_identify.logs.grid import Grid
 from undeadzone_identify.logs.log import Options
 from undeadzone_identify.models import plant
 from undeadzone_identify.models.estimates import Interval, student_quantile
-from undeadzone_identify.models.least_squares import Density, regress_residual
+from undeadzone_identify.models.least_squares import Density, regress_residual, regression_residual
 from undeadzone_identify.models.likelihood import root_mean_square
 from undeadzone_identify.selection.adequacy import AT_SENSOR, Remainder, hat_columns
 from undeadzone_identify.selection.alternatives import (
@@ -81,7 +81,7 @@ FEW_RETURNS = 3  # passages of 0: so few or fewer do not show a zone of the sens
 # random servos without a zone 5 exceed it.
 LONGER_AT_ZERO = 1.6
 SETTLES = 40.0  # time constants a record, below which a plant may be an integrator in disguise
-PERIODS = range(6, 60)  # halves of a period that a motor's way may hold
+HALF_PERIODS = range(6, 60)  # that a motor's way may hold
 LEVEL = 0.02  # of a friction, by which it is uncertain at least: how a motor sticks is assumed
 ROUNDED = 1.2  # times the rounding's rms: a residual below it is rounding
 MOVED = 1e-4  # of a number, for derivatives of the sampled plant
@@ -364,16 +364,17 @@ def find_repetition(servo: ServoGap) -> str | None:
     """
     z, errors = _errors_by_position(servo)
     way = max(float(np.ptp(z)), 1e-300)
-    shares = []
-    for halves in PERIODS:
+    squares = []
+    for halves in HALF_PERIODS:
         angle = np.pi * halves * z / way
         columns = np.column_stack([np.sin(angle), np.cos(angle)])
-        shares.append(regress_residual(columns - columns.mean(axis=0), errors)[2])
-    share = max(shares)
-    chance = len(PERIODS) * math.exp(-0.5 * errors.size * share)  # of two columns
+        left = regression_residual(columns - columns.mean(axis=0), errors)
+        squares.append(float(left @ left))
+    share = 1 - min(squares) / max(float(errors @ errors), 1e-300)
+    chance = len(HALF_PERIODS) * math.exp(-0.5 * errors.size * share)  # of two columns
     if not Remainder("repetition", share, chance, errors[:0]).is_real:
         return None
-    period = 2 * way / PERIODS[int(np.argmax(shares))] * servo.log.y_scale
+    period = 2 * way / HALF_PERIODS[int(np.argmin(squares))] * servo.log.y_scale
     return (
         f"what a motor leaves repeats itself every {period:.3g} of its way ({100 * share:.0f} % of"
         " it), as cogging or an eccentric gear does: no gap is not certain. Record with a larger"
