@@ -517,6 +517,7 @@ def test_a_servo_without_a_gap_has_friction_or_nothing(
     level = Interval(friction, friction - 0.1, friction + 0.1) if friction else None
     element: Any = SimpleNamespace(_replace=lambda **changes: changes)
     for name, value in (
+        ("find_repetition", None),
         ("friction_of", level),
         ("build_servo_element", element),
         ("total_delay", 0.25),
