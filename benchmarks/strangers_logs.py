@@ -563,6 +563,93 @@ def apart_from_zero(z: Floats) -> Floats:
     return np.asarray(zone(z - 0.75, 0.35, 0.35))
 
 
+def noisy_by_size(rng: np.random.Generator) -> Strange:
+    """A zone whose noise is a tenth of what it reads."""
+    u = walk(rng)
+    y = zone(lags(u))
+    return Strange(u, noisy(rng, y * (1 + 0.1 * rng.standard_normal(SIZE)), 0.003), {}, BOTH)
+
+
+def ringing(rng: np.random.Generator) -> Strange:
+    """A zone behind a mass on a spring, which rings ten times."""
+    u = walk(rng)
+    z = lfilter([0.0, 1.0], [1.0, -2 * 0.98 * np.cos(0.2), 0.98**2], u)
+    return Strange(u, noisy(rng, zone(z / z.std()), 0.01), {}, BOTH)
+
+
+def compared(z: Floats) -> Floats:
+    """One or zero, with a hysteresis."""
+    y, at = np.empty(z.size), 0.0
+    for k, value in enumerate(z):
+        at = 1.0 if value > 0.2 else 0.0 if value < -0.2 else at
+        y[k] = at
+    return y
+
+
+def nested(z: Floats) -> Floats:
+    """Plays of four gaps side by side, as springs that slide (Iwan's friction) make them."""
+    return np.asarray(sum(dragged(z, gap) for gap in (0.0, 0.3, 0.7, 1.2)) / 4)
+
+
+def of_two_clocks(rng: np.random.Generator) -> Strange:
+    """A linear plant whose readings have a clock that runs 1 % fast."""
+    u, k = walk(rng), np.arange(SIZE)
+    return Strange(u, noisy(rng, np.interp(k * 0.99, k, lags(u))))
+
+
+def of_one_step(rng: np.random.Generator) -> Strange:
+    """A linear plant whose input steps once."""
+    u = np.where(np.arange(400) < 50, 0.0, 1.0)
+    return Strange(u, noisy(rng, lags(u)))
+
+
+def of_long_delay(rng: np.random.Generator) -> Strange:
+    """A linear plant behind a delay of four of its time constants."""
+    u = walk(rng)
+    return Strange(u, noisy(rng, lags(np.append(np.zeros(48), u[:-48]))))
+
+
+def diffusing(rng: np.random.Generator) -> Strange:
+    """Heat in a thick wall: half an order, as lags of many time constants."""
+    u = walk(rng, SIZE, 30.0)
+    y = sum((0.5**n * lags(u, 3.0 * 4.0**n, 1) for n in range(5)), np.zeros(SIZE))
+    return Strange(u, noisy(rng, y / y.std()))
+
+
+def passing_on(rng: np.random.Generator) -> Strange:
+    """A zone of the sensor behind a plant that passes on a third of its input at once."""
+    u = walk(rng)
+    return Strange(u, noisy(rng, zone(lags(u) + 0.3 * u), 0.01), {}, BOTH)
+
+
+def slower_upwards(z: Floats) -> Floats:
+    """A sensor that follows rises with a lag of 8 samples, and falls with one of 2."""
+    y, at = np.empty(z.size), 0.0
+    for k, value in enumerate(z):
+        at += (value - at) / (8 if value > at else 2)
+        y[k] = at
+    return y
+
+
+def dithered(rng: np.random.Generator) -> Strange:
+    """A zone that a tone of its own size, which nobody recorded, carries across its edges."""
+    u = walk(rng)
+    tone = 0.4 * np.sin(2.2 * np.arange(SIZE))
+    return Strange(u, noisy(rng, zone(lags(u) + tone), 0.01))
+
+
+def rectified(rng: np.random.Generator) -> Strange:
+    """A linear plant whose recorder writes the amplitude of its input."""
+    u = walk(rng)
+    return Strange(np.abs(u), noisy(rng, lags(u)))
+
+
+def lagging_gap(rng: np.random.Generator) -> Strange:
+    """A play of the sensor, whose readings have a lag of four samples."""
+    u = walk(rng, 2000, 30.0)
+    return Strange(u, noisy(rng, lfilter([0.22], [1.0, -0.78], dragged(lags(u), 0.7)), 0.005))
+
+
 ZONE = ("dead_zone", "filtered_zone")
 LINEAR = ("none", "operating_point")
 BOTH = sum(WIDTHS)
@@ -640,8 +727,6 @@ EARLIER = {  # chosen after the code of the rounds before was finished
     "limit of the input, zone": Kind(limited_and_sensed, ZONE),
     "delay that sways": Kind(of_changing_delay, LINEAR),
     "zone that creeps": Kind(with_leak, ZONE),
-}
-LATER = {  # chosen last
     "interpolated readings": Kind(interpolated, LINEAR),
     "coarse readings": Kind(sensed(lambda z: 0.6 * np.round(z / 0.6)), LINEAR),
     "inverse response": Kind(with_inverse_response, LINEAR),
@@ -659,5 +744,29 @@ LATER = {  # chosen last
     "thermostat": Kind(by_thermostat, LINEAR),
     "zone of the input, hunting": Kind(hunting, ("input_zone",)),
     "zone far from 0": Kind(sensed(apart_from_zero, 0.7), ZONE),
+}
+LATER = {  # chosen last
+    "angle that wraps": Kind(sensed(lambda z: np.mod(z + 0.5, 1.0) - 0.5), ()),
+    "flow without its sign": Kind(sensed(np.abs), ("other",)),
+    "zone, read every fifth time": Kind(sensed(lambda z: np.repeat(zone(z)[::5], 5), BOTH), ZONE),
+    "read every fifth time": Kind(sensed(lambda z: np.repeat(z[::5], 5)), LINEAR),
+    "zone, noise by its size": Kind(noisy_by_size, ZONE),
+    "zone of a light damping": Kind(ringing, ZONE),
+    "comparator": Kind(sensed(compared), ()),
+    "nested hystereses": Kind(sensed(nested), ("play", "both", "friction")),
+    "clocks apart": Kind(of_two_clocks, LINEAR),
+    "one step": Kind(of_one_step, LINEAR),
+    "long dead time": Kind(of_long_delay, LINEAR),
+    "diffusion": Kind(diffusing, LINEAR),
+    "sensor of changes": Kind(sensed(lambda z: lfilter([1.0, -1.0], [1.0, -0.98], z)), LINEAR),
+    "zone, sensor of changes": Kind(
+        sensed(lambda z: lfilter([1.0, -1.0], [1.0, -0.98], zone(z)), BOTH), ()
+    ),
+    "zone with a share passed on": Kind(passing_on, ZONE),
+    "sensor slower upwards": Kind(sensed(slower_upwards), ()),
+    "range that switches": Kind(sensed(lambda z: np.where(np.abs(z) > 1, 1.05 * z, z)), ("other",)),
+    "dithered zone": Kind(dithered, ZONE),
+    "input without its sign": Kind(rectified, ()),
+    "gap behind a lag": Kind(lagging_gap, ("play",)),
 }
 ALL = KINDS | EARLIER | LATER
