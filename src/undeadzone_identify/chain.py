@@ -41,7 +41,7 @@ class FirmwareChain(NamedTuple):
 
 
 def run_firmware_chain(
-    path: Path, log: Path, folder: Path, columns: str | None, strict: bool
+    path: Path, log: Path, folder: Path, columns: str | None, strict: bool, delay: int = 0
 ) -> FirmwareChain:
     """Check a scenario, estimate along its log, export it to C and run the C along the log.
 
@@ -53,6 +53,7 @@ def run_firmware_chain(
         folder: where estimate and firmware go.
         columns: which column of the log is which, as `estimate` takes it.
         strict: whether a line of the log that cannot be read is an error.
+        delay: samples by which the recording delays the inputs.
 
     Raises:
         InputError: a step is refused.
@@ -67,7 +68,7 @@ def run_firmware_chain(
 
     scenario = read(path)
     known = assess_problem(resolve_scenario(scenario)).known
-    found = estimate(scenario, log, columns=columns, strict=strict)
+    found = estimate(scenario, log, columns=columns, strict=strict, delay=delay)
     kept = found.save(require_writable(folder) / "estimate.npz")
     for precision in PRECISIONS:
         firmware = export(scenario, "c", folder / "firmware", precision, check=True)

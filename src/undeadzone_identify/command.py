@@ -85,7 +85,12 @@ SUBJECTS = {
     type=PLACES,
     default="auto",
 )
-@value_option("--delay", "N", "Samples by which the recording delays the input.", default="auto")
+@value_option(
+    "--delay",
+    "N",
+    "Samples by which the recording delays the input; -1: has it late.",
+    default="auto",
+)
 @value_option("--threshold", "|y|", "Largest |y| that counts as inside the zone.", type=float)
 @value_option("--resample", "STEP", "Step [s] to put the samples on.", type=float)
 @strict_option
@@ -164,7 +169,8 @@ def identify(
     why |= {} if reason is None else {"no scenario": reason.removeprefix("scenario: ")}
     is_written = path in written
     driven = is_written and "[reference]" in path.read_text(encoding="utf-8")
-    follow = {"next": _next_commands(path, logs, options, driven)} if is_written else {}
+    late = 0 if isinstance(answer, IdentifiedMotion) else answer.recorded_delay
+    follow = {"next": _next_commands(path, logs, options, driven, late)} if is_written else {}
     numbers = answer.numbers()
     lines = compensating_lines(numbers, first.name)
     if folder is not None and lines:
@@ -174,7 +180,7 @@ def identify(
     chain_numbers = {}
     if chain is not None:
         scenario_file = path if is_written else None
-        firmware = _build_firmware(answer, numbers, scenario_file, first, chain, options)
+        firmware = _build_firmware(answer, numbers, scenario_file, first, chain, options, late)
         written = written + firmware.files
         is_done = firmware.passed
         why = why | firmware.words
@@ -199,6 +205,7 @@ def _build_firmware(
     log: Path,
     folder: Path,
     options: dict[str, Any],
+    late: int,
 ) -> FirmwareChain:
     """Build tested firmware from the scenario, or a few lines that compensate a backlash.
 
@@ -212,6 +219,7 @@ def _build_firmware(
         log: file of the log, along which the firmware is run.
         folder: of the firmware.
         options: of the command.
+        late: samples by which the recording delays the inputs.
     """
     from undeadzone_identify.chain import (
         FirmwareChain,
@@ -225,7 +233,7 @@ def _build_firmware(
     with progress("going on to firmware", None):
         if scenario is not None:
             reading_options = options["columns"], options["strict"]
-            return run_firmware_chain(scenario, log, folder, *reading_options)
+            return run_firmware_chain(scenario, log, folder, *reading_options, late)
         lost_motion = find_compensation(numbers, log.name)
         if (
             lost_motion is None
@@ -238,7 +246,7 @@ def _build_firmware(
 
 
 def _next_commands(
-    scenario: Path, logs: tuple[Path, ...], options: dict[str, Any], driven: bool
+    scenario: Path, logs: tuple[Path, ...], options: dict[str, Any], driven: bool, late: int = 0
 ) -> str:
     """Return the commands to type next, with the scenario that was written, as text.
 
@@ -248,13 +256,15 @@ def _next_commands(
         options: of the command.
         driven: whether the plant has as many inputs as outputs. Else no controller can follow a
             reference, and `watch` takes the place of `run` and `export`.
+        late: samples by which the recording delays the inputs.
     """
     words = shell_command("undeadzone", "run", scenario)
     if not driven:
         words = f"{shell_command('undeadzone', 'watch', scenario)} of what is read from now on"
     if len(logs) == 1 and options["resample"] is None:
         columns = ["--columns", options["columns"]] * bool(options["columns"])
-        words = f"{shell_command('undeadzone', 'estimate', scenario, *logs, *columns)}, {words}"
+        given = [*columns, *["--delay", str(late)] * bool(late)]
+        words = f"{shell_command('undeadzone', 'estimate', scenario, *logs, *given)}, {words}"
     return f"{words}, or {shell_command('undeadzone', 'export', scenario)}" if driven else words
 
 

@@ -21,7 +21,7 @@ from undeadzone.util.answers import Answers
 from undeadzone.util.installed import use_one_blas_thread
 from undeadzone.util.progress import notebook_progress
 from undeadzone_identify.logs.grid import Grid, shorten_log, to_grid
-from undeadzone_identify.logs.log import Log, Options, log_from_arrays, read_log
+from undeadzone_identify.logs.log import AT_ONCE, Log, Options, log_from_arrays, read_log
 from undeadzone_identify.logs.prepare import (
     PreparedLog,
     feasible_orders,
@@ -67,14 +67,14 @@ from undeadzone_identify.selection.alternatives import (
     build_input_element,
     deny_shaped_zone_without_width,
     has_a_model,
+    has_hidden_readings,
     has_play_ahead,
-    has_stored_changes,
     holds_more,
     may_have_shaped_zone,
     needs_an_element,
     needs_valve_test,
     with_adequacy,
-    withhold_stored_changes,
+    withhold_hidden_readings,
     without_needless,
 )
 from undeadzone_identify.selection.decision import (
@@ -88,6 +88,7 @@ from undeadzone_identify.selection.delays import (
     delay_fits,
     drop_unvisited_edges,
     fit_with_delay,
+    is_delay_better,
 )
 from undeadzone_identify.selection.location import find_zone_locations, is_rounding_play
 from undeadzone_identify.selection.lost_motion import (
@@ -383,6 +384,9 @@ def identify_output(grid: Grid, options: Options, advance: Callable[[int], None]
             return _identify_servo(grid, options, advance, servo)
     case = _fit_zone_and_maps(shorten_log(grid, options.integrators), options, advance)
     case = case._replace(servo=servo)
+    if _acts_at_once(case):
+        at_once = msgspec.structs.replace(options, delay=AT_ONCE)
+        return identify_output(case.grid, at_once, advance)
     found = _begin_findings(case)
     if found.verdict.word == "jump" and _has_unread_edges(case):
         as_jump = msgspec.structs.replace(options, kind="jump")
@@ -392,6 +396,16 @@ def identify_output(grid: Grid, options: Options, advance: Callable[[int], None]
             found = hypothesis.update_findings(case, found)
             advance(1)
     return Identified(to_answer(case, found))
+
+
+def _acts_at_once(case: Case) -> bool:
+    """Return whether the input moves the reading of its own sample."""
+    is_open = case.options.delay == "auto" and not case.fitted.delay and case.jump_edges is None
+    if not is_open or case.recorded.u.shape[1] > 1 or is_named_loop(case.grid):
+        return False
+    if not orders.acts_at_once(case.chosen.pairs, case.recorded.u):
+        return False
+    return is_delay_better([case.chosen], delay_fits([case.chosen], -1))
 
 
 def _count_from_zone(grid: Grid, options: Options) -> Grid:
@@ -597,7 +611,7 @@ HYPOTHESES = (
     Hypothesis("a spring that bends, or an offset", _needs_remainder_test, _add_remainder),
     Hypothesis("a dead zone of the actuator", _has_actuator_zone, _add_actuator_zone),
     Hypothesis("what the likeliest model leaves", has_a_model, with_adequacy),
-    Hypothesis("readings stored on change", has_stored_changes, withhold_stored_changes),
+    Hypothesis("readings stored on change", has_hidden_readings, withhold_hidden_readings),
     Hypothesis("the play of an actuator", has_play_ahead, add_play_ahead),
     Hypothesis("the numbers of what is named", needs_an_element, add_named_element),
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import json
+import re
 import shutil
 import subprocess
 from collections.abc import Callable
@@ -12,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from benchmarks.servo_logs import Servo, input_at_random, recorded
+from benchmarks.strangers_logs import walk, zone
 from benchmarks.valve_loops import ValveLoop, make
 from click.testing import CliRunner
 
@@ -103,3 +105,33 @@ def test_a_servo_by_current_and_encoder_ends_in_firmware(
     assert low < servo.gap < high
     assert "static float commanded" in printed
     assert Path("fw/firmware/servo.c").exists()
+
+
+def test_an_unstable_plant_is_said_to_be_one_and_estimate_finds_the_width(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Only stable plants are identified: what the answer advises leads to the width."""
+    monkeypatch.chdir(tmp_path)
+    draw, size, z = np.random.default_rng(0), 1200, 0.0
+    r, u, y = 2 * walk(draw, size, 30.0), np.empty(size), np.empty(size)
+    for k in range(size):
+        y[k] = float(zone(np.array(z), 0.5, 0.5)) + 0.02 * draw.standard_normal()
+        u[k] = 3.0 * (r[k] - y[k])
+        z = 1.03 * z + 0.06 * u[k]
+    table = np.column_stack([0.01 * np.arange(size), u, y])
+    np.savetxt("loop.csv", table, delimiter=",", header="t,u,y", comments="")
+    told = CliRunner().invoke(group, ["identify", "loop.csv", "--no-figures", "--out", "o"])
+    why = " ".join(told.output.split())
+    pole = float(re.search(r"seems unstable \(a pole of \+(\S+) 1/s\)", why)[1])  # type: ignore[index]
+    assert pole == pytest.approx(100 * np.log(1.03), rel=0.02)
+    assert "let `undeadzone estimate` find the widths" in why
+    gain = 0.06 * pole / np.expm1(0.01 * pole)
+    Path("model.toml").write_text(
+        f"[plant]\nA = [[{pole}]]\nB = [[{gain}]]\nC = [[1.0]]\n[sensor]\nnoise = 0.02\n"
+        '[observer]\nmethod = "censored"\nright = [0.0, 2.0]\n'
+        '[simulation]\ntime = "sampled"\nstep = 0.01\nduration = 12.0\n'
+    )
+    printed = invoke("estimate", "model.toml", "loop.csv", "--no-figures", "--out", "e", "--json")
+    numbers = json.loads(printed)
+    assert numbers["consistent"]
+    assert numbers["d_right"] + numbers["d_left"] == pytest.approx(1.0, rel=0.1)

@@ -240,7 +240,7 @@ def test_a_zone_at_both_ends_is_not_sold_as_the_sensors() -> None:
     doubted = answer.answer.found.element._replace(input={"width": narrow})
     unsure = to_answer(case, answer.answer.found._replace(element=doubted))
     assert (unsure.verdict, unsure.width) == ("undecided", None)
-    assert "holds 0: 0.1 [-0.1, 0.3]" in unsure.reasons[-1]
+    assert "holds 0: 0.1 [-0.1, 0.3]" in unsure.reasons[0]
     assert "two_zones" not in answer.numbers()["levels"]
 
 

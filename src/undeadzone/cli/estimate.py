@@ -16,6 +16,7 @@ from undeadzone.cli.common import (
     log_exit_code,
     shell_command,
     strict_option,
+    value_option,
 )
 from undeadzone.cli.output import (
     Output,
@@ -32,6 +33,13 @@ from undeadzone.util.progress import terminal_progress as progress
 @click.command(epilog="Example: undeadzone estimate mine.toml log.csv --columns y=angle,u=voltage")
 @columns_option
 @strict_option
+@value_option(
+    "--delay",
+    "N",
+    "Samples by which the recording delays the inputs; -1: by which it has them late.",
+    type=int,
+    default=0,
+)
 @flag_option("--causal", "The filter alone: no smoothing with the whole log.")
 @csv_option
 @force_option
@@ -42,6 +50,7 @@ def estimate(
     log: Path,
     columns: str | None,
     strict: bool,
+    delay: int,
     causal: bool,
     as_csv: bool,
     force: bool,
@@ -70,7 +79,13 @@ def estimate(
     watched = read_for_logs(scenario, confine)
     with progress("estimating", None, of=watched.observer) as advance:
         result = uz.estimate(
-            watched, log, columns=columns, strict=strict, smoothing=not causal, progress=advance
+            watched,
+            log,
+            columns=columns,
+            strict=strict,
+            smoothing=not causal,
+            delay=delay,
+            progress=advance,
         )
     cure = None
     if result.info.consistent is False:

@@ -41,7 +41,7 @@ from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.follower import Follower, require_units
 from undeadzone.simulation.online import ObserverGraph, observer_graph
 from undeadzone.util import tree
-from undeadzone.util.arrays import Array, Floats
+from undeadzone.util.arrays import Array, Floats, shift_rows
 from undeadzone.util.files import LARGEST_RUN
 from undeadzone.util.progress import notebook_progress
 
@@ -58,9 +58,10 @@ def estimate(
     columns: str | None = None,
     strict: bool = False,
     smoothing: bool = True,
+    delay: int = 0,
     progress: Callable[[int], None] | None = None,
 ) -> Estimation:
-    """Return let an observer follow a log.
+    """Let an observer follow a log.
 
     Args:
         scenario: a scenario, or the path of its file, which needs no [reference], no [controller]
@@ -76,6 +77,8 @@ def estimate(
         strict: whether a line that cannot be read is an error (else its sample is missing).
         smoothing: whether `kalman`, `censored`, `extended` and `auto` are smoothed too, with the
             whole log.
+        delay: samples by which the recording delays the inputs, beside a delay of the plant;
+            negative: by which it has them early.
         progress: called with the number of samples just done (None: a bar in a notebook).
 
     Returns:
@@ -109,6 +112,8 @@ def estimate(
     else:
         log = _read_any_log(scenario, follower, frame_or_path, chosen, strict)
     regular = log.placed.samples
+    if delay:
+        regular = regular._replace(u=shift_rows(regular.u, delay, np.zeros(1, int)))
     if regular.t.size > LARGEST_LOG:
         raise FileError(
             f"{log.source}: more than {LARGEST_LOG} samples. Give it to undeadzone watch, or split "

@@ -68,7 +68,11 @@ def _misreadings(
     for delay in DELAYS[: int(np.searchsorted(DELAYS, len(u) / 4))]:
         late, early = (shift_rows(u, samples, np.zeros(1, int)) for samples in (delay, -delay))
         yield f"the inputs act {delay} samples later: plant.delay = {known + delay}", y, late
-        earlier = f"plant.delay = {known - delay}" if known >= delay else "the log has them late"
+        earlier = (
+            f"plant.delay = {known - delay}"
+            if known >= delay
+            else f"the log has them late: delay = -{delay}"
+        )
         yield f"the inputs act {delay} samples earlier: {earlier}", y, early
 
 

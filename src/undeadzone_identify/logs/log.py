@@ -32,6 +32,7 @@ T = TypeVar("T", int, float)
 
 MOST_POLES = 8
 MOST_LATE = 1000  # samples
+AT_ONCE = "-1"  # delay of a recording whose readings answer to the input of their own row
 
 
 class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -74,6 +75,11 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         """Store the kind "backlash" under its one internal name, "play"."""
         if self.kind == "backlash":
             msgspec.structs.force_setattr(self, "kind", "play")
+
+    @property
+    def recorded_delay(self) -> int:
+        """Return the samples by which the recording delays the inputs."""
+        return 0 if self.delay == "auto" else int(self.delay)
 
     def parse_orders(self) -> range:
         """Return the orders to try. Raise InputError."""
@@ -136,9 +142,10 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
             )
         if self.kind == "jump" and self.integrators:
             raise InputError("kind: a jump sensor's readings show z. It has no --integrators")
-        if self.delay != "auto" and not (self.delay.isdigit() and int(self.delay) <= MOST_LATE):
+        is_known = self.delay == AT_ONCE or (self.delay.isdigit() and int(self.delay) <= MOST_LATE)
+        if self.delay != "auto" and not is_known:
             raise InputError(
-                f"delay: expected auto or samples up to {MOST_LATE}, found {self.delay!r}"
+                f"delay: expected auto or {AT_ONCE} to {MOST_LATE} samples, found {self.delay!r}"
             )
         if not math.isfinite(self.zero):
             raise InputError(f"zero: expected a number, found {self.zero:g}")

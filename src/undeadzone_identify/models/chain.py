@@ -17,6 +17,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 from scipy.signal import lfilter
+from scipy.special import expit
 
 from undeadzone.compile import lanes
 from undeadzone.nonlinearities.play import levels
@@ -340,6 +341,17 @@ class ChainModel:
             is_plain = abs(math.log(slope)) < STRAIGHT and abs(self.lag(theta)) < LATE
             is_plain &= rounding < ROUND * theta[self.edges].sum()
         return "dead_zone" if is_plain else "filtered_zone"
+
+    def slope_inside(self, theta: Floats) -> float:
+        """Return the slope in the middle of the zone over that outside: 0 if its edges are sharp.
+
+        Edges that are rounder than the zone is wide leave a curve that is never silent.
+        """
+        if not self.shaped:
+            return 0.0
+        slope, rounding = theta[self.shape]
+        right, left = expit(-theta[self.edges] / rounding)
+        return float(2 * (right + slope * left) / (1 + slope))
 
     def is_at_bound(self, theta: Floats) -> bool:
         """Return whether a parameter of the input's element is at the end of what it models.

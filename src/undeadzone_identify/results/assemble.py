@@ -11,6 +11,7 @@ from undeadzone.errors import InputError
 from undeadzone.nonlinearities.sensor import DIRECTIONS
 from undeadzone.util.arrays import Flags, Floats
 from undeadzone_identify.logs.grid import Grid
+from undeadzone_identify.logs.log import AT_ONCE
 from undeadzone_identify.logs.prepare import FAR_EDGE
 from undeadzone_identify.models.estimates import Interval, student_quantile
 from undeadzone_identify.models.kalman import AT_INPUT, NAMES
@@ -294,7 +295,7 @@ def to_answer(case: Case, found: Findings) -> Answer:
         or _doubt_of_zero(element.input)
     )
     if doubt:
-        verdict = build_verdict("undecided", *found.verdict.reasons, doubt)
+        verdict = build_verdict("undecided", doubt, *found.verdict.reasons)
         found = found._replace(element=None, verdict=verdict, odds={})
     found = found._replace(odds=_odds_of_word(case, found))
     data = case.record_data
@@ -486,7 +487,7 @@ def _delay_remarks(answer: Answer) -> list[str]:
     """Return the remark on an input delay, empty without a delay."""
     delay = answer.found.delay
     grid = answer.case.grid
-    if not delay:
+    if delay <= 0:
         return []
     time = "" if grid.counted else f" ({delay * grid.step:.4g} s)"
     return [f"the input acts {delay} samples late{time}"]
@@ -505,6 +506,11 @@ def _add_feedback(answer: Answer) -> Answer:
     is_closed = loop.is_closed or (servo is not None and servo.log.is_closed_loop)
     remark = f"the input answers to the readings: the log is of a closed loop. {holds}"
     remarks = [remark] if is_closed else []
+    if answer.case.options.delay == AT_ONCE:
+        remarks.append(
+            "the input acts within its own sample, or is written a sample late: it is taken one"
+            f" sample earlier (--delay {AT_ONCE})"
+        )
     remarks += _reference_remarks(answer.case.grid, answer.case.record_data.ok, loop)
     return answer._replace(loop=loop, remarks=[*answer.remarks, *remarks])
 

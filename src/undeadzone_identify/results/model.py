@@ -12,7 +12,7 @@ from undeadzone.nonlinearities import sensor
 from undeadzone.nonlinearities.play import levels
 from undeadzone.scenario.reader import parse
 from undeadzone.simulation.estimate import estimate
-from undeadzone.util.arrays import Floats, shift_rows
+from undeadzone.util.arrays import Floats
 from undeadzone_identify.logs.log import Log
 from undeadzone_identify.results.assemble import Answer
 from undeadzone_identify.results.to_continuous import observer_matrices
@@ -122,9 +122,8 @@ def predict_log(answer: Answer, text: str, log: Log) -> Predicted:
         text: of its scenario.
         log: with one output.
     """
-    late = 0 if answer.case.options.delay == "auto" else answer.found.delay  # of the recording
-    u = shift_rows(log.u, late, np.zeros(1, int))
-    found = estimate(parse(text), t=log.t, u=u, y=log.y, smoothing=False)
+    late = answer.case.options.recorded_delay
+    found = estimate(parse(text), t=log.t, u=log.u, y=log.y, smoothing=False, delay=late)
     y = found.y[:, 0] - found.innovation[:, 0]
     y = np.where(found.side[:, 0] == 0, np.nan, y)
     return Predicted(found.t, y, found.innovation_std[:, 0], found.z_hat[:, 0])
@@ -147,6 +146,8 @@ def answer_to_control(answer: Answer) -> Any:
         B = np.vstack([np.zeros((n, m)), np.eye(m)])
         C = np.hstack([C, np.zeros((1, m))])
     D = np.zeros((1, layout.m))
+    if answer.found.delay < 0:  # of x - B u, as x holds what the input of its own sample adds
+        B, D = F @ B, C @ B
     return control.ss(F, B, C, D, grid.step, inputs=list(grid.inputs), outputs=[grid.output])
 
 

@@ -126,6 +126,11 @@ class Identified:
         return self.answer.verdict
 
     @property
+    def recorded_delay(self) -> int:
+        """Return the samples by which the recording has the input late, or -1: early."""
+        return self.answer.case.options.recorded_delay
+
+    @property
     def zone(self) -> bool:
         """Return whether the sensor has a dead zone."""
         return self.answer.zone
@@ -365,6 +370,11 @@ class IdentifiedOutputs:
         """
         words = [one.verdict for one in self.outputs]
         return next((word for word in words if word != "dead_zone"), "dead_zone")
+
+    @property
+    def recorded_delay(self) -> int:
+        """Return the samples by which the recording has the inputs late, the same of each."""
+        return self.outputs[0].recorded_delay
 
     @property
     def zone(self) -> bool:

@@ -92,8 +92,8 @@ SEEN = {
     " record with a smaller input",
     "rate of the input": "the drive of the input may be limited in its rate; record with an input"
     " that changes more slowly",
-    "rate of the output": "the sensor may be limited in its rate; record with an input that changes"
-    " more slowly",
+    "rate of the output": "the sensor may be limited in its rate, or slower one way than the other;"
+    " record with an input that changes more slowly",
     "steps": "the sensor may round its readings to coarse steps; record slow ramps through its"
     " whole range",
     "time": "the plant or the sensor may drift; identify a shorter part of the log",
@@ -339,7 +339,9 @@ def last_turn(signal: Floats) -> Floats:
 def _late_by_rate(signal: Floats) -> Floats:
     """Return by how much limits of its rate would change a signal (N x limits)."""
     usual = float(np.std(np.diff(signal)))
-    return limit_rates(signal, usual * np.array(RATES)) - signal[:, None]
+    speed = np.abs(np.diff(signal, prepend=signal[0]))  # a lag that differs by direction
+    late = limit_rates(signal, usual * np.array(RATES)) - signal[:, None]
+    return np.column_stack([late, speed])
 
 
 def _late(signal: Floats, lag: int) -> Floats:

@@ -112,11 +112,14 @@ SMALLER = {  # words of models that a word's model holds
 }
 SURELY = 2.0  # deviations, by which a larger model must be worse to be denied
 LITTLE = 0.1  # share of held-out squares: a smaller gain must be one by SURELY deviations
+MOST_INSIDE = 0.5  # slope in the middle of a zone over that outside, from which it is another curve
 LAST = {"input_zone": 40, "two_zones": 40}  # steps of a climb that checks a fit
 OF_THEIR_OWN = ("friction", "saturation", "other", *CHAINED)  # words of models with a plant
 PLACED = {"actuator": "input_zone", "plant": "friction"}  # words by what --place tells
 REPEATED = 0.2  # of the readings, from which only changes may be stored
 STORED = 3.0  # quanta of the readings, from which the least change is none of rounding
+ON_EACH = 0.05  # of the readings, that each of two levels has at least
+BETWEEN, LEVEL = 0.03, 0.2  # of the readings, at most between two levels; of their distance
 UNSEEN = 0.1  # of the readings' noise: what a disturbance makes of z, and no log of this kind shows
 OF_INPUT = ("friction", "input_zone", "input_play")  # words of widths in the input's unit
 MEASURED = {  # what is known of an element, by word
@@ -638,16 +641,16 @@ def _intervals_with_offset(
     return widths
 
 
-# --- Readings that are stored only on change
+# --- Readings that are stored only on change, or those of a switch
 
 
-def has_stored_changes(case: Case, found: Findings) -> bool:
-    """Return whether the readings repeat, or move by more than some step."""
-    return find_stored_step(case) > 0
+def has_hidden_readings(case: Case, found: Findings) -> bool:
+    """Return whether the readings repeat, move by more than a step, or have two levels."""
+    return find_stored_step(case) > 0 or is_switch(case)
 
 
-def withhold_stored_changes(case: Case, found: Findings) -> Findings:
-    """Withhold the name, since between stored changes the output is not known.
+def withhold_hidden_readings(case: Case, found: Findings) -> Findings:
+    """Withhold the name, since between stored changes, or two levels, the output is not known.
 
     Args:
         case: the log.
@@ -658,8 +661,27 @@ def withhold_stored_changes(case: Case, found: Findings) -> Findings:
         " that stores changes only, or something that sticks; nothing is named"
     )
     cure = "record every sample, with the dead band (exception, compression) of the recorder at 0"
+    if is_switch(case):
+        seen = "the readings have two levels alone, as those of a switch; nothing is named"
+        cure = "record what the switch measures, with a sensor that reads it in between"
     verdict = build_verdict("unclear", seen, cure)
     return found._replace(verdict=verdict, odds={}, element=None, valve=None, friction=None)
+
+
+def is_switch(case: Case) -> bool:
+    """Return whether the readings have two levels and the input has more."""
+    has_levels = _has_two_levels(case.grid.y[case.grid.ok])
+    return has_levels and not any(map(_has_two_levels, case.grid.u.T))
+
+
+def _has_two_levels(values: Floats) -> bool:
+    """Return whether values lie about two levels, and hardly ever between."""
+    above = values > (values.min() + values.max()) / 2
+    if not ON_EACH < above.mean() < 1 - ON_EACH:
+        return False
+    high, low = np.median(values[above]), np.median(values[~above])
+    away = np.abs(values - np.where(above, high, low))
+    return bool(np.mean(away > LEVEL * (high - low)) < BETWEEN)
 
 
 def find_stored_step(case: Case) -> float:
@@ -970,7 +992,8 @@ def may_have_shaped_zone(case: Case, found: Findings) -> bool:
 
 
 def deny_shaped_zone_without_width(case: Case, found: Findings) -> Findings:
-    """Deny a shaped zone whose width may be 0: it imitates another element by its shape.
+    """Deny a shaped zone whose width may be 0, or that passes most of z inside: another element is
+    likely.
 
     Args:
         case: the log.
@@ -978,7 +1001,10 @@ def deny_shaped_zone_without_width(case: Case, found: Findings) -> Findings:
     """
     fit = fit_of(case, found, "filtered_zone")
     width = None if fit is None else measure_word(case, fit, "filtered_zone")[0]["width"]
-    if width is None or width.low > 0:
+    if fit is None or width is None:
+        return found
+    passes = fit.model.slope_inside(fit.theta) if isinstance(fit.model, ChainModel) else 0.0
+    if width.low > 0 and passes < MOST_INSIDE:
         return found
     return found._replace(denied=found.denied | {"filtered_zone"}).add_models(case)
 

@@ -8,15 +8,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from undeadzone.util.arrays import shift_rows
 from undeadzone_identify.logs.grid import Grid
-from undeadzone_identify.logs.log import Options
+from undeadzone_identify.logs.log import AT_ONCE, Options
 from undeadzone_identify.logs.prepare import JumpEdge
 from undeadzone_identify.models import least_squares
 from undeadzone_identify.models.elements import MapModel
 from undeadzone_identify.models.estimates import long_run_covariance, student_quantile
 from undeadzone_identify.models.least_squares import Density, FittedModel
 from undeadzone_identify.models.plant import RecordData
-from undeadzone_identify.models.zone_fit import ZoneFit, fit_linear
+from undeadzone_identify.models.zone_fit import ZoneFit, fit_arx, fit_linear
 from undeadzone_identify.selection import orders
 from undeadzone_identify.selection.delays import FittedOrders
 from undeadzone_identify.selection.location import STEPS
@@ -65,6 +66,8 @@ UNEXPLAINED = (
     ": are input and output the right columns? try more inputs, a higher --order, or a log with"
     " less disturbance"
 )
+CALM = 2.0  # rms of a residual, of held-out readings that hardly move
+GROWS = 10.0  # logarithm of what a pole does along the log, from which it is unstable
 UNSETTLED = (
     "the plant seems to integrate, or to ring longer than the record: its state at the start and"
     " an offset or a sine cannot be separated; use --integrators 1 if it is the position of a"
@@ -208,7 +211,10 @@ class Feedback(NamedTuple):
 def detect_feedback(case: Case) -> Feedback:
     """Detect feedback: by residuals, or with certainty by a recorded reference."""
     grid, share = case.grid, None
-    chance = orders.loop_p_value(case.chosen.pairs, case.recorded.u) if case.chosen.white else 1.0
+    u = case.recorded.u
+    if case.options.delay == AT_ONCE:  # which no controller makes from the reading of its row
+        u = shift_rows(u, int(AT_ONCE), case.recorded.start)
+    chance = orders.loop_p_value(case.chosen.pairs, u) if case.chosen.white else 1.0
     known = grid.r[np.isfinite(grid.r)]
     if known.size and np.ptp(known) > 0:
         share = orders.feedback_share(grid.u, grid.y, case.record_data.ok, grid.r, grid.start)[0]
@@ -380,6 +386,12 @@ def _find_unclear(case: Case, word: str, best: Density, fits: Fits) -> Verdict |
         which = "held-out readings" if word in FITTED else "readings"
         explained = f"the best plant explains {100 * max(share, 0.0):.0f} % of the {which}"
         changes = f", and {100 * within:.0f} % of all: it changes, or another input acts"
+        if chosen.error < CALM * best.rms:  # as after a single step
+            changes = ", which hardly move: nothing tests a fit; record several steps up and down,"
+            changes += " each held until the readings settle"
+        unstable = _describe_instability(case) if within <= LEAST else None
+        if unstable is not None:
+            return build_verdict("unclear", explained + unstable)
         reasons.append(explained + (changes if within > LEAST else UNEXPLAINED))
     fit = chosen.pairs
     if word == "none":
@@ -390,6 +402,27 @@ def _find_unclear(case: Case, word: str, best: Density, fits: Fits) -> Verdict |
     if (reasons or word in {*FITTED, *fits}) and plant.is_at_limit(theta):
         reasons.append(UNSETTLED)
     return build_verdict("unclear", *reasons) if reasons else None
+
+
+def _describe_instability(case: Case) -> str | None:
+    """Return the advice on a plant that is unstable without its controller, or None.
+
+    Simulation cannot follow such a plant, but an equation predicts its next reading.
+
+    Args:
+        case: the log.
+    """
+    for order in case.fitted.fits:
+        a = fit_arx(order.pairs.objective.simulator, None, None)[0]
+        pole = math.log(max(np.abs(np.roots(np.append(1.0, a))), default=1.0) or 1.0)
+        if pole * case.record_data.y.size > GROWS:
+            return (
+                f": it seems unstable (a pole of {pole / case.grid.step:+.3g} 1/s) and held by a"
+                " controller, and only stable plants and integrators are identified. If the columns"
+                " are right, put a model of the plant in a scenario and let `undeadzone estimate`"
+                " find the widths"
+            )
+    return None
 
 
 # --- An offset after the zone, which the model does not contain

@@ -15,6 +15,7 @@ from scipy.stats import chi2
 from undeadzone.util.arrays import Flags, Floats, Integers, rows_since_start
 from undeadzone_identify.models import zone_fit
 from undeadzone_identify.models.least_squares import (
+    CHANCE,
     regress_residual,
     regression_residual,
 )
@@ -307,14 +308,41 @@ def loop_p_value(fit: zone_fit.ZoneFit, u: Floats) -> float:
         fit: plant and zone.
         u: the inputs as they were recorded, or what else may answer (N x m).
     """
-    value, use = one_step_residuals(fit, fit.objective.data.ok)
-    lagged = _lag_columns(np.where(use, value, 0.0)[:, None], range(FEEDBACK_LAGS))
-    inside = rows_since_start(fit.objective.data.start, value.size) >= PAST_INPUTS
-    left = [
-        regression_residual(_lag_columns(column[:, None])[inside], column[inside]) for column in u.T
-    ]
-    chances = [regress_residual(lagged[inside], one)[-1] for one in left]
+    value, inputs = _innovations(fit, u)
+    lagged = _lag_columns(value[:, None], range(FEEDBACK_LAGS))
+    inside = np.isfinite(inputs[0])
+    chances = [regress_residual(lagged[inside], one[inside])[-1] for one in inputs]
     return min(1.0, len(chances) * min(chances))
+
+
+def acts_at_once(fit: zone_fit.ZoneFit, u: Floats) -> bool:
+    """Return whether a reading answers to the input of its own sample.
+
+    What is new in that input then goes with the residual; behind a controller it goes against it.
+
+    Args:
+        fit: plant and zone.
+        u: the input as it was recorded (N x 1).
+    """
+    value, (new,) = _innovations(fit, u)
+    inside = np.isfinite(new)
+    weights, _, _, chance = regress_residual(value[inside, None], new[inside])
+    gain = float(fit.theta[fit.objective.layout.numerators].sum())
+    return chance <= CHANCE and float(weights[0]) * gain > 0
+
+
+def _innovations(fit: zone_fit.ZoneFit, u: Floats) -> tuple[Floats, list[Floats]]:
+    """Return the residuals one step ahead, 0 if unknown (N), and the innovations of each input, NaN
+    at the start of a record (N each).
+    """
+    value, use = one_step_residuals(fit, fit.objective.data.ok)
+    inside = rows_since_start(fit.objective.data.start, value.size) >= PAST_INPUTS
+    inputs = []
+    for column in u.T:
+        new = np.full(column.size, np.nan)
+        new[inside] = regression_residual(_lag_columns(column[:, None])[inside], column[inside])
+        inputs.append(new)
+    return np.where(use, value, 0.0), inputs
 
 
 def feedback_share(

@@ -141,12 +141,9 @@ def to_servo_options(options: Options, found: ServoGap) -> Options:
 
 def total_delay(options: Options, found: ServoGap | None = None) -> int:
     """Return the samples of the user's input delay plus the delay of a servo."""
-    known_delay = 0 if options.delay == "auto" else int(options.delay)
-    return (
-        known_delay
-        if found is None
-        else known_delay + max(round(float(found.servo.theta[At.DELAY])), 0)
-    )
+    if found is None:
+        return options.recorded_delay
+    return options.recorded_delay + max(round(float(found.servo.theta[At.DELAY])), 0)
 
 
 def servo_order(servo: Servo) -> int:
