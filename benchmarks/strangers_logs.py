@@ -650,6 +650,92 @@ def lagging_gap(rng: np.random.Generator) -> Strange:
     return Strange(u, noisy(rng, lfilter([0.22], [1.0, -0.78], dragged(lags(u), 0.7)), 0.005))
 
 
+def static(curve: Callable[[Floats], Floats]) -> Callable[[np.random.Generator], Strange]:
+    """A reading of the input of its own row, as a joystick's or a valve's at rest."""
+
+    def make(rng: np.random.Generator) -> Strange:
+        u = walk(rng)
+        return Strange(u, noisy(rng, curve(u)))
+
+    return make
+
+
+def saturated_drive(rng: np.random.Generator) -> Strange:
+    """A drive that lags, and ends at 0.9 of the input's rms, ahead of a plant."""
+    u = walk(rng)
+    return Strange(u, noisy(rng, lags(np.clip(lags(u, 4.0, 1), -0.9, 0.9))))
+
+
+def with_drift(read: Callable[[Floats], Floats]) -> Callable[[np.random.Generator], Strange]:
+    """A sensor whose zero drifts by half an rms along the log."""
+
+    def make(rng: np.random.Generator) -> Strange:
+        u = walk(rng)
+        return Strange(u, noisy(rng, read(lags(u)) + np.linspace(0.0, 0.5, SIZE)))
+
+    return make
+
+
+def of_two_gains(rng: np.random.Generator) -> Strange:
+    """A linear plant whose gain falls by a third in the middle of the log."""
+    u = walk(rng)
+    gain = np.where(np.arange(SIZE) < SIZE // 2, 1.2, 0.8)
+    return Strange(u, noisy(rng, lags(u * gain)))
+
+
+def with_coloured_noise(
+    read: Callable[[Floats], Floats],
+) -> Callable[[np.random.Generator], Strange]:
+    """A sensor whose noise has a memory of 20 samples and a rms of a tenth."""
+
+    def make(rng: np.random.Generator) -> Strange:
+        u = walk(rng)
+        return Strange(u, noisy(rng, read(lags(u)) + 0.1 * walk(rng, SIZE, 20.0), 0.01))
+
+    return make
+
+
+def with_much_noise(rng: np.random.Generator) -> Strange:
+    """A zone with noise of a third of its width."""
+    u = walk(rng)
+    return Strange(u, noisy(rng, zone(lags(u)), 0.3), {}, BOTH)
+
+
+def sampled(
+    read: Callable[[Floats], Floats], samples: float
+) -> Callable[[np.random.Generator], Strange]:
+    """A sensor behind a plant whose time constant is so many samples."""
+
+    def make(rng: np.random.Generator) -> Strange:
+        u = walk(rng, 2400, samples)
+        return Strange(u, noisy(rng, read(lags(u, samples)), 0.01), {}, BOTH)
+
+    return make
+
+
+def cylinder(rng: np.random.Generator) -> Strange:
+    """The position of a hydraulic cylinder, whose valve overlaps, and which is faster outwards."""
+    u = walk(rng, 2400, 20.0)
+    v = zone(u, 0.4, 0.3)
+    y = driven_motor(np.where(v > 0, 1.4 * v, v), 5.0)
+    return Strange(u, noisy(rng, y, 0.003 * y.std()), {"integrators": 1})
+
+
+def missing_counts(rng: np.random.Generator) -> Strange:
+    """A motor whose encoder misses counts when it moves fast: linear, its position drifts."""
+    u = steps(rng, 2500)
+    moves = np.diff(driven_motor(u, 15.0), prepend=0.0)
+    lost = (rng.random(u.size) < 0.02) & (np.abs(moves) > np.std(moves))
+    y = np.cumsum(np.where(lost, 0.0, moves))
+    return Strange(u, np.round(y, 2), {"integrators": 1})
+
+
+def cut_root(z: Floats) -> Floats:
+    """The root of a pressure drop, which reads 0 for small ones."""
+    root = np.sign(z) * np.sqrt(np.abs(z))
+    return np.asarray(np.where(np.abs(root) > 0.4, root, 0.0))
+
+
 ZONE = ("dead_zone", "filtered_zone")
 LINEAR = ("none", "operating_point")
 BOTH = sum(WIDTHS)
@@ -744,8 +830,6 @@ EARLIER = {  # chosen after the code of the rounds before was finished
     "thermostat": Kind(by_thermostat, LINEAR),
     "zone of the input, hunting": Kind(hunting, ("input_zone",)),
     "zone far from 0": Kind(sensed(apart_from_zero, 0.7), ZONE),
-}
-LATER = {  # chosen last
     "angle that wraps": Kind(sensed(lambda z: np.mod(z + 0.5, 1.0) - 0.5), ()),
     "flow without its sign": Kind(sensed(np.abs), ("other",)),
     "zone, read every fifth time": Kind(sensed(lambda z: np.repeat(zone(z)[::5], 5), BOTH), ZONE),
@@ -768,5 +852,23 @@ LATER = {  # chosen last
     "dithered zone": Kind(dithered, ZONE),
     "input without its sign": Kind(rectified, ()),
     "gap behind a lag": Kind(lagging_gap, ("play",)),
+}
+LATER = {  # chosen last
+    "no dynamics": Kind(static(lambda u: 2 * u), LINEAR),
+    "no dynamics, zone": Kind(static(zone), (*ZONE, "input_zone")),
+    "no dynamics, play": Kind(static(lambda u: dragged(u, 0.7)), ("play", "input_play")),
+    "no dynamics, limit": Kind(static(lambda u: np.clip(u, -0.9, 1.1)), ("saturation",)),
+    "slow drive that saturates": Kind(saturated_drive, ()),
+    "offset that drifts": Kind(with_drift(lambda z: z), LINEAR),
+    "zone, offset that drifts": Kind(with_drift(zone), ZONE),
+    "gain that steps": Kind(of_two_gains, LINEAR),
+    "coloured noise": Kind(with_coloured_noise(lambda z: z), LINEAR),
+    "zone, coloured noise": Kind(with_coloured_noise(zone), ZONE),
+    "zone, much noise": Kind(with_much_noise, ZONE),
+    "zone, oversampled": Kind(sampled(zone, 120.0), ZONE),
+    "zone, undersampled": Kind(sampled(zone, 0.7), ZONE),
+    "cylinder": Kind(cylinder, ("input_zone",)),
+    "encoder that misses counts": Kind(missing_counts, LINEAR),
+    "root with a cut-off": Kind(sensed(cut_root), ("jump", "other")),
 }
 ALL = KINDS | EARLIER | LATER

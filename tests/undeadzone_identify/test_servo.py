@@ -518,6 +518,7 @@ def test_a_servo_without_a_gap_has_friction_or_nothing(
     element: Any = SimpleNamespace(_replace=lambda **changes: changes)
     for name, value in (
         ("find_repetition", None),
+        ("find_input_zone", None),
         ("friction_of", level),
         ("build_servo_element", element),
         ("total_delay", 0.25),

@@ -144,3 +144,38 @@ def test_a_log_of_a_single_step_says_what_to_record() -> None:
     assert words == ["unclear", "none"]
     assert "record several steps up and down" in reasons[0]
     assert "changes" not in reasons[0]
+
+
+def test_friction_of_a_plant_that_settles_within_a_sample_may_be_a_play() -> None:
+    """A joystick's hysteresis was friction at 0.98; the option that is advised finds its gap."""
+    u, y = log_of("no dynamics, play", 8500)
+    found = uz.identify(t=STEP, u=u, y=y)
+    assert (found.verdict, found.numbers()["odds"]) == ("undecided", {})
+    assert "friction from a play of twice its level" in found.answer.reasons[0]
+    assert "use --kind play" in found.answer.reasons[0]
+    played = uz.identify(t=STEP, u=u, y=y, kind="play")
+    assert played.verdict == "play"
+    assert played.width is not None
+    assert played.width.low < 0.7 < played.width.high
+
+
+def test_the_overlap_of_a_cylinders_valve_is_not_mistaken_for_friction() -> None:
+    """It rests as friction does, but brakes nothing: its odds were 1."""
+    u, y = log_of("cylinder", 8500)
+    found = uz.identify(t=STEP, u=u, y=y, integrators=1)
+    assert found.verdict == "undecided"
+    assert "a dead zone of the input, as of a valve that overlaps" in found.answer.reasons[0]
+
+
+def test_much_noise_is_not_taken_for_readings_that_hardly_move() -> None:
+    u, y = log_of("zone, much noise", 8501)
+    found = uz.identify(t=STEP, u=u, y=y)
+    assert not any("hardly move" in one for one in found.answer.reasons)
+
+
+def test_readings_beyond_the_limits_that_fit_best_are_no_saturation() -> None:
+    """A pendulum that went over its top hangs about two angles, and was a saturation at 1.00."""
+    u, y = log_of("pendulum", 7030)
+    found = uz.identify(t=STEP, u=u, y=y)
+    assert found.verdict == "unclear"
+    assert "readings lie beyond the limits that fit best" in found.answer.reasons[0]

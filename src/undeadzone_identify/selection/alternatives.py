@@ -115,11 +115,23 @@ LITTLE = 0.1  # share of held-out squares: a smaller gain must be one by SURELY 
 MOST_INSIDE = 0.5  # slope in the middle of a zone over that outside, from which it is another curve
 LAST = {"input_zone": 40, "two_zones": 40}  # steps of a climb that checks a fit
 OF_THEIR_OWN = ("friction", "saturation", "other", *CHAINED)  # words of models with a plant
+EXCLUDED = {"deadzone": MEMORY, "play": ("friction",)}  # words by what --kind tells
 PLACED = {"actuator": "input_zone", "plant": "friction"}  # words by what --place tells
 REPEATED = 0.2  # of the readings, from which only changes may be stored
 STORED = 3.0  # quanta of the readings, from which the least change is none of rounding
+AT_ONCE_POLE = math.exp(-1)  # of a sampled plant, whose time constant is a sample
+SAME_AT_ONCE = (
+    f"{CANNOT_TELL} friction from a play of twice its level: the readings follow within a sample,"
+    " and then both are the same; if you know that it is a play, use --kind play"
+)
+BEYOND, LEAST_BEYOND = 3.0, 0.05  # rms beyond limits, over that of white noise, and over y's
+PASSES_LIMITS = (
+    "none of the known models explains this log: readings lie beyond the limits that fit best;"
+    " record slow ramps through the whole range"
+)
 ON_EACH = 0.05  # of the readings, that each of two levels has at least
-BETWEEN, LEVEL = 0.03, 0.2  # of the readings, at most between two levels; of their distance
+SPREAD = 0.04  # of the distance of two levels: median distance of readings from their level
+FAR_AWAY, BETWEEN = 7.0, 0.01  # times that; of the readings that may lie farther from both levels
 UNSEEN = 0.1  # of the readings' noise: what a disturbance makes of z, and no log of this kind shows
 OF_INPUT = ("friction", "input_zone", "input_play")  # words of widths in the input's unit
 MEASURED = {  # what is known of an element, by word
@@ -263,7 +275,7 @@ def impossible_words(case: Case) -> Collection[str]:
     noise.
     """
     placed = PLACED.get(case.options.place)
-    out = set(MEMORY) if case.options.kind == "deadzone" else set()
+    out = set(EXCLUDED.get(case.options.kind, ()))
     out |= set() if placed is None else set(MODELS) - {"none", placed}
     fit = case.chosen.singles
     if not case.record_data.silent_zeros or case.jump_edges or placed is not None:
@@ -681,7 +693,8 @@ def _has_two_levels(values: Floats) -> bool:
         return False
     high, low = np.median(values[above]), np.median(values[~above])
     away = np.abs(values - np.where(above, high, low))
-    return bool(np.mean(away > LEVEL * (high - low)) < BETWEEN)
+    spread = float(np.median(away))
+    return spread < SPREAD * (high - low) and bool(np.mean(away > FAR_AWAY * spread) < BETWEEN)
 
 
 def find_stored_step(case: Case) -> float:
@@ -955,8 +968,12 @@ def _may_bend(word: str, linear: FittedModel[Any], fit: FittedModel[Any]) -> boo
 def _in_numbers(case: Case, found: Findings) -> Findings:
     """Add the numbers of a chain or of limits that are named to the findings."""
     word, verdict, data = found.verdict.word, found.verdict, case.record_data
+    if word == "friction" and _follows_at_once(fit_of(case, found, word)):
+        return found._replace(verdict=build_verdict("undecided", SAME_AT_ONCE), odds={})
     one = fit_of(case, found, word) if word in (*CHAINED, "other", "saturation") else None
     if one is not None and isinstance(one.model, MapModel):
+        if word == "saturation" and _passes_limits(one, case.quantum):
+            return found._replace(verdict=build_verdict("unclear", PASSES_LIMITS), odds={})
         limits = filter(None, [one.model.describe_limits(one.theta, data.y_scale)])
         return found._replace(verdict=verdict._replace(reasons=[*verdict.reasons, *limits]))
     if one is None or not isinstance(one.model, ChainModel):
@@ -972,6 +989,32 @@ def _in_numbers(case: Case, found: Findings) -> Findings:
         )
         return found._replace(verdict=build_verdict("undecided", reason), odds={})
     return found._replace(verdict=verdict._replace(reasons=[description]))
+
+
+def _follows_at_once(fit: FittedModel[Any] | None) -> bool:
+    """Return whether a plant settles within a sample: friction in it shifts its output alone."""
+    if fit is None:
+        return False
+    layout = fit.model.simulator.layout
+    poles = np.roots(layout.full_denominator(fit.theta[layout.denominator]))
+    return bool(np.abs(poles).max(initial=0.0) < AT_ONCE_POLE)
+
+
+def _passes_limits(fit: FittedModel[MapModel], quantum: float) -> bool:
+    """Return whether readings lie far beyond the limits that hold them by the fit."""
+    model, data = fit.model, fit.squares.data
+    read = model.noise_free_readings(model.output(fit.theta), fit.theta)
+    above = data.y - read
+    above -= above[data.ok].mean() * model.has_level
+    for end, sign in ((read.max(), 1), (read.min(), -1)):
+        held = data.ok & (read == end)
+        if np.count_nonzero(held) < FEWEST:
+            continue
+        beyond = np.maximum(sign * above[held], 0.0)
+        white = white_noise_rms(above, held, data.start)
+        if math.sqrt(2 * float(np.mean(beyond**2))) > max(BEYOND * white, LEAST_BEYOND, quantum):
+            return True
+    return False
 
 
 def _may_be_neutral(fit: ChainFit) -> bool:

@@ -66,7 +66,7 @@ UNEXPLAINED = (
     ": are input and output the right columns? try more inputs, a higher --order, or a log with"
     " less disturbance"
 )
-CALM = 2.0  # rms of a residual, of held-out readings that hardly move
+CALM = 0.3  # of the readings' rms, that of held-out ones that hardly move
 GROWS = 10.0  # logarithm of what a pole does along the log, from which it is unstable
 UNSETTLED = (
     "the plant seems to integrate, or to ring longer than the record: its state at the start and"
@@ -386,7 +386,8 @@ def _find_unclear(case: Case, word: str, best: Density, fits: Fits) -> Verdict |
         which = "held-out readings" if word in FITTED else "readings"
         explained = f"the best plant explains {100 * max(share, 0.0):.0f} % of the {which}"
         changes = f", and {100 * within:.0f} % of all: it changes, or another input acts"
-        if chosen.error < CALM * best.rms:  # as after a single step
+        others = chosen.error / max(1 - chosen.share, 1e-12)
+        if others < CALM * float(data.y[data.ok].std()):  # as after a single step
             changes = ", which hardly move: nothing tests a fit; record several steps up and down,"
             changes += " each held until the readings settle"
         unstable = _describe_instability(case) if within <= LEAST else None

@@ -22,7 +22,7 @@ from undeadzone_identify.logs.log import Options
 from undeadzone_identify.models import plant
 from undeadzone_identify.models.estimates import Interval, student_quantile
 from undeadzone_identify.models.least_squares import Density, regress_residual, regression_residual
-from undeadzone_identify.models.likelihood import root_mean_square
+from undeadzone_identify.models.likelihood import dead_zone, root_mean_square
 from undeadzone_identify.selection.adequacy import AT_SENSOR, Remainder, hat_columns
 from undeadzone_identify.selection.alternatives import (
     EVEN,
@@ -44,13 +44,15 @@ from undeadzone_identify.selection.decision import (
 )
 from undeadzone_identify.selection.odds import Family, model_probabilities
 from undeadzone_identify.servo.gap import (
+    LONGEST,
+    STEPS,
     ServoGap,
     degrees_of_reversals,
     gap_offset_interval,
     identify_servo_gap,
     servo_slopes,
 )
-from undeadzone_identify.servo.likelihood import At, Servo, discretise_servo
+from undeadzone_identify.servo.likelihood import RUBS, At, Servo, ServoLikelihood, discretise_servo
 from undeadzone_identify.servo.observations import (
     Observations,
     build_observations,
@@ -82,6 +84,8 @@ FEW_RETURNS = 3  # passages of 0: so few or fewer do not show a zone of the sens
 LONGER_AT_ZERO = 1.6
 SETTLES = 40.0  # time constants a record, below which a plant may be an integrator in disguise
 HALF_PERIODS = range(6, 60)  # that a motor's way may hold
+TRIED = np.geomspace(0.7, 2.0, 12)  # widths of a zone of the input, over the level of friction
+NATS = 3.0  # odds of 20 to 1
 LEVEL = 0.02  # of a friction, by which it is uncertain at least: how a motor sticks is assumed
 ROUNDED = 1.2  # times the rounding's rms: a residual below it is rounding
 MOVED = 1e-4  # of a number, for derivatives of the sampled plant
@@ -286,10 +290,10 @@ def without_gap(case: Case, servo: ServoGap, found: Findings) -> Findings:
         servo: that explains it without a gap.
         found: so far.
     """
-    repeated = find_repetition(servo)
-    if repeated is not None:
-        return _withhold_servo(servo, found, repeated)
     friction = friction_of(servo)
+    other = find_repetition(servo) or (friction and find_input_zone(servo))
+    if other:
+        return _withhold_servo(servo, found, other)
     word = "none" if friction is None else "friction"
     models, odds = found.models, {word: 1.0}
     if (
@@ -376,6 +380,40 @@ def find_repetition(servo: ServoGap) -> str | None:
         f"what a motor leaves repeats itself every {period:.3g} of its way ({100 * share:.0f} % of"
         " it), as cogging or an eccentric gear does: no gap is not certain. Record with a larger"
         " input"
+    )
+
+
+def find_input_zone(servo: ServoGap) -> str | None:
+    """Return the finding that a dead zone of the input explains a motor as well as friction, or
+    None.
+
+    A valve that overlaps makes a cylinder rest as friction does, but it brakes nothing. The motor
+    is fitted again without friction, behind zones of several widths.
+
+    Args:
+        servo: without a gap, with friction.
+    """
+    one, log = servo.servo, servo.log.busiest_part(LONGEST)
+    if not servo.is_integrating:
+        return None
+    level = float(one.structure.disable_absent_parts(one.theta)[RUBS].sum())
+    middle = float(one.theta[At.OFFSET])
+    structure = one.structure._replace(parts=one.structure.parts - {"friction", "load"})
+    theta = structure.disable_absent_parts(one.theta)
+    theta[At.OFFSET] = 0.0
+    gained = []
+    for width in level * TRIED:
+        zoned = log._replace(u=dead_zone(log.u + middle, width, width))
+        begun = Servo(structure, theta, one.value)
+        tops = ServoLikelihood(zoned).maximise_from_starts([begun], STEPS)
+        gained.append(max((top.value for top in tops), default=-math.inf) - one.value)
+    if max(gained) < -NATS:
+        return None
+    how = "better than" if max(gained) > NATS else "as well as"
+    return (
+        f"a dead zone of the input, as of a valve that overlaps, explains the readings {how}"
+        " friction. An integrating plant has no class of it: measure it by slow ramps of the input"
+        " about rest"
     )
 
 

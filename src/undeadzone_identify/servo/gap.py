@@ -484,11 +484,11 @@ def collect_odd_errors(log: Observations, slopes: ErrorSlopes) -> list[str]:
         return reasons
     squares = sum_squared_correlations(np.clip(r, -CLIP, CLIP))
     if squares > CORRELATED and chi2.sf(r.size * squares, FOLLOWING) < CHANCE:
-        reasons.append("errors follow from errors before them: the motor is not fully held")
+        reasons.append("errors follow from errors before them: no model of a motor explains them")
     used = np.flatnonzero(log.error_samples(False))
     past = np.column_stack([shift_rows(log.u, 1 + j, log.start)[used] for j in range(LAGS)])
     past = past - past.mean(axis=0)
     explained = past @ np.linalg.lstsq(past, r, rcond=1e-8)[0]
     if float(explained @ explained) > INPUT_SHARE * power:
-        reasons.append("past inputs explain errors: the motor is not fully held")
+        reasons.append("past inputs explain errors: no model of a motor explains them")
     return reasons
