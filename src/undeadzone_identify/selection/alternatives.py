@@ -972,7 +972,8 @@ def _in_numbers(case: Case, found: Findings) -> Findings:
         return found._replace(verdict=build_verdict("undecided", SAME_AT_ONCE), odds={})
     one = fit_of(case, found, word) if word in (*CHAINED, "other", "saturation") else None
     if one is not None and isinstance(one.model, MapModel):
-        if word == "saturation" and _passes_limits(one, case.quantum):
+        is_open = word == "saturation" and not case.fitted.prepared.ends.has_ends
+        if is_open and _passes_limits(one, case.quantum):
             return found._replace(verdict=build_verdict("unclear", PASSES_LIMITS), odds={})
         limits = filter(None, [one.model.describe_limits(one.theta, data.y_scale)])
         return found._replace(verdict=verdict._replace(reasons=[*verdict.reasons, *limits]))
