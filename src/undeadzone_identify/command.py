@@ -88,7 +88,7 @@ SUBJECTS = {
 @value_option(
     "--delay",
     "N",
-    "Samples by which the recording delays the input; -1: has it late.",
+    "Samples by which the input acts later than the log has it; -1: earlier.",
     default="auto",
 )
 @value_option("--threshold", "|y|", "Largest |y| that counts as inside the zone.", type=float)

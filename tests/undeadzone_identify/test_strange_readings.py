@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -47,6 +48,23 @@ def test_an_input_that_acts_in_its_own_sample_is_taken_one_sample_earlier(
     assert "the log has them late: delay = -1" in " ".join(wrong.output.split())
 
 
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")  # `check` overflows by the fast pole
+@pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
+def test_a_log_of_an_input_of_its_own_row_ends_in_firmware(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    u, y = log_of(FEEDTHROUGH, 8000)
+    table = np.column_stack([STEP * np.arange(u.size), u, y])
+    np.savetxt("log.csv", table, delimiter=",", header="t,u,y", comments="")
+    words = ["identify", "log.csv", "--no-figures", "--out", "o", "--chain", "fw"]
+    told = CliRunner().invoke(group, words)
+    assert told.exit_code == 0, told.output
+    assert "every bit agrees" in told.output
+    assert "consistent yes" in " ".join(told.output.split())
+    assert Path("fw/firmware/log.c").exists()
+
+
 def test_an_input_taken_earlier_gives_the_same_answer_as_a_shifted_log() -> None:
     u, y = log_of(FEEDTHROUGH, 8001)
     found = uz.identify(t=STEP, u=u, y=y)
@@ -62,7 +80,7 @@ def test_an_input_taken_earlier_gives_the_same_answer_as_a_shifted_log() -> None
 
 
 def test_a_controller_that_answers_at_once_is_no_feedthrough() -> None:
-    """What is new in its output goes against the noise of the readings."""
+    """The innovations of its output have a negative correlation with the noise of the readings."""
     rng, size, z = np.random.default_rng(3), 1200, 0.0
     r, u, y = walk(rng, size, 30.0), np.empty(size), np.empty(size)
     for k in range(size):
@@ -178,4 +196,4 @@ def test_readings_beyond_the_limits_that_fit_best_are_no_saturation() -> None:
     u, y = log_of("pendulum", 7030)
     found = uz.identify(t=STEP, u=u, y=y)
     assert found.verdict == "unclear"
-    assert "readings lie beyond the limits that fit best" in found.answer.reasons[0]
+    assert "readings exceed the fitted limits of the saturation" in found.answer.reasons[0]

@@ -36,7 +36,7 @@ from undeadzone.util.progress import terminal_progress as progress
 @value_option(
     "--delay",
     "N",
-    "Samples by which the recording delays the inputs; -1: by which it has them late.",
+    "Samples by which the inputs act later than the log has them; -1: earlier.",
     type=int,
     default=0,
 )

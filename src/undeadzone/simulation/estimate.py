@@ -77,8 +77,8 @@ def estimate(
         strict: whether a line that cannot be read is an error (else its sample is missing).
         smoothing: whether `kalman`, `censored`, `extended` and `auto` are smoothed too, with the
             whole log.
-        delay: samples by which the recording delays the inputs, beside a delay of the plant;
-            negative: by which it has them early.
+        delay: samples by which the inputs act later than the log has them, beside a delay of the
+            plant; negative: earlier, since the log has them late.
         progress: called with the number of samples just done (None: a bar in a notebook).
 
     Returns:
@@ -112,13 +112,12 @@ def estimate(
     else:
         log = _read_any_log(scenario, follower, frame_or_path, chosen, strict)
     regular = log.placed.samples
-    if delay:
-        regular = regular._replace(u=shift_rows(regular.u, delay, np.zeros(1, int)))
     if regular.t.size > LARGEST_LOG:
         raise FileError(
             f"{log.source}: more than {LARGEST_LOG} samples. Give it to undeadzone watch, or split "
             "it"
         )
+    regular = regular._replace(u=shift_rows(regular.u, delay, np.zeros(1, int)))
     with notebook_progress(progress, "estimating", None) as advance:
         estimated, sides, B = follower.follow(regular, advance)
         given = {

@@ -78,7 +78,7 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
     @property
     def recorded_delay(self) -> int:
-        """Return the samples by which the recording delays the inputs."""
+        """Return the delay of the inputs in the recording in samples, 0 if not given."""
         return 0 if self.delay == "auto" else int(self.delay)
 
     def parse_orders(self) -> range:

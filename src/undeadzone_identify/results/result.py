@@ -127,7 +127,7 @@ class Identified:
 
     @property
     def recorded_delay(self) -> int:
-        """Return the samples by which the recording has the input late, or -1: early."""
+        """Return the delay of the input in the recording in samples, -1 if recorded late."""
         return self.answer.case.options.recorded_delay
 
     @property
@@ -373,7 +373,7 @@ class IdentifiedOutputs:
 
     @property
     def recorded_delay(self) -> int:
-        """Return the samples by which the recording has the inputs late, the same of each."""
+        """Return the delay of the inputs in the recording in samples."""
         return self.outputs[0].recorded_delay
 
     @property

@@ -234,15 +234,14 @@ def _plant_with_spread(answer: Answer) -> tuple[Matrices, Floats, Floats]:
 
 def _common_delay(answers: Sequence[Answer]) -> int:
     """Return the samples of the plant's delay, not its recording's. Raise InputError."""
-    recorded = {one.case.options.recorded_delay for one in answers}
-    late = {one.found.delay * (one.case.options.delay == "auto") for one in answers}
-    for times in (late, recorded):
-        if len(times) > 1:
-            raise InputError(
-                f"scenario: inputs act {min(times)} to {max(times)} samples late on different"
-                " outputs, and a plant has one delay. Identify each output alone"
-            )
-    return late.pop()
+    found = (one.found.delay * (one.case.options.delay == "auto") for one in answers)
+    late = {one.case.options.recorded_delay + own for one, own in zip(answers, found, strict=True)}
+    if len(late) > 1:
+        raise InputError(
+            f"scenario: inputs act {min(late)} to {max(late)} samples late on different outputs,"
+            " and a plant has one delay. Identify each output alone"
+        )
+    return late.pop() * (answers[0].case.options.delay == "auto")
 
 
 def _join_plants(plants: Sequence[Matrices]) -> Matrices:

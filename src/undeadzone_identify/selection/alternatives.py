@@ -126,8 +126,8 @@ SAME_AT_ONCE = (
 )
 BEYOND, LEAST_BEYOND = 3.0, 0.05  # rms beyond limits, over that of white noise, and over y's
 PASSES_LIMITS = (
-    "none of the known models explains this log: readings lie beyond the limits that fit best;"
-    " record slow ramps through the whole range"
+    f"{NONE_EXPLAINS}: readings exceed the fitted limits of the saturation; record slow ramps"
+    " through the whole range"
 )
 ON_EACH = 0.05  # of the readings, that each of two levels has at least
 SPREAD = 0.04  # of the distance of two levels: median distance of readings from their level
@@ -1047,8 +1047,7 @@ def deny_shaped_zone_without_width(case: Case, found: Findings) -> Findings:
     width = None if fit is None else measure_word(case, fit, "filtered_zone")[0]["width"]
     if fit is None or width is None:
         return found
-    passes = fit.model.slope_inside(fit.theta) if isinstance(fit.model, ChainModel) else 0.0
-    if width.low > 0 and passes < MOST_INSIDE:
+    if width.low > 0 and fit.model.slope_inside(fit.theta) < MOST_INSIDE:
         return found
     return found._replace(denied=found.denied | {"filtered_zone"}).add_models(case)
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from undeadzone.util.arrays import shift_rows
 from undeadzone_identify.logs.grid import Grid
-from undeadzone_identify.logs.log import AT_ONCE, Options
+from undeadzone_identify.logs.log import Options
 from undeadzone_identify.logs.prepare import JumpEdge
 from undeadzone_identify.models import least_squares
 from undeadzone_identify.models.elements import MapModel
@@ -211,9 +211,8 @@ class Feedback(NamedTuple):
 def detect_feedback(case: Case) -> Feedback:
     """Detect feedback: by residuals, or with certainty by a recorded reference."""
     grid, share = case.grid, None
-    u = case.recorded.u
-    if case.options.delay == AT_ONCE:  # which no controller makes from the reading of its row
-        u = shift_rows(u, int(AT_ONCE), case.recorded.start)
+    # No controller makes an input that acts in its own row from the reading of that row.
+    u = shift_rows(case.recorded.u, min(case.options.recorded_delay, 0), case.recorded.start)
     chance = orders.loop_p_value(case.chosen.pairs, u) if case.chosen.white else 1.0
     known = grid.r[np.isfinite(grid.r)]
     if known.size and np.ptp(known) > 0:

@@ -318,7 +318,8 @@ def loop_p_value(fit: zone_fit.ZoneFit, u: Floats) -> float:
 def acts_at_once(fit: zone_fit.ZoneFit, u: Floats) -> bool:
     """Return whether a reading answers to the input of its own sample.
 
-    What is new in that input then goes with the residual; behind a controller it goes against it.
+    The innovations of that input then have a correlation with the residual of the gain's sign;
+    behind a controller it has the other sign.
 
     Args:
         fit: plant and zone.

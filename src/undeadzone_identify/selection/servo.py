@@ -393,9 +393,9 @@ def find_input_zone(servo: ServoGap) -> str | None:
     Args:
         servo: without a gap, with friction.
     """
-    one, log = servo.servo, servo.log.busiest_part(LONGEST)
     if not servo.is_integrating:
         return None
+    one, log = servo.servo, servo.log.busiest_part(LONGEST)
     level = float(one.structure.disable_absent_parts(one.theta)[RUBS].sum())
     middle = float(one.theta[At.OFFSET])
     structure = one.structure._replace(parts=one.structure.parts - {"friction", "load"})
