@@ -7,22 +7,27 @@ MUTANTS ?= 300
 # Starts of Python that keep no bytecode cost a quarter of the tests' time.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: paper test quick test-wheel wheel tools bench docs fuzz mutants coverage clean
+.PHONY: paper test quick long times test-wheel wheel tools bench docs fuzz mutants coverage clean
 
 paper: .venv/installed        ## install, run the paper's example, write figures 1-8 and the report to paper-results/
 	$(BIN)/undeadzone paper --out paper-results
 
-test: .venv/tested            ## everything: format, lint, types, tests, docs
+test: .venv/tested            ## everything: format, lint, types, tests, docs; ten minutes on two cores
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
-	$(BIN)/mypy
-	$(BIN)/pytest -n 2
+	$(BIN)/mypy & types=$$!; $(BIN)/pytest -n 2; tests=$$?; wait $$types && exit $$tests
 
-quick: .venv/tested           ## the same without the tests that take half a second or more (tests/slow.txt), three minutes
+quick: .venv/tested           ## the same without the tests that take longest (tests/slow.txt), two minutes
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
-	$(BIN)/mypy
-	$(BIN)/pytest -n 2 -m "not slow"
+	$(BIN)/mypy & types=$$!; $(BIN)/pytest -n 2 -m "not slow and not long"; tests=$$?; wait $$types && exit $$tests
+
+long: .venv/benched           ## statistics and strangers, an hour: nightly, and before a release
+	$(BIN)/python -m benchmarks --write long_tests
+	$(BIN)/python -m tests.reference --compare
+
+times: .venv/tested           ## CPU seconds of each file of tests to tests/cpu.toml, slow tests to tests/slow.txt
+	$(BIN)/pytest -n 2 --write-times
 
 test-wheel: .venv/tested      ## the tests against an installed wheel in place of src
 	$(BIN)/python tests/packed.py -n 2

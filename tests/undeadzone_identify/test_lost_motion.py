@@ -27,6 +27,7 @@ from benchmarks.lost_motion_logs import (
 )
 
 import undeadzone as uz
+from further import further
 from undeadzone.cli import group
 from undeadzone.errors import InputError
 from undeadzone_identify.logs.log import Options, read_log
@@ -52,7 +53,7 @@ def identified(log: MotionLog, **more: Any) -> uz.IdentifiedMotion:
 
 
 @pytest.mark.parametrize(
-    "make", [axis_at_rest, two_encoders, noisy_and_late, jittered, pulses_and_star]
+    "make", [axis_at_rest, pulses_and_star, *further(two_encoders, noisy_and_late, jittered)]
 )
 def test_a_gap_is_found_and_its_interval_holds(make: Any) -> None:
     """Without an option, at rest or moving, with irregular times, noise, counts, a late reading."""

@@ -14,6 +14,7 @@ from scipy.special import log_ndtr, ndtr
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import undeadzone as uz
+from further import further
 from undeadzone.errors import InputError
 from undeadzone.util.arrays import Floats
 from undeadzone_identify.models.estimates import (
@@ -470,7 +471,7 @@ def test_friction_is_not_sold_as_a_zone_of_the_sensor() -> None:
 # --- answers
 
 
-@pytest.mark.parametrize("where", ["ahead", "behind"])
+@pytest.mark.parametrize("where", ["behind", *further("ahead")])
 def test_widths_lie_in_their_intervals(where: str) -> None:
     t, u, y, z = record(seed=14, where=where, disturbance=0.2 if where == "ahead" else 0.0)
     answer = uz.identify(t=t, u=u, y=y, order="1-2")

@@ -20,6 +20,7 @@ from scipy.signal import lfilter
 from scipy.stats import norm
 
 import undeadzone as uz
+from further import further
 from undeadzone.cli import group
 from undeadzone.scenario.reader import parse
 from undeadzone.util.arrays import Floats
@@ -105,11 +106,9 @@ def answered(u: Floats, y: Floats, step: float = STEP) -> ServoGap:
     ("reading", "spring", "closed"),
     [
         ("exact", 0.0, False),
-        ("exact", 40.0, True),
-        ("encoder", 0.0, True),
         ("encoder", 40.0, False),
-        ("noise", 0.0, False),
         ("noise", 40.0, True),
+        *further(("exact", 40.0, True), ("encoder", 0.0, True), ("noise", 0.0, False)),
     ],
 )
 def test_the_gap_of_a_servo(reading: str, spring: float, closed: bool) -> None:
@@ -319,6 +318,7 @@ def test_crossings_have_a_median_and_a_scatter() -> None:
     assert math.isnan(empty.gap_scatter)
 
 
+@pytest.mark.long("test_a_filter_with_the_torques_of_a_servo_follows_its_log")
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="no compiler")
 def test_a_late_log_ends_in_firmware_that_has_followed_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -407,7 +407,7 @@ def test_what_overflows_is_no_servo() -> None:
     assert identify_servo_gap(listened(log.u, log.y, log.step)) is None
 
 
-@pytest.mark.parametrize(("seed", "lost"), [(30036, 4.0), (30050, 10.0)])
+@pytest.mark.parametrize(("seed", "lost"), [(30036, 4.0), *further((30050, 10.0))])
 def test_a_filter_with_the_torques_of_a_servo_follows_its_log(seed: int, lost: float) -> None:
     """Friction and slow torques were no part of the scenario, and the filter lost the log."""
     log = random_log(seed)

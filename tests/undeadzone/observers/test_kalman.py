@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.stats import norm, truncnorm
 
+from further import further
 from scenes import EXACT_SENSOR, PAPER_PLANT, OnNumbers, random_plant, scene
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.interfaces import Reading
@@ -399,8 +400,8 @@ def grazed(reach: str) -> tuple[coverage.Problems, coverage.Verdict]:
     return problems, coverage.observe(coverage.kalman, problems)
 
 
-@pytest.mark.parametrize("build", [coverage.extended, coverage.unscented])
-@pytest.mark.parametrize("reach", ["grazing", "right edge only"])
+@pytest.mark.parametrize("build", [coverage.extended, *further(coverage.unscented)])
+@pytest.mark.parametrize("reach", ["grazing", *further("right edge only")])
 def test_filters_on_the_dead_zone_itself_are_confident_and_wrong(build: Any, reach: str) -> None:
     """filterpy's EKF and UKF where an edge is hardly or never reached.
 
