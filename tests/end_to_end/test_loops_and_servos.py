@@ -107,6 +107,9 @@ def test_a_servo_by_current_and_encoder_ends_in_firmware(
     assert Path("fw/firmware/servo.c").exists()
 
 
+@pytest.mark.long(
+    "undeadzone_identify/test_identify_plants.py::test_the_width_of_an_integrating_plant"
+)
 def test_an_unstable_plant_is_said_to_be_one_and_estimate_finds_the_width(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

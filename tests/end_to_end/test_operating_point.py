@@ -86,7 +86,7 @@ def save(log: dict[str, Floats], path: Path) -> Path:
     return path
 
 
-@pytest.fixture(scope="module", params=["play", "zone"])
+@pytest.fixture(scope="module", params=["zone", *further("play")])
 def identified(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Any:
     """The fault, and the folder with the scenario that one log of its loop leads to."""
     folder = tmp_path_factory.mktemp(request.param)

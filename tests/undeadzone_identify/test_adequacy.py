@@ -330,6 +330,7 @@ def test_pulses_count_from_the_middle_of_their_zone() -> None:
     assert middle - answer.left.high < 1478 < middle - answer.left.low
 
 
+@pytest.mark.long("test_a_joint_that_rubs_is_named_with_its_friction")
 def test_friction_that_falls_has_an_interval() -> None:
     """Stribeck's curve is none of the models; the level that a stop needs is in the interval."""
     answer = of_kind("friction that falls", 3)
@@ -446,6 +447,7 @@ def test_a_loop_whose_readings_nothing_foretells_has_no_name(tmp_path: Path) -> 
     assert not answer.numbers()["odds"]
 
 
+@pytest.mark.long("test_a_strong_curve_is_found_beside_its_line")
 def test_two_slopes_without_a_zone_are_another_curve() -> None:
     """The zone of two slopes fits them with a width of 0: they are no line."""
     answer = of_kind("two slopes, no zone", 8201)

@@ -354,6 +354,7 @@ def test_a_late_log_ends_in_firmware_that_has_followed_it(
     assert left < 1e-3 * hidden
 
 
+@pytest.mark.long("test_friction_beside_a_spring_is_named_with_its_level")
 def test_a_fast_damping_may_be_a_pole_and_the_pole_the_damping() -> None:
     """Of 30037 the roles were exchanged, beside a wrong gap: one pole fewer is the servo."""
     theta = np.zeros(len(At))

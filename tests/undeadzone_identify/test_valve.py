@@ -121,7 +121,9 @@ SEEDS = {"stiction": 1, "dead band": 7, "tight tuning": 3, "external": 4}
 WORDS = {"tight tuning": "tight_tuning", "external": "external"}
 
 
-@pytest.fixture(scope="module", params=[*SEEDS])
+@pytest.fixture(
+    scope="module", params=["stiction", "external", *further("dead band", "tight tuning")]
+)
 def named(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[ValveLoop, Any]:
