@@ -24,6 +24,7 @@ quick: .venv/tested           ## the same without the tests that take longest (t
 
 long: .venv/benched           ## statistics and strangers, an hour: nightly, and before a release
 	$(BIN)/python -m benchmarks --write long_tests
+	! grep '^Failed: ' benchmarks/RESULTS.md
 	$(BIN)/python -m tests.reference --compare
 
 times: .venv/tested           ## CPU seconds of each file of tests to tests/cpu.toml, slow tests to tests/slow.txt

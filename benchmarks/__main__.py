@@ -71,6 +71,7 @@ NAMES = (
     "gears_anchors",
     "gears_worlds",
     "paper_recomputed",
+    "long_tests",
 )
 HEAD = """# Results
 

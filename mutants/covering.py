@@ -56,7 +56,7 @@ def noted(root: Path, folder: Path, options: list[str]) -> None:
     Args:
         root: of the repository.
         folder: of the map.
-        options: of pytest: files of tests, `-m "not slow"`.
+        options: of pytest: files of tests, `-m "not slow and not long"`.
     """
     folder.mkdir(parents=True, exist_ok=True)
     environment = os.environ | {COSTS: str(folder / "costs"), "COVERAGE_FILE": str(folder / "data")}

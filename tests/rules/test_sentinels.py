@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import ast
+import datetime
+import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import pytest
+from benchmarks.long_tests import to_table
 
 TESTS = Path(__file__).parents[1]
 
@@ -64,3 +67,17 @@ def test_every_long_test_has_a_sentinel() -> None:
 def test_a_missing_sentinel_is_found(mark: str, missing: list[str]) -> None:
     text = f"def test_short(): pass\n{mark}\ndef test_row(): pass\n"
     assert find_missing({"a.py": text, "b.py": "def test_other(): pass\n"}) == missing
+
+
+def test_the_table_of_long_tests_counts_failures_by_file() -> None:
+    text = """<testsuite>
+      <testcase classname="tests.a.test_odds" name="test_one"><properties>
+        <property name="start" value="1.5"/><property name="cpu" value="2.5"/>
+      </properties></testcase>
+      <testcase classname="tests.a.test_odds" name="test_two"><failure message="no"/></testcase>
+      <testcase classname="tests.b.test_play" name="test_three"><error message="no"/></testcase>
+    </testsuite>"""
+    lines = to_table([*ET.fromstring(text)], datetime.date(2026, 11, 28)).splitlines()
+    assert lines[2] == "On 2026-11-28."
+    assert lines[6:9] == ["| odds | 2 | 1 | 4 |", "| play | 1 | 1 | 0 |", "| all | 3 | 2 | 4 |"]
+    assert lines[-1] == "Failed: odds: `test_two`, play: `test_three`."
