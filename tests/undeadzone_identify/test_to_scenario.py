@@ -7,7 +7,6 @@ import json
 import math
 import re
 import shlex
-import shutil
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -17,6 +16,7 @@ import pytest
 
 import undeadzone as uz
 from commands import undeadzone
+from tools import needs
 from undeadzone.errors import InputError
 from undeadzone.scenario.reader import parse
 from undeadzone.util.arrays import Floats
@@ -219,7 +219,7 @@ def test_the_next_command_runs_as_printed(tmp_path: Path, monkeypatch: pytest.Mo
     assert shlex.split(watch)[:3] == ["undeadzone", "watch", "my log.toml"]
 
 
-@pytest.mark.skipif(shutil.which("gcc") is None, reason="no compiler")
+@needs("compiler", "gcc")
 @pytest.mark.parametrize("element", ["zone", "play", "actuator", "ends", "jump", "play ahead"])
 def test_a_log_ends_in_firmware(
     element: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -249,7 +249,7 @@ def test_a_log_ends_in_firmware(
     assert "every bit agrees" in done.stdout
 
 
-@pytest.mark.skipif(shutil.which("gcc") is None, reason="no compiler")
+@needs("compiler", "gcc")
 def test_one_command_leads_from_a_log_to_firmware_that_has_followed_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
