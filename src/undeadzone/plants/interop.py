@@ -1,4 +1,4 @@
-"""Conversion of state-space objects of scipy and python-control to and from `Plant`."""
+"""Conversion of state-space objects of scipy and python-control to `Plant`, and back to scipy."""
 
 from __future__ import annotations
 
@@ -100,6 +100,3 @@ def to_scipy(plant: Plant) -> Any:
 
     A, B, C = linear_matrices(plant)
     return StateSpace(A, B, C, np.zeros((C.shape[0], B.shape[1])))
-
-
-to_control = Plant.to_control

@@ -181,21 +181,29 @@ class Plant(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     delay: int = 0
 
     def to_control(self) -> Any:
-        """Return a linear plant as `control.StateSpace` (extra `control`).
-
-        Returns:
-            The state-space object, with D = 0.
-
-        Raises:
-            InputError: the plant is nonlinear, or its numbers are wrong.
-        """
-        import control
-
-        A, B, C = linear_matrices(self)
-        return control.ss(A, B, C, np.zeros((C.shape[0], B.shape[1])))
+        """Return a linear plant as `control.StateSpace`, as `uz.to_control` does."""
+        return to_control(self)
 
 
 # --- Matrices of a linear plant
+
+
+def to_control(plant: Plant) -> Any:
+    """Return the plant as `control.StateSpace` (extra `control`).
+
+    Args:
+        plant: a linear plant in any form.
+
+    Returns:
+        The state-space object, with D = 0.
+
+    Raises:
+        InputError: the plant is nonlinear, or its numbers are wrong.
+    """
+    import control
+
+    A, B, C = linear_matrices(plant)
+    return control.ss(A, B, C, np.zeros((C.shape[0], B.shape[1])))
 
 
 def linear_matrices(plant: Plant, key: str = "plant") -> Matrices:
