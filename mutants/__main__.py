@@ -59,7 +59,11 @@ def packages() -> list[str]:
 def quick_tests() -> list[str]:
     """Words of pytest: all tests that take less than a second."""
     folders = (path for path in (ROOT / "tests").iterdir() if list(path.rglob("test_*.py")))
-    return ["-m", "not slow and not long", *sorted(str(path) for path in folders if path.name not in OF_TEXT)]
+    return [
+        "-m",
+        "not slow and not long",
+        *sorted(str(path) for path in folders if path.name not in OF_TEXT),
+    ]
 
 
 def run(folder: Path, rooms: tuple[str, ...], count: int, seed: int, until: float) -> None:

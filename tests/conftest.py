@@ -26,6 +26,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import undeadzone
 from cpu_times import SLOW, CpuTimes, function_of
+from tools import pytest_sessionstart as pytest_sessionstart
 from tools import pytest_terminal_summary as pytest_terminal_summary
 from tools import raw_formulas
 from undeadzone.report import style

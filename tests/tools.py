@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import html
+import importlib
 import os
 import re
+import shutil
 from collections import Counter
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
@@ -44,17 +46,54 @@ def raw_formulas(figure: Any, image: bytes) -> list[str]:
     return [text for text in (*plain_texts, *outside_of_style) if RAW.search(text)]
 
 
-def require(group: str, missing: list[str]) -> None:
-    """Skip the test that calls this, by the names of what is missing.
+# What tests may need; UNDEADZONE_REQUIRE names those that must be there.
+GROUPS = frozenset(["browser", "compiler", "docs", "emulator", "fmu", "git", "packages", "plc"])
 
-    Where UNDEADZONE_REQUIRE names the group (emulator, fmu, browser, plc) it fails instead.
+
+def required_groups() -> set[str]:
+    """The groups that UNDEADZONE_REQUIRE names."""
+    return set(os.environ.get("UNDEADZONE_REQUIRE", "").split(",")) - {""}
+
+
+def require(group: str, missing: list[str]) -> None:
+    """Skip the test, or the module, that calls this, by the names of what is missing.
+
+    Where UNDEADZONE_REQUIRE names the group it fails instead.
     """
+    assert group in GROUPS, f"{group}: no such group"
     if not missing:
         return
     message = f"{group}: not installed: {', '.join(missing)}"
-    if group in os.environ.get("UNDEADZONE_REQUIRE", "").split(","):
+    if group in required_groups():
         pytest.fail(message)
-    pytest.skip(message)
+    pytest.skip(message, allow_module_level=True)
+
+
+def needs(group: str, *programs: str) -> pytest.MarkDecorator:
+    """The mark of tests that need programs; the whole module fails where they are required."""
+    reason = ""
+    try:
+        require(group, [name for name in programs if shutil.which(name) is None])
+    except pytest.skip.Exception as skipped:
+        reason = str(skipped)
+    return pytest.mark.skipif(bool(reason), reason=reason)
+
+
+def import_package(name: str) -> Any:
+    """A module of a package that the extra `test` installs; `require` says if it is missing."""
+    try:
+        return importlib.import_module(name)
+    except ModuleNotFoundError:
+        require("packages", [name])
+        raise
+
+
+def pytest_sessionstart() -> None:
+    """Refuse names in UNDEADZONE_REQUIRE that no test knows."""
+    unknown = required_groups() - GROUPS
+    if unknown:
+        known = ", ".join(sorted(GROUPS))
+        raise pytest.UsageError(f"UNDEADZONE_REQUIRE: {', '.join(unknown)}: expected {known}")
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

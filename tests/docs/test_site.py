@@ -123,7 +123,7 @@ def test_every_page_of_the_site_is_whole_on_a_telephone(site: Path, screen: Brow
     pages = [page for page in sorted(site.rglob("*.html")) if "files" not in page.parts]
     pages = [page for page in pages if 'http-equiv="refresh"' not in page.read_text()]
     if not (ROOT / "docs/site/assets/katex/katex.min.js").is_file():
-        pytest.skip("KaTeX is not at hand: formulas stay as typed (docs/site/vendor.sh)")
+        require("docs", ["KaTeX (docs/site/vendor.sh)"])
     assert len(pages) > 90
     assert found_faults(screen, pages) == {}
 

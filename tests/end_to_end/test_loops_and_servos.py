@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 import json
 import re
-import shutil
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -17,9 +16,10 @@ from benchmarks.strangers_logs import walk, zone
 from benchmarks.valve_loops import ValveLoop, make
 from click.testing import CliRunner
 
+from tools import needs
 from undeadzone.cli import group
 
-pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
+pytestmark = needs("compiler", "gcc")
 SIZE = 800
 
 

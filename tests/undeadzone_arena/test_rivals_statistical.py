@@ -21,6 +21,7 @@ from scipy.stats import norm
 
 import undeadzone_arena.unscented as unscented
 from scenes import EXACT_SENSOR, PAPER_PLANT, OnNumbers, linear, random_plant, scene
+from tools import import_package
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.interfaces import (
     COLUMNS,
@@ -222,7 +223,7 @@ def test_tobit_foretells_the_mean_of_the_reading_over_both_branches(z: float) ->
     "plant", [PAPER_PLANT, system(Plant(**PENDULUM))], ids=["linear", "pendulum"]
 )
 def test_the_ukf_agrees_with_filterpy(plant: System) -> None:
-    kalman = pytest.importorskip("filterpy.kalman")
+    kalman = import_package("filterpy.kalman")
     rng, model = np.random.default_rng(3), sample_plant(plant, TS)
     observer = UKF(
         right=[0.5, 2.0],

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import json
-import shutil
 import subprocess
 from pathlib import Path
 from typing import Any
@@ -28,6 +27,7 @@ from benchmarks.lost_motion_logs import (
 
 import undeadzone as uz
 from further import further
+from tools import needs
 from undeadzone.cli import group
 from undeadzone.errors import InputError
 from undeadzone_identify.logs.log import Options, read_log
@@ -184,7 +184,7 @@ def write_table(log: MotionLog, path: Path) -> None:
     pd.DataFrame(log.columns).to_csv(path, index=False)
 
 
-@pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
+@needs("compiler", "gcc")
 def test_from_a_log_of_two_positions_to_compiled_c_in_one_command(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -15,6 +15,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 import undeadzone as uz
 from further import further
+from tools import import_package
 from undeadzone.errors import InputError
 from undeadzone.util.arrays import Floats
 from undeadzone_identify.models.estimates import (
@@ -536,7 +537,7 @@ def test_missing_readings_glitches_and_two_records() -> None:
     one = uz.identify(t=t, u=u, y=holed, order=2, place="sensor", delay=0)
     assert one.right.low <= 0.5 <= one.right.high
     assert any("missing" in remark for remark in one.answer.remarks)
-    pandas = pytest.importorskip("pandas")
+    pandas = import_package("pandas")
     frames = []
     for parts in ((t, u, y), (t2, u2, y2)):
         frames.append(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import re
-import shutil
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -21,6 +20,7 @@ from scipy.stats import norm
 
 import undeadzone as uz
 from further import further
+from tools import needs
 from undeadzone.cli import group
 from undeadzone.scenario.reader import parse
 from undeadzone.util.arrays import Floats
@@ -319,7 +319,7 @@ def test_crossings_have_a_median_and_a_scatter() -> None:
 
 
 @pytest.mark.long("test_a_filter_with_the_torques_of_a_servo_follows_its_log")
-@pytest.mark.skipif(shutil.which("gcc") is None, reason="no compiler")
+@needs("compiler", "gcc")
 def test_a_late_log_ends_in_firmware_that_has_followed_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

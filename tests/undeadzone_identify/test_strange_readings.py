@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +12,7 @@ from click.testing import CliRunner
 
 import undeadzone as uz
 from further import further
+from tools import needs
 from undeadzone.cli import group
 from undeadzone.errors import InputError
 from undeadzone.util.arrays import Floats
@@ -51,7 +51,7 @@ def test_an_input_that_acts_in_its_own_sample_is_taken_one_sample_earlier(
 
 @pytest.mark.long("test_an_input_that_acts_in_its_own_sample_is_taken_one_sample_earlier")
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")  # `check` overflows by the fast pole
-@pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
+@needs("compiler", "gcc")
 def test_a_log_of_an_input_of_its_own_row_ends_in_firmware(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -7,7 +7,6 @@ import json
 import math
 import re
 import shlex
-import shutil
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -18,6 +17,7 @@ import pytest
 import undeadzone as uz
 from commands import undeadzone
 from further import further
+from tools import needs
 from undeadzone.errors import InputError
 from undeadzone.scenario.reader import parse
 from undeadzone.util.arrays import Floats
@@ -224,7 +224,7 @@ def test_the_next_command_runs_as_printed(tmp_path: Path, monkeypatch: pytest.Mo
     assert shlex.split(watch)[:3] == ["undeadzone", "watch", "my log.toml"]
 
 
-@pytest.mark.skipif(shutil.which("gcc") is None, reason="no compiler")
+@needs("compiler", "gcc")
 @pytest.mark.parametrize(
     "element", ["zone", *further("play ahead", "play", "actuator", "ends", "jump")]
 )
@@ -256,7 +256,7 @@ def test_a_log_ends_in_firmware(
     assert "every bit agrees" in done.stdout
 
 
-@pytest.mark.skipif(shutil.which("gcc") is None, reason="no compiler")
+@needs("compiler", "gcc")
 def test_one_command_leads_from_a_log_to_firmware_that_has_followed_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

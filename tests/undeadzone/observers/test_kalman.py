@@ -21,6 +21,7 @@ from scipy.stats import norm, truncnorm
 
 from further import further
 from scenes import EXACT_SENSOR, PAPER_PLANT, OnNumbers, random_plant, scene
+from tools import import_package
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.interfaces import Reading
 from undeadzone.nonlinearities import sensor
@@ -407,7 +408,7 @@ def test_filters_on_the_dead_zone_itself_are_confident_and_wrong(build: Any, rea
 
     Ours gets these problems right.
     """
-    pytest.importorskip("filterpy")
+    import_package("filterpy")
     problems, ours = grazed(reach)
     theirs = coverage.rivalling(build, problems, 12)
     assert ours.covered()[:4].min() >= 10 / 12
