@@ -36,14 +36,14 @@ test-wheel: .venv/tested      ## the tests against an installed wheel in place o
 wheel: .venv/tested           ## a wheel in dist/, and its bill of materials (CycloneDX)
 	rm -rf dist
 	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-build-isolation --no-deps --wheel-dir dist .
-	$(BIN)/python -m supply sbom dist/*.whl
+	$(BIN)/python -m tools.supply sbom dist/*.whl
 
 fuzz: .venv/tested            ## random inputs for everything that reads something, FUZZ_SECONDS=600
-	$(BIN)/python -m fuzz --seconds $(FUZZ_SECONDS)
+	$(BIN)/python -m tools.fuzz --seconds $(FUZZ_SECONDS)
 
 mutants: .venv/tested         ## do the tests notice a wrong sign? MUTANTS=300 of them, an hour or two
-	$(BIN)/python -m mutants map
-	$(BIN)/python -m mutants run --count $(MUTANTS)
+	$(BIN)/python -m tools.mutants map
+	$(BIN)/python -m tools.mutants run --count $(MUTANTS)
 
 coverage: .venv/tested        ## lines of src that no test runs
 	$(BIN)/pytest -n 2 --cov=src --cov-report=term-missing:skip-covered

@@ -26,9 +26,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import undeadzone
 from cpu_times import SLOW, CpuTimes, function_of
-from tools import pytest_sessionstart as pytest_sessionstart
-from tools import pytest_terminal_summary as pytest_terminal_summary
-from tools import raw_formulas
+from documents import raw_formulas
+from requirements import pytest_sessionstart as pytest_sessionstart
+from requirements import pytest_terminal_summary as pytest_terminal_summary
 from undeadzone.report import style
 from undeadzone.report.style import import_default_matplotlib
 from undeadzone.util import files
@@ -38,7 +38,7 @@ from undeadzone_studies.ensemble import journal
 gc.set_threshold(100_000)  # as the command line does
 settings.register_profile(
     "shared",
-    max_examples=30,  # `python -m fuzz` and `make mutants` look longer
+    max_examples=30,  # `python -m tools.fuzz` and `make mutants` look longer
     deadline=None,
     suppress_health_check=[HealthCheck.too_slow],
     derandomize=True,

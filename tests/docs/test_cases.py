@@ -11,7 +11,7 @@ from benchmarks import cases
 from benchmarks.cases_machines import BAND, CASES, DEAD_BAND, GAP, LOST, STAR, ZONE
 from benchmarks.markdown import parted
 
-from tools import require
+from requirements import require
 
 ROOT = Path(__file__).parents[2]
 TRUE = {

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import undeadzone as uz
-from tools import import_package
+from requirements import import_package
 
 FOLDER = Path(__file__).parents[2] / "examples"
 RUNS: dict[str, uz.Run] = {}

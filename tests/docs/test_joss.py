@@ -8,9 +8,11 @@ from benchmarks.markdown import parted
 
 from packed import ROOT
 
-PAPER = (ROOT / "joss/paper.md").read_text(encoding="utf-8")
+PAPER = (ROOT / "docs/joss/paper.md").read_text(encoding="utf-8")
 ENTRIES = dict(
-    re.findall(r"@\w+\{(\w+),.*doi = \{([^}]+)\}", (ROOT / "joss/paper.bib").read_text("utf-8"))
+    re.findall(
+        r"@\w+\{(\w+),.*doi = \{([^}]+)\}", (ROOT / "docs/joss/paper.bib").read_text("utf-8")
+    )
 )
 RESULTS = (ROOT / "benchmarks/RESULTS.md").read_text(encoding="utf-8")
 

@@ -19,7 +19,7 @@ import undeadzone_paper
 from browser import Browser, browser
 from commands import undeadzone
 from further import further
-from tools import require
+from requirements import require
 
 ROOT = Path(__file__).parents[2]
 SCREENS = (390, 1280)

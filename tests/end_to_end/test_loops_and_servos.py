@@ -16,7 +16,7 @@ from benchmarks.strangers_logs import walk, zone
 from benchmarks.valve_loops import ValveLoop, make
 from click.testing import CliRunner
 
-from tools import needs
+from requirements import needs
 from undeadzone.cli import group
 
 pytestmark = needs("compiler", "gcc")

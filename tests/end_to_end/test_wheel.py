@@ -13,11 +13,11 @@ import zipfile
 from pathlib import Path
 
 import pytest
-from supply import hashes, parts, sbom, sizes
+from tools.supply import hashes, parts, sbom, sizes
 
 from packed import ROOT, copied, environment, run
 from packed import wheel as built
-from tools import import_package
+from requirements import import_package
 
 OTHERS = ("IPython", "casadi", "dask", "distributed", "matplotlib", "numpy", "scipy")
 LARGEST = 1_600_000  # bytes

@@ -33,9 +33,9 @@ TOOL, TOP = "undeadzone", "(root)"
 # Rooms beside src: their folders.
 FOLDERS = {
     "benchmarks": "benchmarks",
-    "fuzz": "fuzz",
-    "mutants": "mutants",
-    "supply": "supply",
+    "fuzz": "tools/fuzz",
+    "mutants": "tools/mutants",
+    "supply": "tools/supply",
     "tests": "tests",
 }
 GOAL = 300_000  # nodes of all packages

@@ -13,7 +13,7 @@ from benchmarks.markdown import parted
 from node_budget import Budget
 
 import undeadzone
-from tools import needs, require
+from requirements import needs, require
 
 ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[2]

@@ -20,8 +20,8 @@ from scipy.optimize import minimize
 from scipy.stats import norm
 
 import undeadzone_arena.unscented as unscented
+from requirements import import_package
 from scenes import EXACT_SENSOR, PAPER_PLANT, OnNumbers, linear, random_plant, scene
-from tools import import_package
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.interfaces import (
     COLUMNS,

@@ -19,8 +19,8 @@ from test_lower import A, B, calling_outputs, stateless
 
 import once
 import undeadzone as uz
+from requirements import import_package, require
 from structured_text import Reader, Refused
-from tools import import_package, require
 from undeadzone.compile import elementary, portable_maths
 from undeadzone.compile.graph import Nodes
 from undeadzone.compile.print_c import WIDTH, Expressions, Style, elementary_texts

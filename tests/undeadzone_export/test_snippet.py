@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from tools import needs
+from requirements import needs
 from undeadzone.cli import group
 from undeadzone.errors import InputError
 from undeadzone_export.snippet import Lost, lost_of_answer, snippet_texts

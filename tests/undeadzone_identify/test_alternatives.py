@@ -15,8 +15,8 @@ from scipy.linalg import expm
 from scipy.signal import cont2discrete, lfilter
 
 import undeadzone as uz
+from documents import script_of_docs
 from further import further
-from tools import script_of_docs
 from undeadzone.cli import group
 from undeadzone.errors import InputError
 from undeadzone.scenario.reader import read

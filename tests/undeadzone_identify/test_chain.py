@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tools import needs
+from requirements import needs
 from undeadzone_export.snippet import Lost
 from undeadzone_identify.chain import run_snippet_chain
 from undeadzone_identify.models import chain as models

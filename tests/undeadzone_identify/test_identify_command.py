@@ -14,7 +14,7 @@ from scipy.io import savemat
 from scipy.signal import lfilter
 
 import undeadzone as uz
-from tools import import_package
+from requirements import import_package
 from undeadzone.cli import group
 from undeadzone.errors import FileError, InputError
 from undeadzone.scenario.reader import read

@@ -27,7 +27,7 @@ from benchmarks.lost_motion_logs import (
 
 import undeadzone as uz
 from further import further
-from tools import needs
+from requirements import needs
 from undeadzone.cli import group
 from undeadzone.errors import InputError
 from undeadzone_identify.logs.log import Options, read_log

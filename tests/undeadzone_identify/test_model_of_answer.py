@@ -9,7 +9,7 @@ import pytest
 from scipy.signal import lfilter
 
 import undeadzone as uz
-from tools import import_package
+from requirements import import_package
 from undeadzone.errors import InputError
 from undeadzone.util.arrays import Floats
 from undeadzone_identify.results.model import follow_play

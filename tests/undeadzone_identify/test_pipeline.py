@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 import undeadzone as uz
 from further import further
-from tools import import_package
+from requirements import import_package
 from undeadzone.errors import InputError
 from undeadzone.util.arrays import Floats
 from undeadzone_identify.models.estimates import (

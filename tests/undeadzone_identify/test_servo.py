@@ -20,7 +20,7 @@ from scipy.stats import norm
 
 import undeadzone as uz
 from further import further
-from tools import needs
+from requirements import needs
 from undeadzone.cli import group
 from undeadzone.scenario.reader import parse
 from undeadzone.util.arrays import Floats

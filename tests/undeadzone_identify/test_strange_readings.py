@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 import undeadzone as uz
 from further import further
-from tools import needs
+from requirements import needs
 from undeadzone.cli import group
 from undeadzone.errors import InputError
 from undeadzone.util.arrays import Floats

@@ -17,7 +17,7 @@ import pytest
 import undeadzone as uz
 from commands import undeadzone
 from further import further
-from tools import needs
+from requirements import needs
 from undeadzone.errors import InputError
 from undeadzone.scenario.reader import parse
 from undeadzone.util.arrays import Floats

@@ -20,7 +20,7 @@ from test_docs import PAGES, same
 
 import once
 import undeadzone_paper
-from tools import script_of_docs
+from documents import script_of_docs
 from undeadzone.controllers import PD
 from undeadzone.linalg.riccati import paper_riccati
 from undeadzone.plants.build import system

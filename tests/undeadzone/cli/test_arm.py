@@ -11,7 +11,7 @@ import pytest
 
 import undeadzone as uz
 from commands import undeadzone
-from tools import import_package
+from requirements import import_package
 from undeadzone.errors import InputError
 from undeadzone.plants.robots.geared import fastest_contact
 from undeadzone.plants.robots.survey import survey_urdf

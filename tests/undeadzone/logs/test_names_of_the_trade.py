@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tools import import_package
+from requirements import import_package
 from undeadzone.errors import FileError
 from undeadzone.logs.names import layout_of_titles, split_unit
 from undeadzone.logs.samples import LogReader, Samples, place_on_steps, samples_of_text

@@ -16,7 +16,7 @@ import pytest
 
 import once
 import undeadzone as uz
-from tools import import_package
+from requirements import import_package
 from undeadzone.cli import group
 from undeadzone.interfaces import Reading
 from undeadzone.numerics.first_passage import arrival_shares, chance_beyond, condition_on_edge

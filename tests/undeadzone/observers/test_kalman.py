@@ -20,8 +20,8 @@ from scipy.integrate import quad
 from scipy.stats import norm, truncnorm
 
 from further import further
+from requirements import import_package
 from scenes import EXACT_SENSOR, PAPER_PLANT, OnNumbers, random_plant, scene
-from tools import import_package
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.interfaces import Reading
 from undeadzone.nonlinearities import sensor

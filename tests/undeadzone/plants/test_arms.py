@@ -20,8 +20,8 @@ from test_report import Auditor
 from test_run_ensemble import table
 
 from commands import undeadzone as command
+from requirements import import_package
 from scenes import scene
-from tools import import_package
 from undeadzone.compile import interpret
 from undeadzone.errors import FileError, InputError, ShapeError, StepError, TrackingError
 from undeadzone.nonlinearities.sensor import quantise, side

@@ -15,7 +15,7 @@ from benchmarks.gears_robots import Outcome, line
 
 import undeadzone as uz
 from commands import undeadzone
-from tools import import_package
+from requirements import import_package
 from undeadzone.analysis.identifiability.linear import WidthIdentifiability
 from undeadzone.errors import InputError
 from undeadzone.numerics.runge_kutta import rk4_change

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from tools import import_package
+from requirements import import_package
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.plants.build import system
 from undeadzone.plants.options import ElasticJoint, OneLink, Plant, TwoLink

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from tools import import_package
+from requirements import import_package
 from undeadzone.errors import FileError, InputError
 from undeadzone.plants.options import URDF, Plant
 from undeadzone.plants.robots.arm import Arm, build_arm, forward_dynamics

@@ -16,7 +16,7 @@ import pytest
 from scipy.linalg import expm
 from tests.scenes import linear
 
-from tools import import_package
+from requirements import import_package
 from undeadzone.errors import InputError, ShapeError, TrackingError
 from undeadzone.feedforward import joint_path as kinematics
 from undeadzone.feedforward.joint_path import (

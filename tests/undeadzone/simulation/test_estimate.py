@@ -13,8 +13,8 @@ import pytest
 
 import undeadzone as uz
 from commands import undeadzone as command
+from requirements import import_package
 from scenes import EXACT_SENSOR
-from tools import import_package
 from undeadzone.interfaces import require_graph
 from undeadzone.scenario.reader import read_for_logs
 from undeadzone.simulation.consistency import Consistency
