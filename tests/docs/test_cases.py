@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from benchmarks import cases
-from benchmarks.cases_machines import BAND, CASES, DEAD_BAND, GAP, LOST, STAR, ZONE
+from benchmarks.end_to_end import cases
+from benchmarks.end_to_end.machines import BAND, CASES, DEAD_BAND, GAP, LOST, STAR, ZONE
 from benchmarks.markdown import parted
 
 from requirements import require

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from benchmarks.servo_logs import Servo, input_at_random, recorded
-from benchmarks.strangers_logs import walk, zone
-from benchmarks.valve_loops import ValveLoop, make
+from benchmarks.identify.logs.servo import Servo, input_at_random, recorded
+from benchmarks.identify.logs.strangers import walk, zone
+from benchmarks.identify.logs.valves import ValveLoop, make
 from click.testing import CliRunner
 
 from requirements import needs

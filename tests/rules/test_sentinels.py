@@ -8,7 +8,7 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import pytest
-from benchmarks.long_tests import to_table
+from benchmarks.end_to_end.long_tests import to_table
 
 TESTS = Path(__file__).parents[1]
 

@@ -13,7 +13,7 @@ import casadi as ca
 import msgspec
 import numpy as np
 import pytest
-from benchmarks import coverage
+from benchmarks.filters import coverage
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize

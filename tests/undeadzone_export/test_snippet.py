@@ -182,7 +182,7 @@ def test_a_dead_band_ahead_of_the_plant_is_compensated_in_units_of_the_input() -
 
 
 def test_of_a_valve_at_fault_either_way_lines_are_written() -> None:
-    """Its play or its stick band: the lines lessen the error of both (`benchmarks/valve_loops`)."""
+    """Its play or its stick band: the lines lessen the error of both (`logs/valves.py`)."""
     odds = {"input_play": 0.6, "stiction": 0.35, "none": 0.05}
     found = answer("input_play", right=None, left=None, width=[5.0, 4.5, 5.5], odds=odds)
     assert lost_of_answer(found, "a.json", "a.csv").kind == "backlash"

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from benchmarks.names_logs import make
-from benchmarks.strangers_logs import ALL, lags, zone
+from benchmarks.identify.logs.names import make
+from benchmarks.identify.logs.strangers import ALL, lags, zone
 from click.testing import CliRunner
 from scipy.signal import lfilter
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from benchmarks.names_logs import make as make_named_log
+from benchmarks.identify.logs.names import make as make_named_log
 from scipy.linalg import expm
 from scipy.signal import cont2discrete, lfilter
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from benchmarks.damaged_logs import counted
+from benchmarks.identify.damaged_logs import counted
 from click.testing import CliRunner
 from scipy.io import savemat
 from scipy.signal import lfilter

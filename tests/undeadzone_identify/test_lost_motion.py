@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from benchmarks.lost_motion_logs import (
+from benchmarks.identify.logs.lost_motion import (
     KINDS,
     MotionLog,
     axis_at_rest,

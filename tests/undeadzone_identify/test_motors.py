@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from benchmarks.lost_motion_logs import linear_motor
-from benchmarks.motor_logs import NOISE, STEP, Motor, random_motor, record, record_both
-from benchmarks.motors import output_error
+from benchmarks.identify.logs.lost_motion import linear_motor
+from benchmarks.identify.logs.motors import NOISE, STEP, Motor, random_motor, record, record_both
+from benchmarks.identify.motors import output_error
 from scipy.io import savemat
 
 import undeadzone as uz

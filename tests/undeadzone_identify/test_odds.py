@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from benchmarks import loop_logs, names_logs
-from benchmarks.names_logs import NamedLog, make
-from benchmarks.servo_logs import Recorded, random_log, resting_log
-from benchmarks.which_logs import through
+from benchmarks.identify.logs import loops as loop_logs
+from benchmarks.identify.logs import names as names_logs
+from benchmarks.identify.logs.names import NamedLog, make
+from benchmarks.identify.logs.servo import Recorded, random_log, resting_log
+from benchmarks.identify.logs.zone_or_play import through
 from scipy.signal import lfilter
 
 import undeadzone as uz

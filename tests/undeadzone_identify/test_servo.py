@@ -13,8 +13,14 @@ from xml.etree import ElementTree
 import casadi as ca
 import numpy as np
 import pytest
-from benchmarks.mujoco_servo import mujoco_log
-from benchmarks.servo_logs import Servo, input_at_random, random_log, recorded, torque_at_random
+from benchmarks.identify.logs.mujoco_servo import mujoco_log
+from benchmarks.identify.logs.servo import (
+    Servo,
+    input_at_random,
+    random_log,
+    recorded,
+    torque_at_random,
+)
 from scipy.signal import lfilter
 from scipy.stats import norm
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from benchmarks.strangers_logs import ALL, STEP, compared, lags, noisy, walk
+from benchmarks.identify.logs.strangers import ALL, STEP, compared, lags, noisy, walk
 from click.testing import CliRunner
 
 import undeadzone as uz

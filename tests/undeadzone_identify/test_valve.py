@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from benchmarks.names_logs import make as draw_log
-from benchmarks.valve_loops import ACCOUNTS, ValveLoop, make
+from benchmarks.identify.logs.names import make as draw_log
+from benchmarks.identify.logs.valves import ACCOUNTS, ValveLoop, make
 from scipy.signal import freqz, lfilter
 
 import undeadzone as uz

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from benchmarks import play_and_zone as bench
-from benchmarks.play import WORLDS
-from benchmarks.random_loops import Loops, run_loops
+from benchmarks.loops import play_and_zone as bench
+from benchmarks.loops.plants.random_loops import Loops, run_loops
+from benchmarks.loops.play import WORLDS
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from test_alternatives import STEP, driven, through

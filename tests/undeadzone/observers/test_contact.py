@@ -314,9 +314,9 @@ def test_what_a_motor_tells_of_its_gears_moves_the_free_links_of_others() -> Non
 
 
 def test_three_filters_find_a_gap_that_one_of_them_had_locked_on() -> None:
-    """A servo that MuJoCo moves, from the table of `python -m benchmarks gears`."""
+    """A servo that MuJoCo moves, from the table of `python -m benchmarks contact`."""
     import_package("mujoco")
-    gears = importlib.import_module("benchmarks.gears")
+    gears = importlib.import_module("benchmarks.gears.contact")
     row = next(row for row in gears.rows() if row.label == "servo, horizontal")
     seed = 14079
     arm = row.draw(np.random.default_rng(seed))

@@ -13,7 +13,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from benchmarks import coverage
+from benchmarks.filters import coverage
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad

@@ -10,8 +10,8 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from benchmarks.glitches import doubting, from_ranges
-from benchmarks.smoothing import part
+from benchmarks.filters.glitches import doubting, from_ranges
+from benchmarks.filters.smoothing import part
 from click.testing import CliRunner
 from test_estimate import LOGS_ALONE, scenario
 

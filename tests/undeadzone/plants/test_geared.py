@@ -11,7 +11,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from benchmarks.gears_robots import Outcome, line
+from benchmarks.gears.contact_urdf_arms import Outcome, line
 
 import undeadzone as uz
 from commands import undeadzone

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from benchmarks.designs import random_design, random_matrices
+from benchmarks.design.random_designs import random_design, random_matrices
 from scipy.linalg import expm
 
 from further import further
