@@ -12,8 +12,8 @@ import re
 import sys
 from pathlib import Path
 
-from benchmarks.identify.names import commit
 from benchmarks.markdown import parted
+from benchmarks.results import commit
 
 HERE = Path(__file__).parent
 OWN = {"UNDEADZONE_CACHE"}  # variables that benches set themselves

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.gears.mujoco_arms import UR5, Arm, Twin, servo, two_link, ur5
-from benchmarks.identify.names import commit
 from benchmarks.markdown import head, row
+from benchmarks.results import commit
 from benchmarks.timing import least
 from undeadzone.compile.scalar_step import CompiledStepper
 from undeadzone.plants.robots.arm import evaluate_rows

@@ -18,8 +18,8 @@ import numpy as np
 
 import undeadzone as uz
 from benchmarks.identify.logs.loops import DISTURBANCES, KINDS, LoopLog, make
-from benchmarks.identify.names import commit
 from benchmarks.markdown import head, row
+from benchmarks.results import commit
 from undeadzone.util.progress import terminal_progress
 from undeadzone_studies.statistics.intervals import proportion
 

@@ -12,8 +12,8 @@ from operator import itemgetter
 import numpy as np
 
 from benchmarks.identify.logs.loops import LoopLog, make
-from benchmarks.identify.names import commit, share
 from benchmarks.markdown import head, row
+from benchmarks.results import commit, share
 from undeadzone_identify.logs.grid import to_grid
 from undeadzone_identify.logs.log import Options, log_from_arrays
 from undeadzone_identify.logs.prepare import prepare_log

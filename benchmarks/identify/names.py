@@ -12,9 +12,7 @@ from __future__ import annotations
 import itertools
 import json
 import os
-import subprocess
 import time
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +21,7 @@ import numpy as np
 import undeadzone as uz
 from benchmarks.identify.logs.names import TRUTHS, NamedLog, make
 from benchmarks.markdown import head, row
+from benchmarks.results import commit, share
 from undeadzone.util.progress import terminal_progress
 from undeadzone_identify.selection.decision import FEW
 from undeadzone_studies.statistics.intervals import proportion
@@ -42,14 +41,6 @@ Outcome = dict[str, Any]
 
 
 # --- Answers
-
-
-def commit() -> str:
-    """Of the code; with a plus where it differs from that. The figure that is drawn is no code."""
-    named = ["git", "describe", "--always"]
-    revision = subprocess.run(named, capture_output=True, text=True, check=True).stdout.strip()
-    changed = subprocess.run(["git", "diff", "--quiet", "HEAD", "--", "*.py"], check=False)
-    return revision + "+" * bool(changed.returncode)
 
 
 def outcomes(of: str) -> list[Outcome]:
@@ -110,15 +101,6 @@ def is_wrong(one: Outcome) -> bool:
 
 
 # --- Tables
-
-
-def share(flags: Iterable[bool]) -> str:
-    """A share with its 95 % interval."""
-    every = list(flags)
-    if not every:
-        return "-"
-    value, low, high = proportion(sum(every), len(every))
-    return f"{value:.3f} [{low:.3f}, {high:.3f}] of {len(every)}"
 
 
 def confusion(every: list[Outcome]) -> list[str]:

@@ -17,8 +17,8 @@ import numpy as np
 import undeadzone as uz
 from benchmarks.identify.logs.mujoco_servo import mujoco_log
 from benchmarks.identify.logs.servo import Recorded, random_log, resting_log
-from benchmarks.identify.names import commit
 from benchmarks.markdown import head, row
+from benchmarks.results import commit
 from undeadzone.scenario.reader import parse
 from undeadzone_identify.servo.gap import REVERSALS, ServoGap, identify_servo_gap
 from undeadzone_identify.servo.observations import build_observations

@@ -19,8 +19,8 @@ import numpy as np
 
 import undeadzone as uz
 from benchmarks.identify.logs.valves import CAUSES, ValveLoop, make
-from benchmarks.identify.names import commit
 from benchmarks.markdown import head, row
+from benchmarks.results import commit
 from undeadzone.util.progress import terminal_progress
 from undeadzone_studies.statistics.intervals import proportion
 

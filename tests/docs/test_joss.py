@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 
-from benchmarks.__main__ import find_benches
 from benchmarks.markdown import parted
 
 from packed import ROOT
@@ -27,12 +26,6 @@ def test_dois_agree_with_the_page_of_references() -> None:
     listed = (ROOT / "docs/references.md").read_text(encoding="utf-8")
     missing = [doi for doi in ENTRIES.values() if f"[doi:{doi}]" not in listed]
     assert not missing
-
-
-def test_every_command_of_the_evidence_exists() -> None:
-    named = re.findall(r"`python -m benchmarks (\w+)`", PAPER)
-    assert named
-    assert {*named} <= find_benches().keys()
 
 
 def test_numbers_are_those_of_the_results() -> None:
