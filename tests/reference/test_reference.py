@@ -164,8 +164,9 @@ def answering(monkeypatch: pytest.MonkeyPatch, **answers: dict[str, Any]) -> Non
     def of_case(name: str) -> fields.Answer:
         return fields.Answer(answers[name], {"word": ["right"]})
 
-    monkeypatch.setattr(ask, "FAMILIES", {"drawn": families.Family(of_case, lambda: answers)})
-    monkeypatch.setattr(families, "FAMILIES", ask.FAMILIES)
+    drawn = {"drawn": families.Family(of_case, lambda: answers)}
+    monkeypatch.setattr(ask, "FAMILIES", drawn)
+    monkeypatch.setattr(families, "FAMILIES", drawn)
 
 
 def test_reasons_are_kept_and_a_part_is_written_over(
