@@ -10,15 +10,17 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-from tests.commands import undeadzone
+from tests.commands import Done, forked, undeadzone
 
+import undeadzone as uz
 from undeadzone.cli.ending import INTERNAL
 
 from .fields import Answer, Fields, flatten
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "examples"
-NAMES = tuple(sorted(path.stem for path in EXAMPLES.glob("*.toml")))
+SCENARIOS = {path.stem: path for path in sorted(EXAMPLES.glob("*.toml"))}
+SCENARIOS["template"] = Path(str(uz.__file__)).with_name("template.toml")  # what `init` writes
 LOG, OF_LOG = EXAMPLES / "samples.csv", EXAMPLES / "asymmetric_noise.toml"  # which made it
 
 # Scenarios whose commands take more than 30 s of CPU by their own duration, and one [s] that is
@@ -36,10 +38,12 @@ OPTIONS = {
 COMMANDS: dict[str, tuple[str, ...]] = {
     "ensemble": ("ensemble", "ensemble.toml", "--runs", "32"),
     "ensemble two_link": ("ensemble", "two_link.toml", "--runs", "4"),
+    "ensemble tune": ("ensemble", "tune.toml", "--runs", "32"),
     "tune": ("tune", "tune.toml", "--runs", "4", "--budget", "8", "--seed", "1"),
     "identify": ("identify", "samples.csv"),
     "identify order 3": ("identify", "samples.csv", "--order", "3", "--delay", "0"),
     "estimate": ("estimate", "asymmetric_noise.toml", "samples.csv"),
+    "watch": ("watch", "asymmetric_noise.toml"),
     "arm": ("arm", "ur5.urdf", "--gears"),
     "paper": ("paper",),
     "arena": ("arena", "asymmetric_noise.toml", "--methods", "certified,censored,ekf",
@@ -53,7 +57,7 @@ def list_examples(command: str) -> list[str]:
     Args:
         command: of `OPTIONS`.
     """
-    return [name for name in NAMES if name not in LEFT_OUT.get(command, ())]
+    return [name for name in SCENARIOS if name not in LEFT_OUT.get(command, ())]
 
 
 def ask(command: str, name: str) -> Answer:
@@ -63,8 +67,8 @@ def ask(command: str, name: str) -> Answer:
         command: of `OPTIONS`.
         name: of the example, without its ending.
     """
-    path = EXAMPLES / f"{name}.toml"
-    fields = run_command(command, path.name, *OPTIONS[command], duration=BRIEF.get(name))
+    path = SCENARIOS[name]
+    fields = run_command(command, f"{name}.toml", *OPTIONS[command], duration=BRIEF.get(name))
     truth = {}
     if command == "run" and "exit" in fields:
         truth = _truth_of_run(tomllib.loads(path.read_text(encoding="utf-8")), fields)
@@ -104,7 +108,7 @@ def run_command(*words: str, duration: float | None = None) -> Fields:
     """
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        for path in EXAMPLES.iterdir():
+        for path in (*EXAMPLES.iterdir(), *SCENARIOS.values()):
             if path.is_file():
                 shutil.copy(path, folder)
         if duration is not None:
@@ -112,11 +116,23 @@ def run_command(*words: str, duration: float | None = None) -> Fields:
                 text = path.read_text(encoding="utf-8")
                 changed = re.sub(r"(?m)^duration = [\d.]+", f"duration = {duration}", text)
                 path.write_text(changed, encoding="utf-8")
-        done = undeadzone(*words, "--json", cwd=folder)
+        if words[0] == "watch":  # in a process of its own, as it owns its streams
+            piped = forked(*words, "--json", cwd=folder, stdin=LOG.read_bytes())
+            texts = piped.stdout.decode(), piped.stderr.decode()
+            done = Done(piped.returncode, *texts)
+        else:
+            done = undeadzone(*words, "--json", cwd=folder)
     if done.returncode == INTERNAL:
         return {"error": done.stderr.strip().splitlines()[-1]}
-    fields = flatten(json.loads(done.stdout)) if done.stdout.strip() else {}
-    return {"exit": done.returncode} | fields
+    return {"exit": done.returncode} | _fields_of(done.stdout)
+
+
+def _fields_of(text: str) -> Fields:
+    """Return the fields of one JSON object, or count and extremes of those of many lines."""
+    try:
+        return flatten(json.loads(text)) if text.strip() else {}
+    except json.JSONDecodeError:
+        return flatten([json.loads(line) for line in text.splitlines()], "lines")
 
 
 def find_obstacle() -> str:
