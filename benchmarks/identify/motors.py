@@ -204,14 +204,25 @@ def _median_error(values: Sequence[float], truths: Sequence[float]) -> str:
     return f"{100 * float(np.median(errors)):.1f} %" if errors else "-"
 
 
+def right_word(motor: Motor, rubs: bool) -> str:
+    """Return the verdict that is right of a motor's log.
+
+    Args:
+        motor: which.
+        rubs: whether friction is asked for.
+    """
+    if motor.gap:
+        return "play"
+    return "friction" if motor.friction and rubs else "none"
+
+
 def _row(kind: str, method: str, motors: Sequence[Motor], answers: Sequence[Answer]) -> str:
     """Return a row of the table."""
     has_gap = bool(motors[0].gap)
     named = [one.word == "play" for one in answers]
     withheld = [one.word in (*NO_NAME, "refused") for one in answers]
     rubs = method != "identify, both encoders"
-    truths = ["friction" if motor.friction and rubs else "none" for motor in motors]
-    truths = ["play"] * len(truths) if has_gap else truths
+    truths = [right_word(motor, rubs) for motor in motors]
     other = [
         one.word not in (truth, "play", *NO_NAME, "refused", "")
         for one, truth in zip(answers, truths, strict=True)
