@@ -13,13 +13,20 @@ from typing import Any
 from unittest import mock
 
 import numpy as np
-from benchmarks import lost_motion, motors, names, reports, strangers, valves
-from benchmarks.lost_motion_logs import KINDS as MOTIONS
-from benchmarks.motor_logs import random_motor, record
-from benchmarks.names_logs import ROUNDED, TRUTHS
-from benchmarks.names_logs import make as make_named
-from benchmarks.reports_logs import KINDS as REPORTS
-from benchmarks.strangers_logs import ALL, STEP
+from benchmarks.identify import (
+    lost_motion,
+    motors,
+    names,
+    public_reports,
+    strangers,
+    valves,
+)
+from benchmarks.identify.logs.lost_motion import KINDS as MOTIONS
+from benchmarks.identify.logs.motors import random_motor, record
+from benchmarks.identify.logs.names import ROUNDED, TRUTHS
+from benchmarks.identify.logs.names import make as make_named
+from benchmarks.identify.logs.public_reports import KINDS as REPORTS
+from benchmarks.identify.logs.strangers import ALL, STEP
 
 import undeadzone as uz
 
@@ -190,5 +197,5 @@ def ask_report(kind: str) -> Answer:
     """
     report = REPORTS[kind](np.random.default_rng([list(REPORTS).index(kind), 25, SEED]))
     with tempfile.TemporaryDirectory() as folder, noted_answers() as noted:
-        one = reports.outcome_of(report, Path(folder) / "report.csv")
+        one = public_reports.outcome_of(report, Path(folder) / "report.csv")
     return judged(noted, one.word, report.right, one.holds, {"width": report.width})

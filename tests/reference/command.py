@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from benchmarks.names import commit
+from benchmarks.results import commit
 
 from .ask import Name, ask_cases, choose_cases
 from .compare import BETTER, MOVED, SAME, WORSE, Case, Move, compare_case

@@ -6,7 +6,7 @@ import random
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from benchmarks import strangers
+from benchmarks.identify import strangers
 
 from .benches import judged, noted_answers, with_false_odds, word_of
 from .fields import Answer
