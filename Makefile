@@ -7,22 +7,28 @@ MUTANTS ?= 300
 # Starts of Python that keep no bytecode cost a quarter of the tests' time.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: paper test quick test-wheel wheel tools bench docs fuzz mutants coverage clean
+.PHONY: paper test quick long times test-wheel wheel tools bench docs fuzz mutants coverage clean
 
 paper: .venv/installed        ## install, run the paper's example, write figures 1-8 and the report to paper-results/
 	$(BIN)/undeadzone paper --out paper-results
 
-test: .venv/tested            ## everything: format, lint, types, tests, docs
+test: .venv/tested            ## everything: format, lint, types, tests, docs; ten minutes on two cores
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
-	$(BIN)/mypy
-	$(BIN)/pytest -n 2
+	$(BIN)/mypy & types=$$!; $(BIN)/pytest -n 2; tests=$$?; wait $$types && exit $$tests
 
-quick: .venv/tested           ## the same without the tests that take half a second or more (tests/slow.txt), three minutes
+quick: .venv/tested           ## the same without the tests that take longest (tests/slow.txt), two minutes
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
-	$(BIN)/mypy
-	$(BIN)/pytest -n 2 -m "not slow"
+	$(BIN)/mypy & types=$$!; $(BIN)/pytest -n 2 -m "not slow and not long"; tests=$$?; wait $$types && exit $$tests
+
+long: .venv/benched           ## statistics and strangers, an hour: nightly, and before a release
+	$(BIN)/python -m benchmarks --write long_tests
+	! grep '^Failed: ' benchmarks/RESULTS.md
+	$(BIN)/python -m tests.reference --compare
+
+times: .venv/tested           ## CPU seconds of each file of tests to tests/cpu.toml, slow tests to tests/slow.txt
+	$(BIN)/pytest -n 2 --write-times
 
 test-wheel: .venv/tested      ## the tests against an installed wheel in place of src
 	$(BIN)/python tests/packed.py -n 2
@@ -30,14 +36,14 @@ test-wheel: .venv/tested      ## the tests against an installed wheel in place o
 wheel: .venv/tested           ## a wheel in dist/, and its bill of materials (CycloneDX)
 	rm -rf dist
 	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-build-isolation --no-deps --wheel-dir dist .
-	$(BIN)/python -m supply sbom dist/*.whl
+	$(BIN)/python -m tools.supply sbom dist/*.whl
 
 fuzz: .venv/tested            ## random inputs for everything that reads something, FUZZ_SECONDS=600
-	$(BIN)/python -m fuzz --seconds $(FUZZ_SECONDS)
+	$(BIN)/python -m tools.fuzz --seconds $(FUZZ_SECONDS)
 
 mutants: .venv/tested         ## do the tests notice a wrong sign? MUTANTS=300 of them, an hour or two
-	$(BIN)/python -m mutants map
-	$(BIN)/python -m mutants run --count $(MUTANTS)
+	$(BIN)/python -m tools.mutants map
+	$(BIN)/python -m tools.mutants run --count $(MUTANTS)
 
 coverage: .venv/tested        ## lines of src that no test runs
 	$(BIN)/pytest -n 2 --cov=src --cov-report=term-missing:skip-covered

@@ -1,4 +1,4 @@
-"""Benchmarks, one module each with `table() -> str` (Markdown).
+"""Benchmarks by subject. A module with `table() -> str` (Markdown) is a bench, its file the name.
 
 `python -m benchmarks [NAME ...]` runs them.
 """

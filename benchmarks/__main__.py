@@ -8,70 +8,15 @@ from __future__ import annotations
 
 import importlib
 import os
+import re
 import sys
 from pathlib import Path
 
 from benchmarks.markdown import parted
-from benchmarks.names import commit
+from benchmarks.results import commit
 
-NAMES = (
-    "cases",
-    "cold_start",
-    "live_step",
-    "long_watch",
-    "accuracy",
-    "engines",
-    "kernels",
-    "filters",
-    "first_compile",
-    "noise",
-    "speed",
-    "precision",
-    "exact",
-    "coverage",
-    "glitches",
-    "honesty",
-    "claims",
-    "shape",
-    "told_apart",
-    "ranges",
-    "smoothing",
-    "closed_loops",
-    "colours",
-    "arm_coverage",
-    "arm_operations",
-    "certificates",
-    "two_truths",
-    "arms",
-    "identify",
-    "names",
-    "strangers",
-    "time_constants",
-    "plain_fits",
-    "lost_motion",
-    "motors",
-    "reports",
-    "valves",
-    "identify_known",
-    "identify_speed",
-    "damaged_logs",
-    "firmware",
-    "small_code",
-    "worst_day",
-    "arena_effort",
-    "play",
-    "play_and_zone",
-    "behind_play",
-    "both_ends",
-    "which",
-    "loops",
-    "loops_told",
-    "servo",
-    "gears",
-    "gears_anchors",
-    "gears_worlds",
-    "paper_recomputed",
-)
+HERE = Path(__file__).parent
+OWN = {"UNDEADZONE_CACHE"}  # variables that benches set themselves
 HEAD = """# Results
 
 Written by `make bench`, or table by table by `python -m benchmarks --write NAME`. Times are ratios
@@ -79,31 +24,56 @@ within one run; machines differ, ratios less so.
 """
 
 
-def command(name: str) -> str:
-    """What makes a table, with the variables that it heeds."""
-    heeded = sorted(word for word in os.environ if word.startswith(name.upper().split("_")[0]))
-    return " ".join(
-        [*(f"{word}={os.environ[word]}" for word in heeded), "python -m benchmarks", name]
-    )
+def find_benches() -> dict[str, Path]:
+    """Find the files that have a table, by name."""
+    found: dict[str, Path] = {}
+    for path in sorted(HERE.rglob("*.py")):
+        if "\ndef table(" in path.read_text(encoding="utf-8"):
+            if path.stem in found:
+                raise ValueError(f"two benches have the name {path.stem}")
+            found[path.stem] = path
+    return found
 
 
-def main() -> None:
+def make_table(path: Path) -> str:
+    """Run a bench."""
+    module = ".".join(["benchmarks", *path.relative_to(HERE).with_suffix("").parts])
+    table: str = importlib.import_module(module).table()
+    return table
+
+
+def write_command(name: str, path: Path) -> str:
+    """Write the command that makes a table, with the variables of the environment that it reads."""
+    text = path.read_text(encoding="utf-8")
+    read = {*re.findall(r'environ(?:\.get\(|\[)f?"([A-Z_]+)', text)} - OWN
+    used = sorted(word for word in os.environ if word.startswith(tuple(read)))
+    settings = [f"{word}={os.environ[word]}" for word in used]
+    return " ".join([*settings, "python -m benchmarks", name])
+
+
+def main() -> int:
     # idle threads of one program must not spin beside the next one's
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     names = [word for word in sys.argv[1:] if word != "--write"]
     writes = len(names) < len(sys.argv[1:]) or not names
-    results = Path(__file__).with_name("RESULTS.md")
-    for name in names or NAMES:
+    results, benches = HERE / "RESULTS.md", find_benches()
+    unknown = [name for name in names if name not in benches]
+    if unknown:
+        print(f"no bench {', '.join(unknown)}; benches: {', '.join(benches)}", file=sys.stderr)
+        return 2
+    for name in names or benches:
         print(f"{name} ...", file=sys.stderr, flush=True)
-        origin = f"At commit {commit()} (`{command(name)}`).\n"
-        table = importlib.import_module(f"benchmarks.{name}").table()
+        origin = f"At commit {commit()} (`{write_command(name, benches[name])}`).\n"
+        table = make_table(benches[name])
         tables = {title: f"{text.strip()}\n\n{origin}" for title, text in parted(table).items()}
         print("\n".join(tables.values()), flush=True)
         if writes:
             stored = parted(results.read_text(encoding="utf-8"))
             every = [f"{text.strip()}\n" for text in (stored | tables).values()]
             results.write_text("\n".join([HEAD, *every]), encoding="utf-8")
+    return 0
 
 
-main()
+if __name__ == "__main__":
+    sys.exit(main())

@@ -65,8 +65,8 @@ def leaderboard() -> Figure:
 def logs() -> Figure:
     """Reading against input of each case of docs/cases.md, at the last sample of each input."""
     sys.path.insert(0, str(DOCS.parent))
-    from benchmarks.cases import SEED
-    from benchmarks.cases_machines import CASES
+    from benchmarks.end_to_end.cases import SEED
+    from benchmarks.end_to_end.machines import CASES
 
     names = list(CASES)
     title = "Logs of six machines: the reading over the input, before the input changes"

@@ -25,8 +25,10 @@ from xdist.scheduler import LoadScopeScheduling
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import undeadzone
-from tools import pytest_terminal_summary as pytest_terminal_summary
-from tools import raw_formulas
+from cpu_times import SLOW, CpuTimes, function_of
+from documents import raw_formulas
+from requirements import pytest_sessionstart as pytest_sessionstart
+from requirements import pytest_terminal_summary as pytest_terminal_summary
 from undeadzone.report import style
 from undeadzone.report.style import import_default_matplotlib
 from undeadzone.util import files
@@ -36,15 +38,16 @@ from undeadzone_studies.ensemble import journal
 gc.set_threshold(100_000)  # as the command line does
 settings.register_profile(
     "shared",
-    max_examples=30,  # `python -m fuzz` and `make mutants` look longer
+    max_examples=30,  # `python -m tools.fuzz` and `make mutants` look longer
     deadline=None,
     suppress_health_check=[HealthCheck.too_slow],
     derandomize=True,
 )
 settings.load_profile("shared")
 
-COMPILED = Path(".pytest_cache", "compiled")  # C of earlier runs
-UNUSED = 30 * 86400  # [s] after which it is dropped
+# Compiled code of earlier runs, by its source: kernels, and programs of C.
+CACHE = Path(os.environ.get("UNDEADZONE_TEST_CACHE", ".pytest_cache"))
+UNUSED = 30 * 86400  # [s] after which it is deleted
 
 # Files that share what `once.py` makes: one process has them.
 TOGETHER = {
@@ -74,60 +77,15 @@ LONGEST = ("design", "test_docs", "test_exporting", "test_to_scenario", "test_od
            "test_notebook", "test_pipeline", "test_servo")  # fmt: skip
 
 
-SLOW = Path(__file__).with_name("slow.txt")  # functions, and whole files that share a slow start
-LEAST_SLOW = 0.5  # CPU time of a slow test [s]: those below take three minutes together
-
-
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
         "--order", type=int, metavar="SEED", help="files, and tests within them, in random order"
     )
     parser.addoption(
-        "--write-slow",
+        "--write-times",
         action="store_true",
-        help="write tests/slow.txt from the CPU times of this run",
+        help="write tests/slow.txt and tests/cpu.toml from the CPU times of this run",
     )
-
-
-def function_of(nodeid: str) -> str:
-    """Return the file and the function of a test, without its parameters."""
-    return nodeid.partition("[")[0]
-
-
-def cpu_seconds() -> float:
-    """Return the CPU time of this process and of those that it has waited for [s]."""
-    times = os.times()
-    return times.user + times.system + times.children_user + times.children_system
-
-
-@pytest.hookimpl(wrapper=True)
-def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
-    """Note the CPU time of a test, which reaches the process that writes reports."""
-    before = cpu_seconds()
-    try:
-        return (yield)
-    finally:
-        item.user_properties.append(("cpu", cpu_seconds() - before))
-
-
-CPU: dict[str, float] = {}  # longest case of each function [s]
-
-
-def pytest_runtest_logreport(report: pytest.TestReport) -> None:
-    seconds = dict(report.user_properties).get("cpu")
-    if report.when == "teardown" and isinstance(seconds, float):
-        name = function_of(report.nodeid)
-        CPU[name] = max(CPU.get(name, 0.0), seconds)
-
-
-def pytest_sessionfinish(session: pytest.Session) -> None:
-    """Write the list of slow tests; tests that did not run keep their line."""
-    if session.config.getoption("--write-slow") and not hasattr(session.config, "workerinput"):
-        known = {name for name in SLOW.read_text().split() if name not in CPU}
-        slow = known | {name for name, seconds in CPU.items() if seconds >= LEAST_SLOW}
-        files = {name for name in known if "::" not in name}
-        slow = {name for name in slow if name in files or name.partition("::")[0] not in files}
-        SLOW.write_text("".join(f"{name}\n" for name in sorted(slow)))
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -136,21 +94,20 @@ def pytest_configure(config: pytest.Config) -> None:
     Programs of C (`compiled_once`) are kept while any run uses them. Bytecode is kept as well, so
     that the processes that tests start compile nothing twice.
     """
+    config.pluginmanager.register(CpuTimes(config), "cpu times")
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     sys.dont_write_bytecode = False
     digest = hashlib.sha256()
     for path in sorted((Path(undeadzone.__file__).parent / "compile").glob("*.py")):
         digest.update(path.read_bytes())
-    folder = config.rootpath / ".pytest_cache" / "kernels"
-    own = folder / digest.hexdigest()[:16]
-    for other in folder.glob("*"):
-        if other != own:
-            shutil.rmtree(other, ignore_errors=True)
-    own.parent.mkdir(parents=True, exist_ok=True)
-    for path in (config.rootpath / COMPILED).glob("*"):
+    folder = config.rootpath / CACHE
+    own = folder / "kernels" / digest.hexdigest()[:16]
+    own.mkdir(parents=True, exist_ok=True)
+    os.utime(own)
+    for path in (*folder.glob("kernels/*"), *folder.glob("compiled/*")):
         with contextlib.suppress(FileNotFoundError):  # another process was here
             if time.time() - path.stat().st_mtime > UNUSED:
-                path.unlink()
+                shutil.rmtree(path) if path.is_dir() else path.unlink()
     os.environ["UNDEADZONE_CACHE"] = str(own)
 
 
@@ -195,7 +152,7 @@ def compiled_once(pytestconfig: pytest.Config, code_of_no_effort: Path) -> Itera
     A copy of what was made then, programs, libraries and accounts of the stack, stands in the new
     folder. Other compilers are called, as are all with files of other folders.
     """
-    place = pytestconfig.rootpath / COMPILED
+    place = pytestconfig.rootpath / CACHE / "compiled"
     place.mkdir(parents=True, exist_ok=True)
     compile_, of_no_effort = compiler._run_compiler, str(code_of_no_effort)
 

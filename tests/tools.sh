@@ -5,6 +5,7 @@ missing=""
 add() {
     command -v "$1" >/dev/null 2>&1 || missing="$missing $2"
 }
+add gcc "gcc libc6-dev"
 add arm-none-eabi-gcc "gcc-arm-none-eabi libnewlib-arm-none-eabi"
 add qemu-system-arm qemu-system-arm
 add avr-gcc "gcc-avr avr-libc"

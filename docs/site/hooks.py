@@ -27,8 +27,8 @@ PROJECT = (
     "CONTRIBUTING.md",
     "KNOWN_GAPS.md",
     "benchmarks/RESULTS.md",
-    "fuzz/RESULTS.md",
-    "mutants/RESULTS.md",
+    "tools/fuzz/RESULTS.md",
+    "tools/mutants/RESULTS.md",
 )
 HOW_TO = (
     "record_a_log",

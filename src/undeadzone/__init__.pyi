@@ -58,7 +58,6 @@ from .observers.filtering.prior import Assumptions as Assumptions
 from .plants.build import system as system
 from .plants.interop import from_control as from_control
 from .plants.interop import from_scipy as from_scipy
-from .plants.interop import to_control as to_control
 from .plants.interop import to_scipy as to_scipy
 from .plants.options import URDF as URDF
 from .plants.options import ElasticJoint as ElasticJoint
@@ -67,6 +66,7 @@ from .plants.options import Plant as Plant
 from .plants.options import SecondOrder as SecondOrder
 from .plants.options import TransferFunction as TransferFunction
 from .plants.options import TwoLink as TwoLink
+from .plants.options import to_control as to_control
 from .plants.region import Box as Box
 from .plants.region import Region as Region
 from .plants.robots.geared import Gears as Gears

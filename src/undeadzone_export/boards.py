@@ -2,7 +2,7 @@
 
 The shares an operation were measured with gcc 12 -Os on exports of 50 to 12,000 operations: of the
 written operations, repeated parts once, code for a Cortex-M4F takes 7.8 to 10.5 bytes, for an AVR
-30 to 33 (`python -m benchmarks small_code`). They only show if an export fits: the compiler
+30 to 33 (`python -m benchmarks code_size`). They only show if an export fits: the compiler
 measures the bytes, the board the time.
 """
 

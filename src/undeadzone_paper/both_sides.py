@@ -17,7 +17,8 @@ from undeadzone.linalg.matrices import Matrices, companion_form
 from undeadzone.linalg.poles import observer_gain
 from undeadzone.linalg.riccati import paper_riccati
 from undeadzone.nonlinearities.sensor import resolve, saturation_bound
-from undeadzone.plants.build import linear_matrices, system
+from undeadzone.plants.build import system
+from undeadzone.plants.options import linear_matrices
 from undeadzone.results.run import Run
 from undeadzone.scenario.schema import Scenario
 from undeadzone.util.arrays import Floats

@@ -21,7 +21,7 @@ from undeadzone.nonlinearities.sensor import Sensor
 from undeadzone.observers import Kalman
 from undeadzone.observers.certified import Certified
 from undeadzone.observers.luenberger import Luenberger
-from undeadzone.plants.build import linear_matrices
+from undeadzone.plants.options import linear_matrices
 from undeadzone.results.run import Run
 from undeadzone.scenario.schema import Model, Scenario, Simulation
 from undeadzone.signals.exosystem import Sine

@@ -11,7 +11,8 @@ from undeadzone.analysis.certificate.passivity import certify
 from undeadzone.linalg.matrices import Matrices
 from undeadzone.linalg.poles import observer_gain
 from undeadzone.linalg.riccati import paper_riccati
-from undeadzone.plants.build import linear_matrices, system
+from undeadzone.plants.build import system
+from undeadzone.plants.options import linear_matrices
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.simulation.simulate import outputs_of, prepare
 from undeadzone.util.arrays import Floats

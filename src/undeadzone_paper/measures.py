@@ -6,7 +6,7 @@ import numpy as np
 
 from undeadzone.linalg.riccati import paper_riccati
 from undeadzone.nonlinearities.sensor import deadzone, indicators, zone
-from undeadzone.plants.build import linear_matrices
+from undeadzone.plants.options import linear_matrices
 from undeadzone.results.run import LAST, Run
 from undeadzone.results.scales import LIMIT
 from undeadzone.util.arrays import Floats

@@ -26,7 +26,8 @@ from undeadzone.nonlinearities.sensor import (
     zone,
 )
 from undeadzone.observers.luenberger import Luenberger
-from undeadzone.plants.build import linear_matrices, system
+from undeadzone.plants.build import system
+from undeadzone.plants.options import linear_matrices
 from undeadzone.registry import CONTROLLERS
 from undeadzone.results.run import Run
 from undeadzone.scenario.schema import Scenario

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from benchmarks import cases
-from benchmarks.cases_machines import BAND, CASES, DEAD_BAND, GAP, LOST, STAR, ZONE
+from benchmarks.end_to_end import cases
+from benchmarks.end_to_end.machines import BAND, CASES, DEAD_BAND, GAP, LOST, STAR, ZONE
 from benchmarks.markdown import parted
 
-from tools import require
+from requirements import require
 
 ROOT = Path(__file__).parents[2]
 TRUE = {

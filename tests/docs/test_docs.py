@@ -13,7 +13,7 @@ from PIL import Image
 
 import once
 from commands import Done, undeadzone
-from tools import script_of_docs
+from documents import script_of_docs
 from undeadzone.registry import CONTROLLERS, OBSERVERS
 from undeadzone.scenario.reader import read
 from undeadzone_arena.contest.leaderboard import FRAME

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import undeadzone as uz
+from requirements import import_package
 
 FOLDER = Path(__file__).parents[2] / "examples"
 RUNS: dict[str, uz.Run] = {}
@@ -25,7 +26,7 @@ def run(name: str) -> uz.Run:
             short = msgspec.structs.replace(scenario.simulation, duration=SHORTER[name])
             scenario = msgspec.structs.replace(scenario, simulation=short)
         if name == "ur5":
-            pytest.importorskip("adam")
+            import_package("adam")
         RUNS[name] = uz.simulate(scenario)
     return RUNS[name]
 

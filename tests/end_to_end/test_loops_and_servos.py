@@ -5,21 +5,21 @@ from __future__ import annotations
 import ctypes
 import json
 import re
-import shutil
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from benchmarks.servo_logs import Servo, input_at_random, recorded
-from benchmarks.strangers_logs import walk, zone
-from benchmarks.valve_loops import ValveLoop, make
+from benchmarks.identify.logs.servo import Servo, input_at_random, recorded
+from benchmarks.identify.logs.strangers import walk, zone
+from benchmarks.identify.logs.valves import ValveLoop, make
 from click.testing import CliRunner
 
+from requirements import needs
 from undeadzone.cli import group
 
-pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
+pytestmark = needs("compiler", "gcc")
 SIZE = 800
 
 
@@ -107,6 +107,9 @@ def test_a_servo_by_current_and_encoder_ends_in_firmware(
     assert Path("fw/firmware/servo.c").exists()
 
 
+@pytest.mark.long(
+    "undeadzone_identify/test_identify_plants.py::test_the_width_of_an_integrating_plant"
+)
 def test_an_unstable_plant_is_said_to_be_one_and_estimate_finds_the_width(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from further import further
 from undeadzone.cli import group
 from undeadzone.util.arrays import Floats
 
@@ -34,7 +35,7 @@ def invoke(*words: str) -> str:
     return result.output
 
 
-@pytest.mark.parametrize("jump", [True, False])
+@pytest.mark.parametrize("jump", [True, *further(False)])
 def test_a_sensor_without_a_left_edge_ends_in_code(jump: bool, tmp_path: Path) -> None:
     """Readings that are shifted need the option; those of a jump sensor show it by themselves."""
     u, y = flow(jump)

@@ -11,6 +11,7 @@ import pytest
 
 import undeadzone as uz
 from commands import undeadzone
+from further import further
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import parse
@@ -85,7 +86,7 @@ def save(log: dict[str, Floats], path: Path) -> Path:
     return path
 
 
-@pytest.fixture(scope="module", params=["play", "zone"])
+@pytest.fixture(scope="module", params=["zone", *further("play")])
 def identified(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Any:
     """The fault, and the folder with the scenario that one log of its loop leads to."""
     folder = tmp_path_factory.mktemp(request.param)
@@ -181,7 +182,7 @@ def test_a_law_in_python_gets_and_gives_the_units_of_the_plant() -> None:
     assert np.allclose(run.u, OP + 2 * (run.r - run.z_hat), atol=1e-9)
 
 
-@pytest.mark.parametrize("part", ["observer", "observer+controller"])
+@pytest.mark.parametrize("part", ["observer+controller", *further("observer")])
 def test_exported_c_takes_and_gives_the_units_of_the_plant(part: str, tmp_path: Path) -> None:
     scenario = parse(PLANT + POINT)
     firmware = uz.export(scenario, "c", tmp_path / "fw", "double", part=part, check=True)

@@ -7,8 +7,8 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from benchmarks import strangers
-from benchmarks.strangers_logs import ALL, EARLIER, KINDS, LATER
+from benchmarks.identify import strangers
+from benchmarks.identify.logs.strangers import ALL, EARLIER, KINDS, LATER
 
 import undeadzone as uz
 from undeadzone.errors import InputError

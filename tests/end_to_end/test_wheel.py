@@ -13,10 +13,11 @@ import zipfile
 from pathlib import Path
 
 import pytest
-from supply import hashes, parts, sbom, sizes
+from tools.supply import hashes, parts, sbom, sizes
 
 from packed import ROOT, copied, environment, run
 from packed import wheel as built
+from requirements import import_package
 
 OTHERS = ("IPython", "casadi", "dask", "distributed", "matplotlib", "numpy", "scipy")
 LARGEST = 1_600_000  # bytes
@@ -27,8 +28,8 @@ GIT = (ROOT / ".git").exists()  # a source distribution has none
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The wheel of this checkout, built elsewhere."""
-    pytest.importorskip("hatchling")
-    pytest.importorskip("hatch_fancy_pypi_readme")
+    import_package("hatchling")
+    import_package("hatch_fancy_pypi_readme")
     return built(copied(tmp_path_factory.mktemp("wheels")))
 
 

@@ -1,35 +1,78 @@
-"""Budgets of syntax nodes: one for each room of `undeadzone`, one for each package beside it.
+"""Budgets of syntax nodes: one for each room of `undeadzone`, for each other package, and for each
+folder beside `src`.
 
-`nodes.toml` holds them. `tests/test_budget.py` compares them with the code.
+`nodes.toml` holds them. A budget falls, or moves to another room: their sum never rises.
+`test_budget.py` compares them with the code, and their sum with each version that git has.
 
     python tests/rules/node_budget.py                     print nodes and budgets
     python tests/rules/node_budget.py --lower             lower the budgets to today's nodes
     python tests/rules/node_budget.py --rename ends=nonlinearities
                                                           give a room's budget to its new name
+    python tests/rules/node_budget.py --move cli=report:200
+                                                          move 200 nodes to another room
+    python tests/rules/node_budget.py --move fit=simulation:500
+                                                          draw them from what an issue may add
 """
 
 from __future__ import annotations
 
 import argparse
 import functools
+import subprocess
 import sys
 import tomllib
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path, PurePosixPath
+from typing import NamedTuple
 
-from source_measures import read_sources
+from source_measures import HOME, count_nodes, read_sources
 
 TABLE = Path(__file__).with_name("nodes.toml")
-TOOL, TOP, TOTAL = "undeadzone", "(root)", "(total)"
+TOOL, TOP = "undeadzone", "(root)"
+# Rooms beside src: their folders.
+FOLDERS = {
+    "benchmarks": "benchmarks",
+    "fuzz": "tools/fuzz",
+    "mutants": "tools/mutants",
+    "supply": "tools/supply",
+    "tests": "tests",
+}
 GOAL = 300_000  # nodes of all packages
 SLACK = 0.15  # share of a budget that may be unused
 HEAD = """\
-# Syntax nodes that a room of undeadzone, or a package beside it, may have. Budgets only fall;
-# docstrings, comments, imports and annotations are free.
-# `python tests/rules/node_budget.py --lower` writes this file. Empty lines between the rows let git
-# merge branches that lower different rows. "(total)" is the limit of all packages together.
+# Syntax nodes that a room of undeadzone, a package or folder beside it, may have; docstrings,
+# comments, imports and annotations are free. `python tests/rules/node_budget.py` writes this file.
+#
+# Budgets only fall (--lower). A room that needs more takes it from another one (--move FROM=TO:N),
+# in the same change. The rows without a title and [new] have one sum, [beside] has another, and
+# neither is ever higher than in an earlier version.
+# [new] has what issues may still add to src; the same option draws from it. Their subjects: `fit`
+# of any number of a scenario, gears that wind up and wear, loops beside the valve code that goes,
+# filters that learn online, a proof down to the bits. A number for every log has no row: it adds
+# nothing.
+# Empty lines between the rows let git merge branches that change different rows.
 """
+
+
+class Budget(NamedTuple):
+    """Nodes by room.
+
+    Attributes:
+        src: rooms and packages of src.
+        beside: folders beside src.
+        new: nodes that issues may still add to src, by subject.
+    """
+
+    src: dict[str, int]
+    beside: dict[str, int]
+    new: dict[str, int] = {}
+
+    @property
+    def sums(self) -> dict[str, int]:
+        """Nodes of src with all that issues may add, and of the folders beside it."""
+        src = sum(self.src.values()) + sum(self.new.values())
+        return {"src": src, "beside": sum(self.beside.values())}
 
 
 def name_room(path: str) -> str:
@@ -41,24 +84,100 @@ def name_room(path: str) -> str:
 
 
 @functools.cache
-def measure_rooms() -> Counter[str]:
+def measure_rooms() -> Budget:
     """Count the syntax nodes of each room."""
-    nodes = Counter[str]()
+    src = Counter[str]()
     for source in read_sources():
-        nodes[name_room(source.path)] += source.size
-    return nodes
+        src[name_room(source.path)] += source.size
+    beside = {
+        room: sum(count_nodes(path.read_text("utf-8")) for path in (HOME / folder).rglob("*.py"))
+        for room, folder in FOLDERS.items()
+    }
+    return Budget(src, beside)
 
 
-def read_budget() -> dict[str, int]:
-    """Read the budget of each room and the limit of all."""
-    return tomllib.loads(TABLE.read_text(encoding="utf-8"))
+def parse_budget(text: str) -> Budget:
+    """Read the budgets of a text."""
+    src = tomllib.loads(text)
+    beside, new = src.pop("beside", {}), src.pop("new", {})
+    return Budget(src, beside, new)
 
 
-def write_budget(budget: dict[str, int]) -> None:
-    """Write `nodes.toml`, the total first, the rooms in alphabetical order."""
-    rows = [f'"{room}" = {nodes}\n' for room, nodes in sorted(budget.items())]
-    rows.sort(key=lambda row: not row.startswith(f'"{TOTAL}"'))
-    TABLE.write_text("\n".join([HEAD, *rows]), encoding="utf-8")
+def read_budget() -> Budget:
+    """Read the budgets of `nodes.toml`."""
+    return parse_budget(TABLE.read_text("utf-8"))
+
+
+def write_budget(budget: Budget) -> None:
+    """Write `nodes.toml`, the rooms in alphabetical order."""
+    tables = zip(("", "[beside]\n", "[new]\n"), budget, strict=True)
+    rows = [HEAD]
+    for title, table in tables:
+        rows += filter(None, [title])
+        rows += [f'"{room}" = {nodes}\n' for room, nodes in sorted(table.items())]
+    TABLE.write_text("\n".join(rows), encoding="utf-8")
+
+
+def read_history() -> list[Budget]:
+    """Read the versions of `nodes.toml` that the main line of git's history has, newest first.
+
+    Nothing is read where git, or the history, is missing, nor from before the budgets were frozen.
+    """
+    separator = "# version\n"
+    list_commits = ["git", "rev-list", "--first-parent", "HEAD", "--", TABLE.name]
+    read_files = ["git", "cat-file", f"--batch={separator.strip()}"]
+    try:
+        commits = run_git(list_commits).split()
+        texts = run_git(read_files, "".join(f"{each}:./{TABLE.name}\n" for each in commits))
+    except (OSError, subprocess.CalledProcessError):
+        return []
+    return [parse_budget(text) for text in texts.split(separator)[1:] if "[new]\n" in text]
+
+
+def run_git(words: Sequence[str], given: str = "") -> str:
+    """Return what git prints in the folder of `nodes.toml`."""
+    done = subprocess.run(
+        words, input=given, cwd=TABLE.parent, capture_output=True, text=True, check=True
+    )
+    return done.stdout
+
+
+def find_raises(history: Iterable[Budget], budget: Budget) -> list[str]:
+    """Return a line for each sum of budgets that is higher than in an earlier version."""
+    earlier = [version.sums for version in history]
+    raised = []
+    for pool, nodes in budget.sums.items():
+        least = min((sums[pool] for sums in earlier), default=nodes)
+        if nodes > least:
+            raised.append(f"{pool}: {nodes} nodes, {least} before: lower rooms by {nodes - least}")
+    return raised
+
+
+def move_budget(budget: Budget, rooms: Budget, move: str) -> Budget:
+    """Move nodes from a room, or from what an issue may add, to a room.
+
+    Args:
+        budget: of each room.
+        rooms: syntax nodes of each room today.
+        move: `FROM=TO:N`.
+
+    Raises:
+        ValueError: There are no such rooms on the same side of src, or FROM has too few nodes.
+    """
+    source, _, rest = move.partition("=")
+    target, _, number = rest.rpartition(":")
+    moved = Budget(*map(dict, budget))
+    from_table = next((table for table in moved if source in table), {})
+    to_table, present = (
+        (moved.beside, rooms.beside) if from_table is moved.beside else (moved.src, rooms.src)
+    )
+    if source not in from_table or target not in present:
+        raise ValueError(f"{move}: expected FROM=TO:N, two rooms of src or two beside it")
+    if not number.isdecimal() or not 0 < int(number) <= from_table[source]:
+        raise ValueError(f"{move}: expected 1 to {from_table[source]} nodes")
+    from_table[source] -= int(number)
+    to_table[target] = to_table.get(target, 0) + int(number)
+    return moved
 
 
 def round_to_tens(nodes: int) -> int:
@@ -67,7 +186,7 @@ def round_to_tens(nodes: int) -> int:
 
 
 def rename_rooms(
-    budget: dict[str, int], nodes: dict[str, int], renames: Iterable[tuple[str, str]]
+    budget: Mapping[str, int], nodes: Mapping[str, int], renames: Iterable[tuple[str, str]]
 ) -> dict[str, int]:
     """Give the budgets of removed rooms to their new names.
 
@@ -98,7 +217,7 @@ def rename_rooms(
     return moved
 
 
-def lower_budget(budget: dict[str, int], nodes: dict[str, int]) -> dict[str, int]:
+def lower_budget(budget: Mapping[str, int], nodes: Mapping[str, int]) -> dict[str, int]:
     """Return the budgets lowered to the nodes of today; rooms that are gone leave the table.
 
     Raises:
@@ -107,22 +226,22 @@ def lower_budget(budget: dict[str, int], nodes: dict[str, int]) -> dict[str, int
     missing = sorted(nodes.keys() - budget.keys())
     if missing:
         raise ValueError(
-            f"{', '.join(missing)}: a new room needs a budget. Use --rename OLD={missing[0]}"
+            f"{', '.join(missing)}: a new room needs a budget. Use --rename OLD={missing[0]}, or "
+            f"--move FROM={missing[0]}:N"
         )
-    lowered = {room: min(budget[room], round_to_tens(count)) for room, count in nodes.items()}
-    lowered[TOTAL] = min(budget[TOTAL], round_to_tens(sum(nodes.values())))
-    return lowered
+    return {room: min(budget[room], round_to_tens(count)) for room, count in nodes.items()}
 
 
-def compare_budget(budget: dict[str, int], nodes: dict[str, int]) -> tuple[list[str], list[str]]:
-    """Compare rooms and their total with the budgets.
+def compare_budget(budget: Budget, nodes: Budget) -> tuple[list[str], list[str]]:
+    """Compare rooms with their budgets.
 
     Returns:
         A line for each room above its budget, and for each one more than `SLACK` below it.
     """
     above, loose = [], []
-    for room, count in {**nodes, TOTAL: sum(nodes.values())}.items():
-        allowed = budget.get(room, 0)
+    budgets = {**budget.src, **budget.beside}
+    for room, count in {**nodes.src, **nodes.beside}.items():
+        allowed = budgets.get(room, 0)
         line = f"{room}: {count} nodes, budget {allowed}"
         if count > allowed:
             above.append(line)
@@ -131,30 +250,53 @@ def compare_budget(budget: dict[str, int], nodes: dict[str, int]) -> tuple[list[
     return above, loose
 
 
-def main() -> int:
-    """Print, lower or rename budgets."""
+def main(words: Sequence[str] | None = None) -> int:
+    """Print, lower, rename or move budgets."""
     parser = argparse.ArgumentParser(description="Budgets of syntax nodes.")
     parser.add_argument("--lower", action="store_true", help="Lower the budgets to the code.")
     parser.add_argument("--rename", action="append", default=[], metavar="OLD=NEW",
                         help="Give the budget of a removed room to a new one.")  # fmt: skip
-    options = parser.parse_args()
+    parser.add_argument("--move", action="append", default=[], metavar="FROM=TO:N",
+                        help="Move nodes to a room, from another or from [new].")  # fmt: skip
+    options = parser.parse_args(words)
     budget, nodes = read_budget(), measure_rooms()
     try:
-        if options.rename:
-            pairs = [pair.partition("=") for pair in options.rename]
-            budget = rename_rooms(budget, nodes, [(old, new) for old, _, new in pairs])
-        if options.lower:
-            budget = lower_budget(budget, nodes)
+        budget = change_budget(budget, nodes, options)
     except ValueError as error:
         parser.error(str(error))
-    if options.lower or options.rename:
+    if options.lower or options.rename or options.move:
         write_budget(budget)
-    for room, count in sorted(nodes.items()):
-        sys.stdout.write(f"{room:22}{count:8} of {budget.get(room, 0):8}\n")
-    total = sum(nodes.values())
-    sys.stdout.write(f"{TOTAL:22}{total:8} of {budget[TOTAL]:8}, goal {GOAL}\n")
-    above, _ = compare_budget(budget, nodes)
-    return int(bool(above))
+    for table, counts in zip(budget, nodes, strict=True):
+        for room in sorted({*table, *counts}):
+            sys.stdout.write(f"{room:22}{counts.get(room, 0):8} of {table.get(room, 0):8}\n")
+    for pool, total in nodes.sums.items():
+        goal = f", goal {GOAL}" if pool == "src" else ""
+        sys.stdout.write(f"{pool:22}{total:8} of {budget.sums[pool]:8}{goal}\n")
+    faults = compare_budget(budget, nodes)[0] + find_raises(read_history(), budget)
+    sys.stderr.writelines(f"{fault}\n" for fault in faults)
+    return int(bool(faults))
+
+
+def change_budget(budget: Budget, nodes: Budget, options: argparse.Namespace) -> Budget:
+    """Return the budgets after all renames, moves and the lowering that a command names.
+
+    Raises:
+        ValueError: A room or a number is wrong.
+    """
+    renames = [(old, new) for old, _, new in (pair.partition("=") for pair in options.rename)]
+    of_src = [pair for pair in renames if pair[0] not in budget.beside]
+    of_beside = [pair for pair in renames if pair[0] in budget.beside]
+    budget = budget._replace(
+        src=rename_rooms(budget.src, nodes.src, of_src),
+        beside=rename_rooms(budget.beside, nodes.beside, of_beside),
+    )
+    for move in options.move:
+        budget = move_budget(budget, nodes, move)
+    if not options.lower:
+        return budget
+    return budget._replace(
+        src=lower_budget(budget.src, nodes.src), beside=lower_budget(budget.beside, nodes.beside)
+    )
 
 
 if __name__ == "__main__":

@@ -10,8 +10,10 @@ import node_budget
 import pytest
 import source_measures
 from benchmarks.markdown import parted
+from node_budget import Budget
 
 import undeadzone
+from requirements import needs, require
 
 ROOT = Path(undeadzone.__file__).parent
 HOME = Path(__file__).parents[2]
@@ -47,14 +49,24 @@ def test_words_imports_and_annotations_have_no_nodes() -> None:
 def test_every_room_keeps_to_its_budget() -> None:
     """So an idea that is written twice is noticed when it is written.
 
-    `tests/rules/nodes.toml` holds the budgets. Raising one takes an entry in docs/decisions.md.
+    `tests/rules/nodes.toml` holds the budgets, of the folders beside src too.
     """
     budget, nodes = node_budget.read_budget(), node_budget.measure_rooms()
-    assert budget.keys() == {*nodes, node_budget.TOTAL}
+    assert budget.src.keys() == nodes.src.keys()
+    assert budget.beside.keys() == nodes.beside.keys()
+    assert budget.new.keys() == {"fit", "gears", "loops", "online", "proof"}
+    assert min(nodes.beside.values()) > 500, "a folder of node_budget.FOLDERS is gone"
     above, loose = node_budget.compare_budget(budget, nodes)
     assert not above
     assert not loose, "run python tests/rules/node_budget.py --lower"
     assert len(FILES) <= MOST_FILES
+
+
+def test_no_budget_rises_but_by_what_another_room_gives() -> None:
+    """The table of the working tree has no higher sum than any version of the main line in git."""
+    history = node_budget.read_history()
+    require("git", [] if history else ["the history of nodes.toml"])
+    assert not node_budget.find_raises(history, node_budget.read_budget())
 
 
 def test_rooms_of_the_tool_and_packages_beside_it_are_distinguished() -> None:
@@ -63,27 +75,126 @@ def test_rooms_of_the_tool_and_packages_beside_it_are_distinguished() -> None:
     assert node_budget.name_room("undeadzone_identify/logs/grid.py") == "undeadzone_identify"
 
 
-def test_a_budget_falls_and_never_rises() -> None:
-    budget = {"ends": 100, "cli": 200, "gone": 60, node_budget.TOTAL: 360}
-    lowered = node_budget.lower_budget(budget, {"ends": 81, "cli": 210})
-    assert lowered == {"ends": 90, "cli": 200, node_budget.TOTAL: 300}
-    assert node_budget.compare_budget(budget, {"ends": 81, "cli": 210}) == (
-        ["cli: 210 nodes, budget 200"],
-        ["(total): 291 nodes, budget 360"],
+BUDGET = Budget(src={"ends": 100, "cli": 200}, beside={"tests": 50, "fuzz": 20}, new={"fit": 80})
+ROOMS = Budget(src={"ends": 81, "cli": 195}, beside={"tests": 45, "fuzz": 20})
+
+
+def test_a_lowered_budget_falls_and_never_rises() -> None:
+    nodes = {"ends": 81, "cli": 210}
+    lowered = node_budget.lower_budget({"ends": 100, "cli": 200, "gone": 60}, nodes)
+    assert lowered == {"ends": 90, "cli": 200}
+    beside = {"tests": 30, "fuzz": 21}
+    assert node_budget.compare_budget(BUDGET, Budget(nodes, beside)) == (
+        ["cli: 210 nodes, budget 200", "fuzz: 21 nodes, budget 20"],
+        ["tests: 30 nodes, budget 50"],
     )
 
 
 def test_a_new_room_takes_the_budget_of_a_removed_one() -> None:
-    budget = {"ends": 100, "cli": 200, node_budget.TOTAL: 300}
-    nodes = {"zones": 61, "limits": 30, "cli": 200}
+    budget, nodes = {"ends": 100, "cli": 200}, {"zones": 61, "limits": 30, "cli": 200}
     with pytest.raises(ValueError, match="limits, zones: a new room needs a budget"):
         node_budget.lower_budget(budget, nodes)
     split = node_budget.rename_rooms(budget, nodes, [("ends", "zones"), ("ends", "limits")])
-    assert split == {"zones": 70, "limits": 30, "cli": 200, node_budget.TOTAL: 300}
+    assert split == {"zones": 70, "limits": 30, "cli": 200}
     merged = node_budget.rename_rooms(budget, {"cli": 250}, [("ends", "cli")])
-    assert merged == {"cli": 300, node_budget.TOTAL: 300}
+    assert merged == {"cli": 300}
     with pytest.raises(ValueError, match="still exists"):
         node_budget.rename_rooms(budget, nodes, [("cli", "zones")])
+
+
+@pytest.mark.parametrize(
+    ("moves", "change"),
+    [
+        (["ends=cli:15"], {"src": {"ends": 85, "cli": 215}}),
+        (["tests=fuzz:50"], {"beside": {"tests": 0, "fuzz": 70}}),
+        (["fit=cli:30", "fit=ends:50"], {"src": {"ends": 150, "cli": 230}, "new": {"fit": 0}}),
+    ],
+)
+def test_moved_budgets_have_the_same_sum(
+    moves: list[str], change: dict[str, dict[str, int]]
+) -> None:
+    budget = BUDGET
+    for move in moves:
+        budget = node_budget.move_budget(budget, ROOMS, move)
+    assert budget == BUDGET._replace(**change)
+    assert budget.sums == BUDGET.sums
+    assert not node_budget.find_raises([BUDGET], budget)
+
+
+@pytest.mark.parametrize(
+    ("move", "message"),
+    [
+        ("ends=cli:101", "expected 1 to 100 nodes"),
+        ("fit=cli:81", "expected 1 to 80 nodes"),
+        ("fit=cli:-5", "expected 1 to 80 nodes"),
+        ("ends=cli:0", "expected 1 to 100 nodes"),
+        ("fit=cli", "two rooms of src"),
+        ("ends=fit:5", "two rooms of src"),
+        ("ends=zones:5", "two rooms of src"),
+        ("doors=cli:5", "two rooms of src"),
+        ("tests=cli:5", "two rooms of src or two beside it"),
+        ("fit=tests:5", "two rooms of src or two beside it"),
+    ],
+)
+def test_a_move_from_nothing_or_across_src_is_refused(move: str, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        node_budget.move_budget(BUDGET, ROOMS, move)
+
+
+@pytest.mark.parametrize(
+    ("change", "raised"),
+    [
+        ({"src": {"ends": 110, "cli": 200}}, ["src: 390 nodes, 380 before: lower rooms by 10"]),
+        ({"src": {"ends": 110, "cli": 190}}, []),
+        ({"src": {"ends": 110, "cli": 200}, "new": {"fit": 70}}, []),
+        ({"src": {"ends": 110, "cli": 200}, "beside": {"tests": 40, "fuzz": 20}},
+         ["src: 390 nodes, 380 before: lower rooms by 10"]),
+        ({"beside": {"tests": 51, "fuzz": 20}}, ["beside: 71 nodes, 70 before: lower rooms by 1"]),
+        ({"new": {"fit": 80, "doors": 9}}, ["src: 389 nodes, 380 before: lower rooms by 9"]),
+    ],
+)  # fmt: skip
+def test_a_raise_is_found_unless_its_side_of_src_pays(
+    change: dict[str, dict[str, int]], raised: list[str]
+) -> None:
+    higher = BUDGET._replace(new={"fit": 500}, beside={"tests": 500})
+    assert node_budget.find_raises([higher, BUDGET, higher], BUDGET._replace(**change)) == raised
+
+
+@needs("git", "git")
+def test_the_script_refuses_a_raise_before_and_after_its_commit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(node_budget, "TABLE", tmp_path / "nodes.toml")
+    monkeypatch.setattr(node_budget, "measure_rooms", lambda: ROOMS)
+
+    def commit() -> None:
+        node_budget.run_git(["git", "add", "."])
+        who = ["-c", "user.name=a", "-c", "user.email=a@b.invalid", "-c", "commit.gpgsign=false"]
+        node_budget.run_git(["git", *who, "commit", "-qm", "Budgets"])
+
+    node_budget.run_git(["git", "init", "-q"])
+    node_budget.TABLE.write_text('"ends" = 1\n\n"cli" = 1\n')  # before the freeze
+    assert node_budget.read_history() == []
+    commit()
+    node_budget.write_budget(BUDGET)
+    commit()
+    assert node_budget.read_budget() == BUDGET
+    assert node_budget.read_history() == [BUDGET]
+    assert node_budget.main(["--move", "fit=ends:30", "--move", "cli=ends:5"]) == 0
+    commit()
+    raised = BUDGET._replace(src={"ends": 145, "cli": 195})
+    node_budget.write_budget(raised)
+    assert node_budget.main([]) == 1
+    assert "src: 420 nodes, 380 before: lower rooms by 40" in capsys.readouterr().err
+    commit()
+    assert node_budget.main([]) == 1
+    assert len(node_budget.read_history()) == 3
+    assert node_budget.main(["--move", "tests=fuzz:2", "--lower"]) == 0
+    assert node_budget.read_budget() == Budget(
+        {"ends": 90, "cli": 195}, {"tests": 48, "fuzz": 20}, {"fit": 80}
+    )
+    with pytest.raises(SystemExit):
+        node_budget.main(["--move", "fit=ends:81"])
 
 
 def test_the_architecture_page_names_existing_code() -> None:

@@ -15,8 +15,8 @@ from pathlib import Path
 
 import hypothesis
 import undeadzone.util.text
-from mutants.changes import mutant, places
-from mutants.trial import noticed
+from tools.mutants.changes import mutant, places
+from tools.mutants.trial import noticed
 
 source, file = Path("src").resolve(), "undeadzone/util/text.py"
 place = next(place for place in places(source, file) if place.what.startswith("HALF_95 * std"))

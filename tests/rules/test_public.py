@@ -9,6 +9,7 @@ import ast
 import re
 import subprocess
 import sys
+import tomllib
 import typing
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -31,6 +32,13 @@ OWN = [
 REGISTERED = [node.targets[0].id for node in STUB.body if isinstance(node, ast.Assign)]  # type: ignore[attr-defined]
 NAMES = [*OWN, *REGISTERED]
 ROOMS = ("observers", "controllers", "compensators", "signals", "plants")
+HOME = Path(__file__).parents[2]
+SYSTEMS = {
+    "macos-latest": "MacOS",
+    "ubuntu-latest": "POSIX :: Linux",
+    "windows-latest": "Microsoft :: Windows",
+}
+TRIED = re.compile(r'\{ system: (\S+), python: "(\S+)", tried: true \}')
 HEAVY = (
     "numpy",
     "scipy",
@@ -145,3 +153,17 @@ def test_imports_load_nothing_that_they_do_not_need(code: str, absent: tuple[str
         check=True,
     )
     assert not set(done.stdout.split()) & set(absent)
+
+
+def test_classifiers_name_what_was_tried() -> None:
+    """Rows of the matrix in .github/workflows/ci.yml that passed once; others may fail there."""
+    workflow = (HOME / ".github" / "workflows" / "ci.yml").read_text(encoding="utf-8")
+    tried = TRIED.findall(workflow)
+    project = tomllib.loads((HOME / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    classifiers = {
+        name.removeprefix("Programming Language :: Python :: ").removeprefix("Operating System :: ")
+        for name in project["classifiers"]
+        if re.match(r"Operating System|Programming Language :: Python :: 3\.\d+$", name)
+    }
+    assert classifiers == {name for system, python in tried for name in (SYSTEMS[system], python)}
+    assert ("ubuntu-latest", "3.11") in tried

@@ -9,13 +9,13 @@ import time
 from collections.abc import Iterator
 
 import pytest
-from fuzz.__main__ import NAMES, maker
-from fuzz.case import Case, End, stream
-from fuzz.isolated import results
-from fuzz.judge import complaint
-from fuzz.perform import perform
-from fuzz.scenarios import text
 from tests.scenes import scene
+from tools.fuzz.__main__ import NAMES, maker
+from tools.fuzz.case import Case, End, stream
+from tools.fuzz.isolated import results
+from tools.fuzz.judge import complaint
+from tools.fuzz.perform import perform
+from tools.fuzz.scenarios import text
 
 from undeadzone.errors import StructureError
 from undeadzone.scenario.problem import resolve_scenario

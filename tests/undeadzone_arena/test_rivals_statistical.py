@@ -13,13 +13,14 @@ import casadi as ca
 import msgspec
 import numpy as np
 import pytest
-from benchmarks import coverage
+from benchmarks.filters import coverage
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 from scipy.stats import norm
 
 import undeadzone_arena.unscented as unscented
+from requirements import import_package
 from scenes import EXACT_SENSOR, PAPER_PLANT, OnNumbers, linear, random_plant, scene
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.interfaces import (
@@ -222,7 +223,7 @@ def test_tobit_foretells_the_mean_of_the_reading_over_both_branches(z: float) ->
     "plant", [PAPER_PLANT, system(Plant(**PENDULUM))], ids=["linear", "pendulum"]
 )
 def test_the_ukf_agrees_with_filterpy(plant: System) -> None:
-    kalman = pytest.importorskip("filterpy.kalman")
+    kalman = import_package("filterpy.kalman")
     rng, model = np.random.default_rng(3), sample_plant(plant, TS)
     observer = UKF(
         right=[0.5, 2.0],

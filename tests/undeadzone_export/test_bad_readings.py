@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from benchmarks.worst_day import day, scenario
+from benchmarks.firmware.bad_readings import day, scenario
 from test_engines import OBSERVERS, small
 
 import undeadzone as uz
@@ -86,7 +86,7 @@ def test_the_worst_day(method: str, sensor: str) -> None:
     """C in double follows `Online`, and float flags what double flags.
 
     10,000 samples with missing, wrong, stuck and impossible readings; `python -m benchmarks
-    worst_day` prints all of them.
+    bad_readings` prints all of them.
     """
     found = day(scenario(method, sensor))
     assert not any(found.differing.values()), found.differing

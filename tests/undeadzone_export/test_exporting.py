@@ -21,8 +21,8 @@ from test_engines import CONTROLLERS, OBSERVERS, PENDULUM, TWO_OUTPUTS, small
 
 import once
 import undeadzone as uz
+from requirements import require
 from scenes import scene
-from tools import require
 from undeadzone.compile import elementary, lanes, scalar_step
 from undeadzone.compile.graph import LANES, Nodes, required_nodes
 from undeadzone.errors import FileError, InputError

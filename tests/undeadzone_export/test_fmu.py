@@ -15,8 +15,8 @@ import pytest
 from test_engines import OBSERVERS, small
 
 import undeadzone as uz
+from requirements import require
 from scenes import scene
-from tools import require
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Estimate
 from undeadzone.results.signals import quantity_unit

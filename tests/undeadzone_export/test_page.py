@@ -18,8 +18,8 @@ from test_lower import A, B, calling_outputs, stateless
 
 import undeadzone as uz
 from browser import Browser, browser
+from requirements import require
 from scenes import scene
-from tools import require
 from undeadzone.compile import print_wasm
 from undeadzone.compile.lower import build_portable_nodes
 from undeadzone.compile.numpy_reference import elementary_functions

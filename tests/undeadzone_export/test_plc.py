@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import importlib.util
 import re
 import shutil
 import subprocess
@@ -20,8 +19,8 @@ from test_lower import A, B, calling_outputs, stateless
 
 import once
 import undeadzone as uz
+from requirements import import_package, require
 from structured_text import Reader, Refused
-from tools import require
 from undeadzone.compile import elementary, portable_maths
 from undeadzone.compile.graph import Nodes
 from undeadzone.compile.print_c import WIDTH, Expressions, Style, elementary_texts
@@ -243,7 +242,7 @@ def test_every_observer_has_the_bits_of_the_c(method: str, single: bool, tmp_pat
 @pytest.mark.parametrize("method", [name for name in EXPORTED if name != "auto"])
 def test_the_compiler_matiec_gives_the_same_bits(method: str, single: bool, tmp_path: Path) -> None:
     """Its iec2c is in no registry: who has it in PATH runs this."""
-    require("iec2c", [] if shutil.which("iec2c") else ["iec2c"])
+    require("plc", [] if shutil.which("iec2c") else ["iec2c"])
     each, rows = print_export(observer(method), single), run_of()
     assert_same_bits(by_iec2c(each, rows, tmp_path), by_c(each, rows, tmp_path))
 
@@ -453,18 +452,16 @@ def test_a_choice_is_one_line_where_that_fits() -> None:
 @pytest.mark.parametrize("method", ["certified", "kalman"])
 def test_the_xml_is_plcopens_and_holds_the_text(method: str, tmp_path: Path) -> None:
     """Each element, attribute and type is of the schema; the statements are those of the text."""
-    require("plc", [name for name in ("plcopen", "xsdata") if not importlib.util.find_spec(name)])
-    from plcopen import Project
-    from xsdata.formats.dataclass.parsers import XmlParser
-    from xsdata.formats.dataclass.parsers.config import ParserConfig
+    Project = import_package("plcopen").Project
+    parsers = import_package("xsdata.formats.dataclass.parsers")
 
     uz.export(observer(method), "st", tmp_path, name="o")
-    strict = ParserConfig(
+    strict = parsers.config.ParserConfig(
         fail_on_unknown_properties=True,
         fail_on_unknown_attributes=True,
         fail_on_converter_warnings=True,
     )
-    project = XmlParser(config=strict).from_path(tmp_path / "o.xml", Project)
+    project = parsers.XmlParser(config=strict).from_path(tmp_path / "o.xml", Project)
     pous = {pou.name: pou for pou in project.types.pous.pou}
     text = (tmp_path / "o.st").read_text() + (tmp_path / "o_test.st").read_text()
     units = Reader(text).units

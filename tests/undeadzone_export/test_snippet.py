@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import json
-import shutil
 import subprocess
 from pathlib import Path
 
@@ -12,6 +11,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from requirements import needs
 from undeadzone.cli import group
 from undeadzone.errors import InputError
 from undeadzone_export.snippet import Lost, lost_of_answer, snippet_texts
@@ -52,7 +52,7 @@ def play(command: np.ndarray, gap: float) -> np.ndarray:
     return np.array(out)
 
 
-@pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
+@needs("compiler", "gcc")
 @pytest.mark.parametrize("kind", ["sensor", "actuator", "backlash"])
 def test_c_and_python_say_the_same_of_50_zones(kind: str, tmp_path: Path) -> None:
     """Within 1e-6 of the largest value, and no text is longer than 20 lines."""
@@ -182,7 +182,7 @@ def test_a_dead_band_ahead_of_the_plant_is_compensated_in_units_of_the_input() -
 
 
 def test_of_a_valve_at_fault_either_way_lines_are_written() -> None:
-    """Its play or its stick band: the lines lessen the error of both (`benchmarks/valve_loops`)."""
+    """Its play or its stick band: the lines lessen the error of both (`logs/valves.py`)."""
     odds = {"input_play": 0.6, "stiction": 0.35, "none": 0.05}
     found = answer("input_play", right=None, left=None, width=[5.0, 4.5, 5.5], odds=odds)
     assert lost_of_answer(found, "a.json", "a.csv").kind == "backlash"

@@ -10,8 +10,8 @@ import pytest
 from test_engines import OBSERVERS, small
 
 import undeadzone as uz
+from requirements import require
 from scenes import scene
-from tools import require
 from undeadzone.scenario.schema import Scenario
 from undeadzone_export import exporting
 

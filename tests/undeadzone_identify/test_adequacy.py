@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from benchmarks.names_logs import make
-from benchmarks.strangers_logs import ALL, lags, zone
+from benchmarks.identify.logs.names import make
+from benchmarks.identify.logs.strangers import ALL, lags, zone
 from click.testing import CliRunner
 from scipy.signal import lfilter
 
 import undeadzone as uz
+from further import further
 from undeadzone.cli import group
 from undeadzone.errors import InputError
 from undeadzone.util.arrays import Floats
@@ -56,7 +57,7 @@ def of_kind(kind: str, seed: int) -> uz.Identified:
     return identify_log(log.u, log.y, **log.options)
 
 
-@pytest.mark.parametrize("samples", [5, 50, 500])
+@pytest.mark.parametrize("samples", [50, *further(5, 500)])
 def test_a_linear_motor_has_no_gap(samples: int) -> None:
     """Of 500 samples the log holds four time constants: then nothing is named."""
     answer = of_kind(f"motor of {samples}", 3 if samples == 500 else 1)
@@ -102,8 +103,10 @@ def test_another_curve_of_the_input_has_no_name_and_no_odds(tmp_path: Path) -> N
     ("kind", "seed", "seen"),
     [
         ("tank", 8411, "the size of the output as a force on the plant"),
-        ("spring that bends", 8411, "the size of the output as a force on the plant"),
-        ("tank", 8412, "a plant that bends leaves less than friction"),
+        *further(
+            ("spring that bends", 8411, "the size of the output as a force on the plant"),
+            ("tank", 8412, "a plant that bends leaves less than friction"),
+        ),
     ],
 )
 def test_a_plant_that_bends_is_not_named(kind: str, seed: int, seen: str) -> None:
@@ -122,10 +125,12 @@ def test_a_plant_that_bends_is_not_named(kind: str, seed: int, seen: str) -> Non
     ("kind", "words"),
     [
         ("line", {"saturation"}),
-        ("fan", {"input_curve"}),
-        ("play ahead, 12", {"input_play"}),
-        ("tank", {"unclear"}),
-        ("friction that falls", {"friction", "unclear"}),
+        *further(
+            ("fan", {"input_curve"}),
+            ("play ahead, 12", {"input_play"}),
+            ("tank", {"unclear"}),
+            ("friction that falls", {"friction", "unclear"}),
+        ),
     ],
 )
 def test_limits_of_the_readings_hide_nothing_between_them(kind: str, words: set[str]) -> None:
@@ -135,6 +140,7 @@ def test_limits_of_the_readings_hide_nothing_between_them(kind: str, words: set[
     assert identify_log(log.u, limited, **log.options).verdict in words
 
 
+@pytest.mark.long("test_a_mean_of_readings_is_no_zone")
 def test_a_slow_disturbance_is_no_remainder() -> None:
     """It explains most of the residual of a line, but depends on no signal."""
     rng = np.random.default_rng(4)
@@ -144,6 +150,7 @@ def test_a_slow_disturbance_is_no_remainder() -> None:
     assert answer.verdict == "none"
 
 
+@pytest.mark.long("test_a_dead_zone_leaves_nothing")
 @pytest.mark.parametrize(("truth", "seed"), [("sensor and input", 9304), ("play and zone", 9303)])
 def test_a_disturbance_ahead_of_a_zone_is_no_curve(truth: str, seed: int) -> None:
     """It rounds the corners in the mean: of long logs 6 % were left, and nothing was named."""
@@ -157,6 +164,7 @@ def test_a_disturbance_ahead_of_a_zone_is_no_curve(truth: str, seed: int) -> Non
     assert max(left[on].share for on in ("output", "behind")) < 0.02
 
 
+@pytest.mark.long("test_a_dead_zone_leaves_nothing")
 def test_the_order_behind_two_zones_is_not_that_of_a_zone_of_the_sensor() -> None:
     """Static maps hold no zone of the input: with theirs a third lag of the plant was left."""
     log = make(9501, "sensor and input")
@@ -167,6 +175,7 @@ def test_the_order_behind_two_zones_is_not_that_of_a_zone_of_the_sensor() -> Non
     assert all(one.share < 0.02 for one in answer.answer.found.remainders)
 
 
+@pytest.mark.long("test_a_strong_curve_is_found_beside_its_line")
 def test_a_curve_of_the_sensor_is_not_late_by_the_delay_of_a_zone() -> None:
     """In a loop a zone's model is late by a sample. What is left is the encoder's rounding."""
     log = make(9308, "cubic")
@@ -182,6 +191,7 @@ def test_a_strong_curve_is_found_beside_its_line() -> None:
     assert identify_log(log.u, log.y).verdict == "other"
 
 
+@pytest.mark.long("test_a_joint_that_rubs_is_named_with_its_friction")
 def test_friction_may_leave_more_than_a_tenth_by_the_output() -> None:
     """It holds the plant at readings of which an encoder shows few: 14 % depend on them here."""
     log = make(10016, "friction")
@@ -211,7 +221,9 @@ def test_a_dead_zone_leaves_nothing() -> None:
 # --- Everyday truths
 
 
-@pytest.mark.parametrize("kind", ["fan", "exponential valve", "cubic input", "root of the input"])
+@pytest.mark.parametrize(
+    "kind", ["fan", *further("exponential valve", "cubic input", "root of the input")]
+)
 def test_a_curve_of_the_input_is_no_zone(kind: str) -> None:
     """It has neither widths nor a scenario whose inverse would add at each reversal."""
     answer = of_kind(kind, 1)
@@ -223,7 +235,9 @@ def test_a_curve_of_the_input_is_no_zone(kind: str) -> None:
         answer.scenario()
 
 
-@pytest.mark.parametrize(("kind", "gap"), [("play ahead, 12", 0.5), ("play ahead, 2", 0.9)])
+@pytest.mark.parametrize(
+    ("kind", "gap"), [("play ahead, 12", 0.5), *further(("play ahead, 2", 0.9))]
+)
 def test_play_ahead_of_the_plant_has_its_gap(kind: str, gap: float) -> None:
     answer = of_kind(kind, 1)
     assert answer.verdict == "input_play"
@@ -253,6 +267,7 @@ def test_a_filter_behind_the_zone_is_no_friction(tmp_path: Path) -> None:
     assert not estimated.empty
 
 
+@pytest.mark.long("test_a_filter_behind_the_zone_is_no_friction")
 def test_a_lag_behind_the_zone_has_its_time_constant() -> None:
     shape = of_kind("zone, lag of 3", 1).numbers()["shape"]
     assert shape["lag"][1] < STEP * 0.7 / 0.3 < shape["lag"][2]
@@ -271,7 +286,7 @@ def sensed_zone(rounding: float, slope: float) -> tuple[Floats, Floats, Floats]:
     return u, z, up - slope * down + 0.01 * rng.standard_normal(u.size)
 
 
-@pytest.mark.parametrize(("rounding", "slope"), [(0.06, 1.0), (1e-3, 0.9)])
+@pytest.mark.parametrize(("rounding", "slope"), [(0.06, 1.0), *further((1e-3, 0.9))])
 def test_the_shape_of_a_sensor_is_estimated_and_written(rounding: float, slope: float) -> None:
     """The scenario's assumptions come from the log, and lie beside the true shape."""
     u, _, y = sensed_zone(rounding, slope)
@@ -285,7 +300,9 @@ def test_the_shape_of_a_sensor_is_estimated_and_written(rounding: float, slope: 
     assert sensor["slope_std"] == pytest.approx(abs(1 - slope), abs=0.01)
 
 
-@pytest.mark.parametrize(("kind", "seed"), [("relay", 1), ("relay with hysteresis", 8441)])
+@pytest.mark.parametrize(
+    ("kind", "seed"), [("relay", 1), *further(("relay with hysteresis", 8441))]
+)
 def test_a_relay_is_no_curve_and_no_slow_drive(kind: str, seed: int) -> None:
     """Its best curve lies at its bound; a drive that never reaches its target is as good as it."""
     answer = of_kind(kind, seed)
@@ -313,6 +330,7 @@ def test_pulses_count_from_the_middle_of_their_zone() -> None:
     assert middle - answer.left.high < 1478 < middle - answer.left.low
 
 
+@pytest.mark.long("test_a_joint_that_rubs_is_named_with_its_friction")
 def test_friction_that_falls_has_an_interval() -> None:
     """Stribeck's curve is none of the models; the level that a stop needs is in the interval."""
     answer = of_kind("friction that falls", 3)
@@ -339,7 +357,7 @@ def test_classes_that_remain_have_widths_and_an_option_that_decides() -> None:
     assert low < placed.width.value < high
 
 
-@pytest.mark.parametrize("samples", [0.0, 4.0])
+@pytest.mark.parametrize("samples", [4.0, *further(0.0)])
 def test_a_lag_ahead_of_the_zone_withholds_the_name(samples: float) -> None:
     """A curve or a zone of the late input imitates it well: only lags ahead of it show that."""
     rng = np.random.default_rng(7001)
@@ -366,7 +384,7 @@ def test_a_lag_ahead_of_the_zone_withholds_the_name(samples: float) -> None:
     ("kind", "verdict", "reason"),
     [
         # one regressor finds a path beside the zone that seven hat functions of the input share
-        ("zone beside a line", "unclear", "the input within its zone"),
+        *further(("zone beside a line", "unclear", "the input within its zone")),
         # exp(p u) fits a little better than a line, but p is 0.19 +- 0.23
         ("gain that sways", "undecided", "straight line"),
     ],
@@ -381,6 +399,7 @@ def test_an_element_of_the_input_that_is_not_sure_has_no_name(
     assert answer.width is None
 
 
+@pytest.mark.long("test_a_name_that_its_own_test_or_a_wider_model_denies_is_withheld")
 @pytest.mark.slow
 def test_a_larger_model_that_predicts_a_little_worse_is_not_denied() -> None:
     """Two zones lose to the sensor's alone by 1.3 deviations of held-out errors."""
@@ -428,6 +447,7 @@ def test_a_loop_whose_readings_nothing_foretells_has_no_name(tmp_path: Path) -> 
     assert not answer.numbers()["odds"]
 
 
+@pytest.mark.long("test_a_strong_curve_is_found_beside_its_line")
 def test_two_slopes_without_a_zone_are_another_curve() -> None:
     """The zone of two slopes fits them with a width of 0: they are no line."""
     answer = of_kind("two slopes, no zone", 8201)
@@ -435,6 +455,7 @@ def test_two_slopes_without_a_zone_are_another_curve() -> None:
     assert "0.6 times the slope" in answer.answer.reasons[0]
 
 
+@pytest.mark.long("test_limits_that_no_reading_reaches_are_not_reported")
 def test_limits_behind_a_zone_are_no_jump() -> None:
     """The zone is 0.5 and 0.35 wide, its readings end at -0.6 and 0.8."""
     answer = of_kind("zone that ends", 8201)
@@ -523,7 +544,7 @@ def test_readings_stored_on_change_have_no_name() -> None:
     assert not answer.numbers()["odds"]
 
 
-@pytest.mark.parametrize("quantum", [0.002, 0.2])
+@pytest.mark.parametrize("quantum", [0.2, *further(0.002)])
 def test_rounded_readings_are_not_those_of_a_recorder(quantum: float) -> None:
     """Coarse ones repeat as well, and move by one spacing or more."""
     rng = np.random.default_rng(5)
@@ -532,7 +553,7 @@ def test_rounded_readings_are_not_those_of_a_recorder(quantum: float) -> None:
     assert identify_log(u, y).verdict in ("none", "operating_point")
 
 
-@pytest.mark.parametrize(("step", "noise"), [(0.6, 0.01), (0.3, 0.05)])
+@pytest.mark.parametrize(("step", "noise"), [(0.6, 0.01), *further((0.3, 0.05))])
 def test_noise_behind_a_coarse_sensor_hides_no_steps(step: float, noise: float) -> None:
     """They were a jump, or a play, with 1.00."""
     rng = np.random.default_rng(7103)
@@ -544,6 +565,7 @@ def test_noise_behind_a_coarse_sensor_hides_no_steps(step: float, noise: float) 
     assert any("the readings gather about steps of" in one for one in answer.answer.remarks)
 
 
+@pytest.mark.long("test_noise_behind_a_coarse_sensor_hides_no_steps")
 def test_a_zone_behind_blurred_steps_goes_from_its_log_to_an_estimate(tmp_path: Path) -> None:
     """The scenario that is written explains the log itself, with its noise about the steps."""
     rng = np.random.default_rng(5)
@@ -565,6 +587,7 @@ def test_a_zone_behind_blurred_steps_goes_from_its_log_to_an_estimate(tmp_path: 
         assert low < truth < high
 
 
+@pytest.mark.long("test_noise_behind_a_coarse_sensor_hides_no_steps")
 def test_steps_that_noise_blurs_are_no_jump() -> None:
     rng = np.random.default_rng(7104)
     u = walk(rng)
@@ -584,7 +607,7 @@ def test_a_gate_that_passes_large_readings_whole_is_a_jump() -> None:
 @pytest.mark.parametrize(
     ("truth", "seed", "why"),
     [
-        ("input", 10049, "a zone explains more than chance does (p = 1.9e-21)"),
+        *further(("input", 10049, "a zone explains more than chance does (p = 1.9e-21)")),
         ("sensor and input", 10056, "this record cannot tell a dead zone of the sensor from"),
     ],
 )
@@ -609,6 +632,9 @@ def test_a_motor_that_cogs_has_its_period_and_no_name() -> None:
     assert not answer.numbers()["odds"]
 
 
+@pytest.mark.long(
+    "undeadzone_identify/test_alternatives.py::test_a_strong_disturbance_widens_a_servos_gap_or_withdraws_it"
+)
 def test_loads_that_come_and_go_are_no_play() -> None:
     """Its gap was 0, without a width, at 0.96."""
     answer = of_kind("loads that come and go", 1)

@@ -10,12 +10,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from benchmarks.names_logs import make as make_named_log
+from benchmarks.identify.logs.names import make as make_named_log
 from scipy.linalg import expm
 from scipy.signal import cont2discrete, lfilter
 
 import undeadzone as uz
-from tools import script_of_docs
+from documents import script_of_docs
+from further import further
 from undeadzone.cli import group
 from undeadzone.errors import InputError
 from undeadzone.scenario.reader import read
@@ -201,7 +202,7 @@ def test_a_disturbance_is_distinguished_from_noise() -> None:
     assert find_input_disturbance(layout, plant, noise, whole).rms < 0.02
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, *further(2)])
 def test_the_gap_of_a_play_is_found(seed: int) -> None:
     rng, u, z = driven(10 + seed)
     gaps = tuple(rng.uniform(0.1, 0.4, 2))
@@ -396,6 +397,7 @@ def valve(seed: int, **more: Any) -> tuple[Any, tuple[float, float]]:
     return uz.identify(t=STEP, u=u, y=y, order=2, delay=0, **more), widths
 
 
+@pytest.mark.long("test_commands_take_the_scenario_of_an_actuator")
 def test_the_widths_of_an_actuator_are_found() -> None:
     """Of the first it is asked, too, whether it is a play; of the others only its widths count."""
     covered = []
@@ -454,6 +456,7 @@ def test_a_plant_that_integrates_is_neither_play_nor_friction() -> None:
         assert {share for _, share, _ in describe_rivals(answer.answer)} == {"-"}
 
 
+@pytest.mark.long("test_a_zone_is_not_named_for_a_larger_model_with_other_widths")
 def test_a_play_that_held_out_data_may_owe_to_chance_is_undecided() -> None:
     """One-step errors prefer the play ahead of a zone, held-out blocks hardly."""
     log = make_named_log(9806, "play and zone")
@@ -462,7 +465,9 @@ def test_a_play_that_held_out_data_may_owe_to_chance_is_undecided() -> None:
     assert "by chance, perhaps" in found.answer.reasons[0]
 
 
-@pytest.mark.parametrize(("truth", "seed"), [("sensor and input", 9818), ("play and zone", 9619)])
+@pytest.mark.parametrize(
+    ("truth", "seed"), [("sensor and input", 9818), *further(("play and zone", 9619))]
+)
 def test_a_zone_is_not_named_for_a_larger_model_with_other_widths(truth: str, seed: int) -> None:
     """A zone of the input was not excluded, and the sensor's alone had odds above 0.99."""
     log = make_named_log(seed, truth)

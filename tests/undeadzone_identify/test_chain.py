@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -10,12 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from requirements import needs
 from undeadzone_export.snippet import Lost
 from undeadzone_identify.chain import run_snippet_chain
 from undeadzone_identify.models import chain as models
 
 
-@pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
+@needs("compiler", "gcc")
 def test_an_axis_is_off_by_its_gap_and_with_the_code_hardly(tmp_path: Path) -> None:
     """The command goes to and fro ten times the gap."""
     gap = (0.2, 0.19, 0.21)

@@ -8,12 +8,13 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from benchmarks.damaged_logs import counted
+from benchmarks.identify.damaged_logs import counted
 from click.testing import CliRunner
 from scipy.io import savemat
 from scipy.signal import lfilter
 
 import undeadzone as uz
+from requirements import import_package
 from undeadzone.cli import group
 from undeadzone.errors import FileError, InputError
 from undeadzone.scenario.reader import read
@@ -173,7 +174,7 @@ def test_files_of_arrays(tmp_path: Path) -> None:
 
 
 def test_a_frame_with_times_of_day() -> None:
-    pandas = pytest.importorskip("pandas")
+    pandas = import_package("pandas")
     times = pandas.to_datetime("2024-01-01") + pandas.to_timedelta(ROWS[:, 0], unit="s")
     log = read_log(pandas.DataFrame({"t": times, "u": ROWS[:, 1], "y": ROWS[:, 2]}))
     assert np.allclose(log.t, ROWS[:, 0])

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from benchmarks.identify_logs import dead_zone, motor
+from benchmarks.identify.logs.random_plants import dead_zone, motor
 from click.testing import CliRunner
 from scipy.signal import lfilter
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import json
-import shutil
 import subprocess
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from benchmarks.lost_motion_logs import (
+from benchmarks.identify.logs.lost_motion import (
     KINDS,
     MotionLog,
     axis_at_rest,
@@ -27,6 +26,8 @@ from benchmarks.lost_motion_logs import (
 )
 
 import undeadzone as uz
+from further import further
+from requirements import needs
 from undeadzone.cli import group
 from undeadzone.errors import InputError
 from undeadzone_identify.logs.log import Options, read_log
@@ -52,7 +53,7 @@ def identified(log: MotionLog, **more: Any) -> uz.IdentifiedMotion:
 
 
 @pytest.mark.parametrize(
-    "make", [axis_at_rest, two_encoders, noisy_and_late, jittered, pulses_and_star]
+    "make", [axis_at_rest, pulses_and_star, *further(two_encoders, noisy_and_late, jittered)]
 )
 def test_a_gap_is_found_and_its_interval_holds(make: Any) -> None:
     """Without an option, at rest or moving, with irregular times, noise, counts, a late reading."""
@@ -183,7 +184,7 @@ def write_table(log: MotionLog, path: Path) -> None:
     pd.DataFrame(log.columns).to_csv(path, index=False)
 
 
-@pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
+@needs("compiler", "gcc")
 def test_from_a_log_of_two_positions_to_compiled_c_in_one_command(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -9,6 +9,7 @@ import pytest
 from scipy.signal import lfilter
 
 import undeadzone as uz
+from requirements import import_package
 from undeadzone.errors import InputError
 from undeadzone.util.arrays import Floats
 from undeadzone_identify.results.model import follow_play
@@ -69,7 +70,7 @@ def test_it_predicts_another_log_one_sample_ahead(found: Any) -> None:
 
 
 def test_python_control_takes_it(found: Any) -> None:
-    control = pytest.importorskip("control")
+    control = import_package("control")
     system = found.to_control()
     u = levels(6, 20)
     response = control.forced_response(system, inputs=u)
@@ -80,7 +81,7 @@ def test_python_control_takes_it(found: Any) -> None:
 
 
 def test_pandas_takes_the_log_and_the_hidden_output(found: Any) -> None:
-    pytest.importorskip("pandas")
+    import_package("pandas")
     frame = found.to_pandas()
     assert list(frame.columns) == ["u", "y", "z", "z_std"]
     assert frame.index.name == "t"
@@ -106,7 +107,7 @@ def test_an_input_that_counts_from_elsewhere_is_that_of_the_log() -> None:
     found = uz.identify(t=STEP, u=u, y=0.4 * plant(driven) + noise, order=1, delay=LATE)
     assert found.verdict == "input_zone"
     assert np.std(found.simulate(u).y - 0.4 * plant(driven)) < 0.5
-    pytest.importorskip("pandas")
+    import_package("pandas")
     assert found.to_pandas()["u"].to_numpy() == pytest.approx(u)
 
 

@@ -8,12 +8,13 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from benchmarks.lost_motion_logs import linear_motor
-from benchmarks.motor_logs import NOISE, STEP, Motor, random_motor, record, record_both
-from benchmarks.motors import output_error
+from benchmarks.identify.logs.lost_motion import linear_motor
+from benchmarks.identify.logs.motors import NOISE, STEP, Motor, random_motor, record, record_both
+from benchmarks.identify.motors import output_error
 from scipy.io import savemat
 
 import undeadzone as uz
+from further import further
 from undeadzone.errors import FileError, InputError
 from undeadzone_identify.logs.log import read_log
 from undeadzone_identify.models.free_load import fit_free_load
@@ -29,7 +30,7 @@ def ask(motor: Motor, seed: int) -> uz.Identified:
     return answer
 
 
-@pytest.mark.parametrize("seed", [4, 8])
+@pytest.mark.parametrize("seed", [4, *further(8)])
 def test_a_rigid_motor_that_rubs_is_named_behind_a_noisy_encoder(seed: int) -> None:
     """Friction of another law imitates a gap below the noise, which was named."""
     motor = random_motor(seed, with_gap=False)
@@ -49,7 +50,7 @@ def test_a_rigid_motor_without_friction_has_no_gap() -> None:
     assert answer.width is None
 
 
-@pytest.mark.parametrize("seed", [2, 3])
+@pytest.mark.parametrize("seed", [3, *further(2)])
 def test_a_heavy_load_in_a_gap_is_not_mistaken_for_a_linear_motor(seed: int) -> None:
     """A load that nothing rubs strikes and bounces: "no backlash" had odds above 99 %."""
     motor = random_motor(seed, with_gap=True)

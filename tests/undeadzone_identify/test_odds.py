@@ -8,13 +8,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from benchmarks import loop_logs, names_logs
-from benchmarks.names_logs import NamedLog, make
-from benchmarks.servo_logs import Recorded, random_log, resting_log
-from benchmarks.which_logs import through
+from benchmarks.identify.logs import loops as loop_logs
+from benchmarks.identify.logs import names as names_logs
+from benchmarks.identify.logs.names import NamedLog, make
+from benchmarks.identify.logs.servo import Recorded, random_log, resting_log
+from benchmarks.identify.logs.zone_or_play import through
 from scipy.signal import lfilter
 
 import undeadzone as uz
+from further import further
 from undeadzone.cli import group
 from undeadzone.nonlinearities.play import levels
 from undeadzone.scenario.reader import parse
@@ -195,7 +197,7 @@ def test_a_saturation_pays_for_edges_that_few_readings_tell() -> None:
     assert rivals["saturation"].numbers - rivals["none"].numbers == 2 + BREAKS
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, *further(2)])
 def test_a_log_about_an_operating_point_tells_nothing_of_a_zone(seed: int) -> None:
     rng, u, z = driven(seed)
     answer = found(5.0 + u, 5.0 + z + 0.02 * rng.standard_normal(z.size))
@@ -282,6 +284,7 @@ def test_an_encoder_that_sticks_at_both_ends_is_a_saturation() -> None:
     assert answer.verdict == "saturation"
 
 
+@pytest.mark.long("test_a_play_with_a_zone_is_no_servo")
 def test_what_looks_like_friction_is_tested_for_a_play() -> None:
     """The four offsets do not suggest a play here; friction led with odds beyond .99."""
     rng = np.random.default_rng(990_011)
@@ -300,6 +303,7 @@ def test_what_looks_like_friction_is_tested_for_a_play() -> None:
     assert answer.numbers()["odds"]["play"] > 0.5
 
 
+@pytest.mark.long("test_a_play_with_a_zone_is_no_servo")
 def test_an_encoder_that_falls_silent_is_no_servo_without_a_zone() -> None:
     """A motor behind a play alone explained four fifths of this log, with odds beyond .99."""
     log = make(3002, "play and zone")
@@ -329,7 +333,7 @@ def test_a_play_with_a_zone_gives_no_observations_of_a_servo() -> None:
     assert to_observations(grid, Options()) is None
 
 
-@pytest.mark.parametrize(("seed", "order"), [(30131, 3), (30172, 1)])
+@pytest.mark.parametrize(("seed", "order"), [(30131, 3), *further((30172, 1))])
 def test_a_noisy_servo_is_no_saturation_and_no_jump(seed: int, order: int) -> None:
     """Static maps behind a plant without play had odds of .98 and .82."""
     log = random_log(seed)
@@ -346,6 +350,7 @@ def test_a_servo_whose_crossings_say_another_gap_is_no_saturation() -> None:
     assert "crossings" in " ".join(answer.numbers()["reasons"])
 
 
+@pytest.mark.long("test_a_noisy_servo_is_no_saturation_and_no_jump")
 def test_a_servo_with_a_gap_for_certain_is_none_where_another_model_is_likelier(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -361,6 +366,7 @@ def test_a_servo_with_a_gap_for_certain_is_none_where_another_model_is_likelier(
     assert [one.is_gap_reported for one in servos] == [True]
 
 
+@pytest.mark.long("test_a_play_with_a_zone_is_no_servo")
 def test_friction_beside_a_zone_is_tested_for_a_play(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -373,6 +379,7 @@ def test_friction_beside_a_zone_is_tested_for_a_play(
     is_play_with_zone(make(9001, "play and zone"), order="2-4")
 
 
+@pytest.mark.long("test_odds_are_printed_and_sum_to_1")
 def test_two_silent_samples_that_a_start_explains_by_underflow_are_no_fit() -> None:
     """The likelihood of a start 1400 deviations off was above 1: the answer was `other`."""
     log = make(21000, "sensor")
@@ -396,7 +403,7 @@ def test_a_short_log_whose_encoder_passes_0_slowly_is_not_tested_for_a_servo() -
     assert identify_tick_servo(grid, Options()) is None
 
 
-@pytest.mark.parametrize("seed", [26, 60], ids=["encoder", "noise"])
+@pytest.mark.parametrize("seed", [26, *further(60)])  # an encoder, noise
 def test_a_servo_that_rests_at_0_is_a_servo(seed: int) -> None:
     """Its pauses are no sensor's zone: such logs were a zone of the input, friction or jumps."""
     log = resting_log(seed, 1500)
@@ -412,7 +419,7 @@ def test_no_memory_is_named_where_most_readings_stick_at_the_ends() -> None:
     assert any("readings stick at the ends" in one for one in answer.numbers()["remarks"])
 
 
-@pytest.mark.parametrize("seed", [8800, 8703], ids=["435 samples", "16005 samples"])
+@pytest.mark.parametrize("seed", [8800, *further(8703)])  # 435 and 16005 samples
 def test_the_limits_of_an_encoder_are_those_of_all_readings(seed: int) -> None:
     """Between the limits alone they were 0.08 within, and a short log was withheld.
 
@@ -442,6 +449,7 @@ def test_a_play_that_reaches_its_ends_is_no_saturation() -> None:
     assert answer.verdict != "saturation"
 
 
+@pytest.mark.long("test_the_limits_of_an_encoder_are_those_of_all_readings")
 def test_a_disturbance_ahead_of_limits_leaves_nothing_beyond_them() -> None:
     """It rounds the corners of the mean reading: 3 % of the residual depended on the output."""
     assert identify_log(make(8802, "saturation")).verdict == "saturation"

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 import pytest
-from benchmarks.servo_logs import Servo as Truth
-from benchmarks.servo_logs import input_at_random, recorded, torque_at_random
+from benchmarks.identify.logs.servo import Servo as Truth
+from benchmarks.identify.logs.servo import input_at_random, recorded, torque_at_random
 
 from undeadzone_identify.servo.gap import identify_servo_gap
 from undeadzone_identify.servo.likelihood import At, Servo, ServoStructure, discretise_servo

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import re
-import shutil
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -14,12 +13,20 @@ from xml.etree import ElementTree
 import casadi as ca
 import numpy as np
 import pytest
-from benchmarks.mujoco_servo import mujoco_log
-from benchmarks.servo_logs import Servo, input_at_random, random_log, recorded, torque_at_random
+from benchmarks.identify.logs.mujoco_servo import mujoco_log
+from benchmarks.identify.logs.servo import (
+    Servo,
+    input_at_random,
+    random_log,
+    recorded,
+    torque_at_random,
+)
 from scipy.signal import lfilter
 from scipy.stats import norm
 
 import undeadzone as uz
+from further import further
+from requirements import needs
 from undeadzone.cli import group
 from undeadzone.scenario.reader import parse
 from undeadzone.util.arrays import Floats
@@ -105,11 +112,9 @@ def answered(u: Floats, y: Floats, step: float = STEP) -> ServoGap:
     ("reading", "spring", "closed"),
     [
         ("exact", 0.0, False),
-        ("exact", 40.0, True),
-        ("encoder", 0.0, True),
         ("encoder", 40.0, False),
-        ("noise", 0.0, False),
         ("noise", 40.0, True),
+        *further(("exact", 40.0, True), ("encoder", 0.0, True), ("noise", 0.0, False)),
     ],
 )
 def test_the_gap_of_a_servo(reading: str, spring: float, closed: bool) -> None:
@@ -319,7 +324,8 @@ def test_crossings_have_a_median_and_a_scatter() -> None:
     assert math.isnan(empty.gap_scatter)
 
 
-@pytest.mark.skipif(shutil.which("gcc") is None, reason="no compiler")
+@pytest.mark.long("test_a_filter_with_the_torques_of_a_servo_follows_its_log")
+@needs("compiler", "gcc")
 def test_a_late_log_ends_in_firmware_that_has_followed_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -354,6 +360,7 @@ def test_a_late_log_ends_in_firmware_that_has_followed_it(
     assert left < 1e-3 * hidden
 
 
+@pytest.mark.long("test_friction_beside_a_spring_is_named_with_its_level")
 def test_a_fast_damping_may_be_a_pole_and_the_pole_the_damping() -> None:
     """Of 30037 the roles were exchanged, beside a wrong gap: one pole fewer is the servo."""
     theta = np.zeros(len(At))
@@ -407,7 +414,7 @@ def test_what_overflows_is_no_servo() -> None:
     assert identify_servo_gap(listened(log.u, log.y, log.step)) is None
 
 
-@pytest.mark.parametrize(("seed", "lost"), [(30036, 4.0), (30050, 10.0)])
+@pytest.mark.parametrize(("seed", "lost"), [(30036, 4.0), *further((30050, 10.0))])
 def test_a_filter_with_the_torques_of_a_servo_follows_its_log(seed: int, lost: float) -> None:
     """Friction and slow torques were no part of the scenario, and the filter lost the log."""
     log = random_log(seed)

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import re
-import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
-from benchmarks.strangers_logs import ALL, STEP, compared, lags, noisy, walk
+from benchmarks.identify.logs.strangers import ALL, STEP, compared, lags, noisy, walk
 from click.testing import CliRunner
 
 import undeadzone as uz
+from further import further
+from requirements import needs
 from undeadzone.cli import group
 from undeadzone.errors import InputError
 from undeadzone.util.arrays import Floats
@@ -48,8 +49,9 @@ def test_an_input_that_acts_in_its_own_sample_is_taken_one_sample_earlier(
     assert "the log has them late: delay = -1" in " ".join(wrong.output.split())
 
 
+@pytest.mark.long("test_an_input_that_acts_in_its_own_sample_is_taken_one_sample_earlier")
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")  # `check` overflows by the fast pole
-@pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
+@needs("compiler", "gcc")
 def test_a_log_of_an_input_of_its_own_row_ends_in_firmware(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -65,6 +67,7 @@ def test_a_log_of_an_input_of_its_own_row_ends_in_firmware(
     assert Path("fw/firmware/log.c").exists()
 
 
+@pytest.mark.long("test_an_input_that_acts_in_its_own_sample_is_taken_one_sample_earlier")
 def test_an_input_taken_earlier_gives_the_same_answer_as_a_shifted_log() -> None:
     u, y = log_of(FEEDTHROUGH, 8001)
     found = uz.identify(t=STEP, u=u, y=y)
@@ -92,7 +95,7 @@ def test_a_controller_that_answers_at_once_is_no_feedthrough() -> None:
     assert any("closed loop" in one for one in found.answer.remarks)
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.02])
+@pytest.mark.parametrize("noise", [0.02, *further(0.0)])
 def test_readings_of_a_switch_have_no_name(noise: float) -> None:
     rng = np.random.default_rng(4)
     u = walk(rng)
@@ -110,6 +113,7 @@ def test_a_sensor_slower_one_way_has_no_name() -> None:
     assert "how fast the output changes" in found.answer.reasons[0]
 
 
+@pytest.mark.long("test_the_slope_inside_a_zone_grows_with_the_roundness_of_its_edges")
 def test_a_curve_that_passes_most_of_what_lies_inside_is_no_zone() -> None:
     """Two gains of a range were a zone with edges of five times its half width, at odds of 1."""
     found = uz.identify(t=STEP, **dict(zip("uy", log_of("range that switches", 8001), strict=True)))
@@ -185,6 +189,7 @@ def test_the_overlap_of_a_cylinders_valve_is_not_mistaken_for_friction() -> None
     assert "a dead zone of the input, as of a valve that overlaps" in found.answer.reasons[0]
 
 
+@pytest.mark.long("test_a_sensor_slower_one_way_has_no_name")
 def test_much_noise_is_not_taken_for_readings_that_hardly_move() -> None:
     u, y = log_of("zone, much noise", 8501)
     found = uz.identify(t=STEP, u=u, y=y)

@@ -7,7 +7,6 @@ import json
 import math
 import re
 import shlex
-import shutil
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -17,6 +16,8 @@ import pytest
 
 import undeadzone as uz
 from commands import undeadzone
+from further import further
+from requirements import needs
 from undeadzone.errors import InputError
 from undeadzone.scenario.reader import parse
 from undeadzone.util.arrays import Floats
@@ -32,14 +33,17 @@ WORDS = {"zone": "dead_zone", "play": "play", "both": "both", "actuator": "input
 WORDS |= {"ends": "two_zones"}  # of actuator and sensor
 # Behind noise each is in test_pipeline.py or test_alternatives.py, and in firmware below.
 # Exact, a zone's stands for the actuator's, a play's for that with a zone; see also MOTORS.
-STABLE = [*itertools.product(WORDS, ["encoder"]),
-          *itertools.product(["zone", "play", "ends"], ["exact"])]  # fmt: skip
+STABLE = [("zone", "encoder"), ("both", "encoder"), ("ends", "exact"),
+          *further(*itertools.product(["play", "actuator", "ends"], ["encoder"])),
+          *further(*itertools.product(["zone", "play"], ["exact"]))]  # fmt: skip
 # Every element and every step; a play of the middle one is in the test of its noise, and what
 # rounding does is the same for those that have no zone of the sensor.
-ROUNDED = [*itertools.product(["zone"], [0.001, 0.005, 0.016]), ("play", 0.001), ("both", 0.005),
-           ("actuator", 0.016), ("ends", 0.001), ("ends", 0.016)]  # fmt: skip
-MOTORS = [("zone", "noise"), ("zone", "encoder"), ("zone", "exact"), ("play", "noise"),
-          ("both", "encoder"), ("actuator", "exact")]  # fmt: skip
+ROUNDED = [("zone", 0.005), ("ends", 0.016),
+           *further(*itertools.product(["zone"], [0.001, 0.016]), ("play", 0.001), ("both", 0.005),
+                    ("actuator", 0.016), ("ends", 0.001))]  # fmt: skip
+MOTORS = [("zone", "noise"),
+          *further(("play", "noise"), ("zone", "encoder"), ("zone", "exact"), ("both", "encoder"),
+                   ("actuator", "exact"))]  # fmt: skip
 
 
 def record(element: str, reading: str, integrates: bool, order: int = 2) -> tuple[Floats, Floats]:
@@ -112,7 +116,7 @@ def test_a_log_of_a_stable_plant_ends_in_a_scenario(element: str, reading: str) 
             assert abs(numbers[f"{letter}_{side}"] - width) < 3 * std
 
 
-@pytest.mark.parametrize("element", ["zone", "actuator", "ends"])
+@pytest.mark.parametrize("element", ["ends", *further("zone", "actuator")])
 def test_the_filter_knows_where_readings_end(element: str) -> None:
     u, y = record(element, "noise", integrates=False)
     low, high = np.quantile(y, [0.08, 0.9])
@@ -161,6 +165,7 @@ def test_a_quantum_that_noise_hides_is_none() -> None:
         assert math.hypot(sensor.noise, expected / math.sqrt(12)) == pytest.approx(noise)
 
 
+@pytest.mark.long("test_a_quantum_that_noise_hides_is_none")
 def test_rounding_is_subtracted_from_the_noise_of_a_play_once() -> None:
     u, y = record("play", "noise", integrates=False)
     answer = uz.identify(t=STEP, u=u, y=0.005 * np.round(y / 0.005), order=2, delay=0)
@@ -219,8 +224,10 @@ def test_the_next_command_runs_as_printed(tmp_path: Path, monkeypatch: pytest.Mo
     assert shlex.split(watch)[:3] == ["undeadzone", "watch", "my log.toml"]
 
 
-@pytest.mark.skipif(shutil.which("gcc") is None, reason="no compiler")
-@pytest.mark.parametrize("element", ["zone", "play", "actuator", "ends", "jump", "play ahead"])
+@needs("compiler", "gcc")
+@pytest.mark.parametrize(
+    "element", ["zone", *further("play ahead", "play", "actuator", "ends", "jump")]
+)
 def test_a_log_ends_in_firmware(
     element: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -249,7 +256,7 @@ def test_a_log_ends_in_firmware(
     assert "every bit agrees" in done.stdout
 
 
-@pytest.mark.skipif(shutil.which("gcc") is None, reason="no compiler")
+@needs("compiler", "gcc")
 def test_one_command_leads_from_a_log_to_firmware_that_has_followed_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

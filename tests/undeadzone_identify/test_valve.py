@@ -11,12 +11,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from benchmarks.names_logs import make as draw_log
-from benchmarks.valve_loops import ACCOUNTS, ValveLoop, make
+from benchmarks.identify.logs.names import make as draw_log
+from benchmarks.identify.logs.valves import ACCOUNTS, ValveLoop, make
 from scipy.signal import freqz, lfilter
 
 import undeadzone as uz
 from commands import undeadzone
+from further import further
 from undeadzone.nonlinearities.play import levels
 from undeadzone_identify.models.least_squares import CHANCE, Density
 from undeadzone_identify.models.valve import (
@@ -120,7 +121,9 @@ SEEDS = {"stiction": 1, "dead band": 7, "tight tuning": 3, "external": 4}
 WORDS = {"tight tuning": "tight_tuning", "external": "external"}
 
 
-@pytest.fixture(scope="module", params=[*SEEDS])
+@pytest.fixture(
+    scope="module", params=["stiction", "external", *further("dead band", "tight tuning")]
+)
 def named(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[ValveLoop, Any]:
@@ -165,7 +168,9 @@ def test_a_loop_in_order_is_not_a_valve(tmp_path: Path) -> None:
     assert odds.get("stiction", 0) + odds.get("input_play", 0) < 0.5
 
 
-@pytest.mark.parametrize(("names", "word"), [("t,u,y", "operating_point"), ("t,OP,PV", "none")])
+@pytest.mark.parametrize(
+    ("names", "word"), [("t,u,y", "operating_point"), *further(("t,OP,PV", "none"))]
+)
 def test_at_an_operating_point_a_loop_has_no_zone_and_a_valve_that_follows(
     names: str, word: str, tmp_path: Path
 ) -> None:
@@ -210,7 +215,7 @@ def test_a_play_beside_the_input_explains_a_valve_with_play_alone(cause: str, se
     ("doubt", "words"),
     [
         ({"turns": 2}, "only where it turns a valve"),
-        ({"chance_of_play": lambda _: CHANCE / 2}, "valve with play"),
+        *further(({"chance_of_play": lambda _: CHANCE / 2}, "valve with play")),
     ],
 )
 def test_a_sound_valve_is_not_named_beside_a_doubt(
@@ -257,7 +262,7 @@ def test_a_swing_that_sines_explain_comes_from_outside(
     assert sum(answer.odds.values()) == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize(("seed", "word"), [(9003, "tight_tuning"), (9049, "external")])
+@pytest.mark.parametrize(("seed", "word"), [(9003, "tight_tuning"), *further((9049, "external"))])
 def test_a_loop_far_from_its_limit_beside_sines_is_swung_from_outside(
     seed: int, word: str, tmp_path: Path
 ) -> None:

@@ -20,10 +20,11 @@ from test_docs import PAGES, same
 
 import once
 import undeadzone_paper
-from tools import script_of_docs
+from documents import script_of_docs
 from undeadzone.controllers import PD
 from undeadzone.linalg.riccati import paper_riccati
-from undeadzone.plants.build import linear_matrices, system
+from undeadzone.plants.build import system
+from undeadzone.plants.options import linear_matrices
 from undeadzone.registry import CONTROLLERS
 from undeadzone.results.run import Run
 from undeadzone.scenario.reader import read

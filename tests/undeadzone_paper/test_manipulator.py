@@ -7,7 +7,7 @@ import pytest
 
 import once
 from undeadzone.linalg.matrices import Matrices
-from undeadzone.plants.build import linear_matrices
+from undeadzone.plants.options import linear_matrices
 from undeadzone_paper.arm import HALF_GAP, WORDS, ArmRuns, hanging_arm, run_arm
 
 

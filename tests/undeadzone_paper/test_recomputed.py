@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from benchmarks import paper_recomputed
+from benchmarks.end_to_end import paper_recomputed
 
 from undeadzone_paper import Paper
 from undeadzone_paper.claims import read_claim_texts

@@ -1,6 +1,5 @@
 from .interop import from_control as from_control
 from .interop import from_scipy as from_scipy
-from .interop import to_control as to_control
 from .interop import to_scipy as to_scipy
 from .options import URDF as URDF
 from .options import ElasticJoint as ElasticJoint
@@ -9,6 +8,7 @@ from .options import Plant as Plant
 from .options import SecondOrder as SecondOrder
 from .options import TransferFunction as TransferFunction
 from .options import TwoLink as TwoLink
+from .options import to_control as to_control
 from .region import Box as Box
 from .region import Region as Region
 from .robots.geared import Gears as Gears

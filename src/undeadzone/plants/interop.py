@@ -1,4 +1,4 @@
-"""Conversion of state-space objects of scipy and python-control to and from `Plant`."""
+"""Conversion of state-space objects of scipy and python-control to `Plant`, and back to scipy."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ import numpy as np
 from undeadzone.errors import InputError
 from undeadzone.linalg.hold import undo_zoh
 from undeadzone.linalg.matrices import Matrices
-from undeadzone.plants.build import linear_matrices
-from undeadzone.plants.options import Plant
+from undeadzone.plants.options import Plant, linear_matrices
 
 
 def from_statespace(system: Any, x0: Any = None) -> Plant:
@@ -101,21 +100,3 @@ def to_scipy(plant: Plant) -> Any:
 
     A, B, C = linear_matrices(plant)
     return StateSpace(A, B, C, np.zeros((C.shape[0], B.shape[1])))
-
-
-def to_control(plant: Plant) -> Any:
-    """Return the plant as `control.StateSpace` (extra `control`).
-
-    Args:
-        plant: a linear plant in any form.
-
-    Returns:
-        The state-space object, with D = 0.
-
-    Raises:
-        InputError: the plant is nonlinear, or its numbers are wrong.
-    """
-    import control
-
-    A, B, C = linear_matrices(plant)
-    return control.ss(A, B, C, np.zeros((C.shape[0], B.shape[1])))

@@ -5,13 +5,15 @@ Arms as a scenario names them: `plant.arm`.
 
 from __future__ import annotations
 
-from importlib import import_module
 from typing import Any, Literal
 
 import msgspec
+import numpy as np
 
+from undeadzone.errors import InputError
+from undeadzone.linalg.matrices import Matrices, companion_form
 from undeadzone.plants.robots.geared import Gears
-from undeadzone.util.arrays import Array
+from undeadzone.util.arrays import Array, require_matrix, require_number, require_series
 from undeadzone.util.toml import Kind
 
 
@@ -180,4 +182,98 @@ class Plant(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
     def to_control(self) -> Any:
         """Return a linear plant as `control.StateSpace`, as `uz.to_control` does."""
-        return import_module("undeadzone.plants.interop").to_control(self)
+        return to_control(self)
+
+
+# --- Matrices of a linear plant
+
+
+def to_control(plant: Plant) -> Any:
+    """Return the plant as `control.StateSpace` (extra `control`).
+
+    Args:
+        plant: a linear plant in any form.
+
+    Returns:
+        The state-space object, with D = 0.
+
+    Raises:
+        InputError: the plant is nonlinear, or its numbers are wrong.
+    """
+    import control
+
+    A, B, C = linear_matrices(plant)
+    return control.ss(A, B, C, np.zeros((C.shape[0], B.shape[1])))
+
+
+def linear_matrices(plant: Plant, key: str = "plant") -> Matrices:
+    """Return the matrices of a linear plant in any form.
+
+    Args:
+        plant: the plant in words.
+        key: name of the plant in messages.
+
+    Raises:
+        InputError: or a subclass, that names the key.
+    """
+    if plant.second_order is not None:
+        return _second_order_matrices(f"{key}.second_order", plant.second_order)
+    if plant.companion is not None:
+        return companion_form(require_series(f"{key}.companion", plant.companion))
+    if plant.integrators is not None:
+        if not 1 <= plant.integrators <= 50:
+            raise InputError(f"{key}.integrators: expected 1 to 50, found {plant.integrators}")
+        return companion_form(np.zeros(plant.integrators))
+    if plant.transfer_function is not None:
+        return _transfer_function_matrices(f"{key}.transfer_function", plant.transfer_function)
+    if plant.f is not None or plant.arm is not None:
+        raise InputError(f"{key}: is nonlinear. Matrices A, B, C exist for a linear plant only")
+    return _require_given_matrices(plant, key)
+
+
+def _require_given_matrices(plant: Plant, key: str) -> Matrices:
+    """Return the matrices A, B, C that a plant specifies itself."""
+    for name in "ABC":
+        if getattr(plant, name) is None:
+            raise InputError(
+                f"{key}.{name}: missing. A linear plant needs A (n x n), B (n x m) and C (p x n)"
+            )
+    A = require_matrix(f"{key}.A", plant.A)
+    n = A.shape[0]
+    A = require_matrix(f"{key}.A", plant.A, n, n, "A must be square")
+    B = require_matrix(
+        f"{key}.B", _reshape_single(plant.B, (n, 1)), n, None, f"as many rows as A, {n}"
+    )
+    C = require_matrix(
+        f"{key}.C", _reshape_single(plant.C, (1, n)), None, n, f"as many columns as A, {n}"
+    )
+    return Matrices(A, B, C)
+
+
+def _reshape_single(value: Any, shape: tuple[int, int]) -> Any:
+    """Return B for a single input, or C for a single output, from a plain list of n numbers, else
+    unchanged.
+    """
+    return np.reshape(value, shape) if np.shape(value) == (max(shape),) else value
+
+
+def _second_order_matrices(key: str, options: SecondOrder) -> Matrices:
+    """Return the matrices of (37) in companion form."""
+    zeta = require_number(f"{key}.zeta", options.zeta)
+    gain = require_number(f"{key}.gain", options.gain)
+    omega = require_number(f"{key}.omega_n", options.omega_n, above=0.0)
+    unit = companion_form([omega * omega, 2 * zeta * omega])
+    return unit._replace(B=gain * unit.B)
+
+
+def _transfer_function_matrices(key: str, options: TransferFunction) -> Matrices:
+    """Return the matrices of a transfer function in companion form."""
+    num = np.trim_zeros(require_series(f"{key}.numerator", options.numerator), "f")
+    den = np.trim_zeros(require_series(f"{key}.denominator", options.denominator), "f")
+    if den.size < 2 or num.size == 0:
+        raise InputError(f"{key}: needs a non-zero numerator and a denominator of order 1 or more")
+    if num.size >= den.size:
+        orders = f"numerator order {num.size - 1} < denominator order {den.size - 1}"
+        raise InputError(f"{key}: must be strictly proper ({orders})")
+    with np.errstate(over="ignore"):
+        return companion_form((den / den[0])[:0:-1], (num / den[0])[::-1])

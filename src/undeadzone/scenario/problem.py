@@ -32,7 +32,7 @@ from undeadzone.nonlinearities.sensor import Sensor, Zone
 from undeadzone.observers.filtering.actuator import build_with_actuator
 from undeadzone.observers.filtering.motion_detection import require_branch_observer
 from undeadzone.plants import build as plants
-from undeadzone.plants.options import Plant
+from undeadzone.plants.options import Plant, linear_matrices
 from undeadzone.plants.region import build_box
 from undeadzone.plants.system import System, plant_pace
 from undeadzone.registry import ObserverOptions
@@ -337,7 +337,7 @@ def plant_of_model(scenario: Scenario) -> Plant:
         raise InputError(
             "model.parameters: only a plant given by formulas or an arm has parameters. Use A, B, C"
         )
-    linear = plants.linear_matrices(plant)
+    linear = linear_matrices(plant)
     return Plant(**{**linear._asdict(), **_given_keys(model, "ABC")}, delay=plant.delay)
 
 

@@ -15,8 +15,7 @@ from undeadzone.analysis.certificate.passivity import certify, passive_gain
 from undeadzone.errors import StructureError
 from undeadzone.linalg.hold import zoh
 from undeadzone.linalg.matrices import companion_form
-from undeadzone.plants.build import linear_matrices
-from undeadzone.plants.options import Plant
+from undeadzone.plants.options import Plant, linear_matrices
 
 seeds = st.integers(0, 2**32 - 1)
 GAMMA = np.array([10.0])

@@ -37,8 +37,7 @@ from undeadzone.analysis.identifiability.sensor_and_actuator import sensor_actua
 from undeadzone.linalg.hold import zoh
 from undeadzone.linalg.matrices import Matrices
 from undeadzone.nonlinearities.sensor import deadzone
-from undeadzone.plants.build import linear_matrices
-from undeadzone.plants.options import Plant, TransferFunction
+from undeadzone.plants.options import Plant, TransferFunction, linear_matrices
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert
 from undeadzone.scenario.schema import Scenario

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from benchmarks import two_truths
+from benchmarks.design import indistinguishable as bench
 from scipy.signal import lsim
 
 from scenes import scene
@@ -31,14 +31,14 @@ def assess_only_output(**changes: Any) -> Any:
     return known
 
 
-@pytest.mark.parametrize("kind", two_truths.KINDS)
+@pytest.mark.parametrize("kind", bench.KINDS)
 def test_no_yes_leaves_out_another_truth(kind: str, tmp_path: Path) -> None:
-    """Of the pairs of `python -m benchmarks two_truths` two of each kind."""
+    """Of the pairs of `python -m benchmarks indistinguishable` two of each kind."""
     for seed in (101, 102):
-        one = two_truths.pair(kind, seed, tmp_path)
+        one = bench.pair(kind, seed, tmp_path)
         assert one.unlike < 1e-11
         for truth in (one.first, one.second):
-            assert truth is None or not two_truths.is_certified_apart(truth, one.apart, tmp_path)
+            assert truth is None or not bench.is_certified_apart(truth, one.apart, tmp_path)
 
 
 def readings(scenario: Scenario, moved: dict[str, Any] | None, u: Floats, t: Floats) -> Floats:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from benchmarks.designs import random_design, random_matrices
+from benchmarks.design.random_designs import random_design, random_matrices
 from scipy.linalg import block_diag, expm
 
 from scenes import PAPER_PLANT, random_plant

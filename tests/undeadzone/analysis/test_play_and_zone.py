@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from benchmarks import play_and_zone as bench
-from benchmarks.play import WORLDS
-from benchmarks.random_loops import Loops, run_loops
+from benchmarks.loops import play_and_zone as bench
+from benchmarks.loops.plants.random_loops import Loops, run_loops
+from benchmarks.loops.play import WORLDS
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from test_alternatives import STEP, driven, through
@@ -17,6 +17,7 @@ from test_engines import distance, parts
 from test_play import CENSORED, KALMAN, late, slow
 
 import undeadzone as uz
+from further import further
 from undeadzone.analysis.branch_schedule import plan_schedule, schedule_of_record
 from undeadzone.analysis.identifiability.play_and_zone import (
     ReadingConditions,
@@ -302,7 +303,9 @@ def test_each_output_has_gaps_of_its_own() -> None:
     assert "play ahead of the zone" in run_page(run, {})
 
 
-@pytest.mark.parametrize(("place", "options"), [("slow", "`censored`"), ("arm", "`kalman`")])
+@pytest.mark.parametrize(
+    ("place", "options"), [("slow", "`censored`"), *further(("arm", "`kalman`"))]
+)
 def test_intervals_hold_over_random_loops(place: str, options: str) -> None:
     ran = random_loops(place, options)
     gap, zone = np.abs(ran.gap_errors.sum(axis=1)), np.abs(ran.errors.sum(axis=1))

@@ -11,6 +11,7 @@ import pytest
 
 import undeadzone as uz
 from commands import undeadzone
+from requirements import import_package
 from undeadzone.errors import InputError
 from undeadzone.plants.robots.geared import fastest_contact
 from undeadzone.plants.robots.survey import survey_urdf
@@ -18,7 +19,7 @@ from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import parse
 from undeadzone.scenario.urdf_start import starting_scenario
 
-pytest.importorskip("adam")
+import_package("adam")
 
 UR5 = Path(__file__).parents[3] / "examples" / "ur5.urdf"
 LINK = """<link name="{name}"><inertial><origin xyz="0 0 -0.2"/><mass value="{mass}"/>

@@ -18,8 +18,7 @@ from undeadzone.linalg.structure import (
     uncontrollable_modes,
     unobservable_modes,
 )
-from undeadzone.plants.build import linear_matrices
-from undeadzone.plants.options import Plant
+from undeadzone.plants.options import Plant, linear_matrices
 
 seeds = st.integers(0, 2**32 - 1)
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from requirements import import_package
 from undeadzone.errors import FileError
 from undeadzone.logs.names import layout_of_titles, split_unit
 from undeadzone.logs.samples import LogReader, Samples, place_on_steps, samples_of_text
@@ -124,7 +125,7 @@ def test_an_index_without_a_name_is_the_time_if_it_is_one(tmp_path: Path) -> Non
 
 
 def test_a_frame_whose_index_has_no_name() -> None:
-    pandas = pytest.importorskip("pandas")
+    pandas = import_package("pandas")
     from undeadzone.logs.whole import samples_of
 
     index = pandas.date_range("2026-01-01", periods=20, freq="20ms")

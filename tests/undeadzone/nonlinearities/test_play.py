@@ -10,8 +10,8 @@ import casadi as ca
 import msgspec
 import numpy as np
 import pytest
-from benchmarks import play
-from benchmarks.random_loops import run_loops
+from benchmarks.loops import play
+from benchmarks.loops.plants.random_loops import run_loops
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_engines import distance, parts

@@ -10,8 +10,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from benchmarks import coverage
-from benchmarks.glitches import trusting
+from benchmarks.filters import coverage
+from benchmarks.filters.glitches import trusting
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm

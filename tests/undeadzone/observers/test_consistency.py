@@ -10,7 +10,8 @@ import casadi as ca
 import msgspec
 import numpy as np
 import pytest
-from benchmarks import coverage, glitches, honest_problems
+from benchmarks.filters import coverage, glitches
+from benchmarks.filters.problems import assumed_worlds
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import norm
@@ -191,7 +192,7 @@ def test_a_reading_leaves_alone_what_it_may_not_move(e: float, share: float, see
 
 def test_readings_on_one_edge_leave_the_other_unknown_by_default() -> None:
     """Silence had bound z to the edge that was not reached, and readings then moved it inwards."""
-    posed = honest_problems.problems(honest_problems.KINDS["right edge only"], 2, 120, 11)
+    posed = assumed_worlds.problems(assumed_worlds.KINDS["right edge only"], 2, 120, 11)
     verdict = glitches.observe(glitches.from_ranges, posed).verdict
     assert verdict.covered().min() >= 0.93
     away = posed.z.min(axis=0) > -posed.d[:, 1]
@@ -237,7 +238,7 @@ def test_readings_that_leave_silence_as_fast_as_z_moves_are_believed(missing: fl
 
 def test_a_tenth_of_wrong_readings_costs_little_by_default() -> None:
     """Coverage of the width was .84, and a tenth of the errors ten times the usual ones."""
-    posed = honest_problems.problems(honest_problems.KINDS["both edges"], 1, 120, 12)
+    posed = assumed_worlds.problems(assumed_worlds.KINDS["both edges"], 1, 120, 12)
     clean = glitches.observe(glitches.from_ranges, posed)
     wrong = glitches.KINDS["10 % random"][0](np.random.default_rng(5), posed.y)
     outcome = glitches.observe(glitches.from_ranges, posed._replace(y=wrong))
@@ -264,13 +265,13 @@ def test_a_tenth_of_wrong_readings_keeps_kalman_in_size() -> None:
 
 
 @pytest.mark.parametrize(
-    ("world", "least"), [(honest_problems.World(), 0.95), (honest_problems.ASSUMED, 0.8)]
+    ("world", "least"), [(assumed_worlds.World(), 0.95), (assumed_worlds.ASSUMED, 0.8)]
 )
 def test_the_extended_filter_allows_for_disturbances_by_default(
-    world: honest_problems.World, least: float
+    world: assumed_worlds.World, least: float
 ) -> None:
     """Noise alone; and bias and a model off by 5 %, of which only the width shows too little."""
-    posed = honest_problems.problems(honest_problems.KINDS["both edges"], 1, 60, 21, world)
+    posed = assumed_worlds.problems(assumed_worlds.KINDS["both edges"], 1, 60, 21, world)
 
     def alone(known: coverage.Problems, k: int) -> uz.Extended:
         return uz.Extended(right=known.ranges[k, 0], left=known.ranges[k, 1])
@@ -286,7 +287,7 @@ def test_the_extended_filter_allows_for_disturbances_by_default(
 
 def test_a_gust_four_times_the_assumed_size_is_followed() -> None:
     """Without a level above the given one z^ is off by a third more; intervals are far wider."""
-    posed = honest_problems.problems(honest_problems.Kind(gust=4.0), 2, 40, 6)
+    posed = assumed_worlds.problems(assumed_worlds.Kind(gust=4.0), 2, 40, 6)
     outcome = glitches.observe(glitches.doubting, posed)
 
     def right(known: coverage.Problems, k: int) -> Any:
@@ -352,8 +353,8 @@ def test_a_filter_that_knows_no_constants_is_believed_where_there_is_none() -> N
 @pytest.mark.parametrize("poles", ["stable", "unstable", "marginal"])
 def test_a_problem_is_the_same_in_every_unit_of_time(poles: str) -> None:
     """Its sampled plant gives the same outputs of the same inputs, and its truth stays in range."""
-    posed = honest_problems.problems(honest_problems.Kind(poles=poles), 3, 6, 5)
-    other = honest_problems.in_unit(posed, np.array([1e-3, 0.1, 1.0, 7.0, 50.0, 1e3]))
+    posed = assumed_worlds.problems(assumed_worlds.Kind(poles=poles), 3, 6, 5)
+    other = assumed_worlds.in_unit(posed, np.array([1e-3, 0.1, 1.0, 7.0, 50.0, 1e3]))
     for k in range(6):
         answers = []
         for one in (posed, other):
@@ -361,8 +362,8 @@ def test_a_problem_is_the_same_in_every_unit_of_time(poles: str) -> None:
             answers.append([(C @ np.linalg.matrix_power(A, i) @ B)[0, 0] for i in range(6)])
         assert answers[0] == pytest.approx(answers[1], rel=1e-6, abs=1e-12)
     rates = 1 / posed.step
-    assert (honest_problems.RATES[0] <= rates * (1 + 1e-9)).all()
-    assert (rates <= honest_problems.RATES[1] * (1 + 1e-9)).all()
+    assert (assumed_worlds.RATES[0] <= rates * (1 + 1e-9)).all()
+    assert (rates <= assumed_worlds.RATES[1] * (1 + 1e-9)).all()
     assert ((posed.ranges[:, :, 0] <= posed.d) & (posed.d <= posed.ranges[:, :, 1])).all()
     assert np.isfinite(posed.y).all()
 

@@ -16,6 +16,7 @@ import pytest
 
 import once
 import undeadzone as uz
+from requirements import import_package
 from undeadzone.cli import group
 from undeadzone.interfaces import Reading
 from undeadzone.numerics.first_passage import arrival_shares, chance_beyond, condition_on_edge
@@ -108,7 +109,7 @@ def run() -> uz.Run:
 
 def test_mujoco_has_the_gap_that_a_run_found(run: uz.Run, tmp_path: Path) -> None:
     """The link is pushed to both ends by less than what the motor's friction holds."""
-    mujoco: Any = pytest.importorskip("mujoco")
+    mujoco: Any = import_package("mujoco")
     (tmp_path / "servo.toml").write_text(SERVO.replace("duration = 4.5", "duration = 0.2"))
     words = ["run", str(tmp_path / "servo.toml"), "--out", str(tmp_path), "--json"]
     group.main(words, standalone_mode=False)
@@ -313,9 +314,9 @@ def test_what_a_motor_tells_of_its_gears_moves_the_free_links_of_others() -> Non
 
 
 def test_three_filters_find_a_gap_that_one_of_them_had_locked_on() -> None:
-    """A servo that MuJoCo moves, from the table of `python -m benchmarks gears`."""
-    pytest.importorskip("mujoco")
-    gears = importlib.import_module("benchmarks.gears")
+    """A servo that MuJoCo moves, from the table of `python -m benchmarks contact`."""
+    import_package("mujoco")
+    gears = importlib.import_module("benchmarks.gears.contact")
     row = next(row for row in gears.rows() if row.label == "servo, horizontal")
     seed = 14079
     arm = row.draw(np.random.default_rng(seed))
@@ -439,7 +440,7 @@ def six_joints(**observer: Any) -> uz.Scenario:
 
 def test_six_joints_are_filtered_joint_by_joint() -> None:
     """Readings follow the motors; a link is known by its claim at first, and held there."""
-    pytest.importorskip("adam")
+    import_package("adam")
     run = uz.simulate(six_joints(joints="separate", payload=[0.0, 1.0], starts=1))
     assert (np.abs(run.z - run.z_hat)[-1] < 0.06).all()
     assert (np.abs(run.d_hat[-1] - 0.02) < 4 * run.d_std[-1]).all()
@@ -447,7 +448,7 @@ def test_six_joints_are_filtered_joint_by_joint() -> None:
 
 
 def test_six_joints_at_once_are_refused_with_the_way_out() -> None:
-    pytest.importorskip("adam")
+    import_package("adam")
     with pytest.raises(uz.InputError, match=r'observer\.joints: 6 joints have 729.*"separate"'):
         uz.simulate(six_joints())
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from benchmarks.arm_coverage import PULSES, START, sines, watch
+from benchmarks.filters.arm_coverage import PULSES, START, sines, watch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

@@ -9,8 +9,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from benchmarks import claims as benchmark
-from benchmarks.honesty import ASSUMPTIONS
+from benchmarks.filters import false_assumptions as benchmark
+from benchmarks.filters.coverage_by_assumption import ASSUMPTIONS
 
 import undeadzone as uz
 from undeadzone.interfaces import (

@@ -13,12 +13,14 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from benchmarks import coverage
+from benchmarks.filters import coverage
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.stats import norm, truncnorm
 
+from further import further
+from requirements import import_package
 from scenes import EXACT_SENSOR, PAPER_PLANT, OnNumbers, random_plant, scene
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.interfaces import Reading
@@ -399,14 +401,14 @@ def grazed(reach: str) -> tuple[coverage.Problems, coverage.Verdict]:
     return problems, coverage.observe(coverage.kalman, problems)
 
 
-@pytest.mark.parametrize("build", [coverage.extended, coverage.unscented])
-@pytest.mark.parametrize("reach", ["grazing", "right edge only"])
+@pytest.mark.parametrize("build", [coverage.extended, *further(coverage.unscented)])
+@pytest.mark.parametrize("reach", ["grazing", *further("right edge only")])
 def test_filters_on_the_dead_zone_itself_are_confident_and_wrong(build: Any, reach: str) -> None:
     """filterpy's EKF and UKF where an edge is hardly or never reached.
 
     Ours gets these problems right.
     """
-    pytest.importorskip("filterpy")
+    import_package("filterpy")
     problems, ours = grazed(reach)
     theirs = coverage.rivalling(build, problems, 12)
     assert ours.covered()[:4].min() >= 10 / 12

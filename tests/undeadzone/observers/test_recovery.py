@@ -10,7 +10,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from benchmarks import coverage, glitches
+from benchmarks.filters import coverage, glitches
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import norm

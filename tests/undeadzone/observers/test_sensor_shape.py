@@ -10,10 +10,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from benchmarks import shape
-from benchmarks.honest_problems import KINDS, problems
+from benchmarks.filters import sensor_shapes as shapes
+from benchmarks.filters.problems.assumed_worlds import KINDS, problems
 
 import undeadzone as uz
+from further import further
 from scenes import EXACT_SENSOR, PAPER_PLANT
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.interfaces import Estimate
@@ -145,14 +146,16 @@ def test_the_displayed_deviation_is_how_far_a_mean_would_move(
         assert np.sqrt(stds[0] ** 2 - stds[1] ** 2) == pytest.approx(abs(moves), rel=0.02)
 
 
-@pytest.mark.parametrize("name", ["honest", "edges rounded 0.1", "slope 1.1", "mean of 3"])
-@pytest.mark.parametrize("assumptions", ["told", "ranges alone"])
+@pytest.mark.parametrize(
+    "name", ["slope 1.1", *further("honest", "edges rounded 0.1", "mean of 3")]
+)
+@pytest.mark.parametrize("assumptions", ["told", *further("ranges alone")])
 def test_intervals_hold_whatever_the_shape_is(name: str, assumptions: str) -> None:
     """Of those that take the sensor for exact few do, but where it is."""
     posed = problems(KINDS["both edges"], 1, 50, 5, ratios=(0.8, 1.25))
-    y = shape.SENSORS[name](np.random.default_rng(3), posed.z, posed.d, posed.noise)
-    wide = shape.solve(assumptions, posed._replace(y=y), {})
-    sharp = shape.solve(assumptions, posed._replace(y=y), shape.EXACT)
+    y = shapes.SENSORS[name](np.random.default_rng(3), posed.z, posed.d, posed.noise)
+    wide = shapes.solve(assumptions, posed._replace(y=y), {})
+    sharp = shapes.solve(assumptions, posed._replace(y=y), shapes.EXACT)
     assert wide.verdict.covered().min() >= 0.84
     assert np.median(wide.rms / sharp.rms) < 1.03
     if name in ("edges rounded 0.1", "slope 1.1"):
@@ -164,8 +167,8 @@ def test_repeats_are_missing_and_a_stuck_sensor_is_named(name: str) -> None:
     posed = problems(KINDS["both edges"], 1, 40, 5, ratios=(0.8, 1.25))
     rng = np.random.default_rng(3)
     clean, spoilt = (
-        shape.solve("ranges alone", posed._replace(y=read(rng, posed.z, posed.d, posed.noise)), {})
-        for read in (shape.exact, shape.SENSORS[name])
+        shapes.solve("ranges alone", posed._replace(y=read(rng, posed.z, posed.d, posed.noise)), {})
+        for read in (shapes.exact, shapes.SENSORS[name])
     )
     flagged = 1 - spoilt.consistent.mean()
     if name == "stuck for 160":

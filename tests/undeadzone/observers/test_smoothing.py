@@ -10,12 +10,13 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from benchmarks.glitches import doubting, from_ranges
-from benchmarks.smoothing import part
+from benchmarks.filters.glitches import doubting, from_ranges
+from benchmarks.filters.smoothing import part
 from click.testing import CliRunner
 from test_estimate import LOGS_ALONE, scenario
 
 import undeadzone as uz
+from further import further
 from scenes import EXACT_SENSOR
 from undeadzone.cli import group
 from undeadzone.interfaces import require_graph
@@ -169,7 +170,7 @@ def test_the_command_smooths_by_default(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("assumptions", "kind", "seed"),
-    [(doubting, "both edges", 11), (from_ranges, "30 % missing", 13)],
+    [(doubting, "both edges", 11), *further((from_ranges, "30 % missing", 13))],
 )
 def test_it_is_better_than_the_filter_and_as_honest(assumptions: Any, kind: str, seed: int) -> None:
     rms, covered = part(assumptions, kind, 2, seed)[::-1]

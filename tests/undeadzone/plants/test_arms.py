@@ -20,6 +20,7 @@ from test_report import Auditor
 from test_run_ensemble import table
 
 from commands import undeadzone as command
+from requirements import import_package
 from scenes import scene
 from undeadzone.compile import interpret
 from undeadzone.errors import FileError, InputError, ShapeError, StepError, TrackingError
@@ -180,7 +181,7 @@ def test_mistakes_about_the_plant_are_named(
 
 
 def test_a_negative_mass_of_a_urdf_s_body_is_refused() -> None:
-    pytest.importorskip("adam")
+    import_package("adam")
     with pytest.raises(InputError, match=r"plant\.parameters\.m3: must not be negative"):
         system(Plant(arm=URDF(path=str(EXAMPLES / "ur5.urdf")), parameters={"m3": -2.0}))
 
@@ -492,7 +493,7 @@ def test_what_a_title_says_cannot_leave_the_script(both: tuple[Run, Run]) -> Non
 def test_a_gif_is_written_and_other_names_are_refused(
     both: tuple[Run, Run], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    image = pytest.importorskip("PIL.Image")
+    image = import_package("PIL.Image")
     frames: list[int] = []
     path = animation.write_movie(both[0], both[1], tmp_path / "arm.gif", frames.append)
     with image.open(path) as gif:

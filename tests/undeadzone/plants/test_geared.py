@@ -11,10 +11,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from benchmarks.gears_robots import Outcome, line
+from benchmarks.gears.contact_urdf_arms import Outcome, line
 
 import undeadzone as uz
 from commands import undeadzone
+from requirements import import_package
 from undeadzone.analysis.identifiability.linear import WidthIdentifiability
 from undeadzone.errors import InputError
 from undeadzone.numerics.runge_kutta import rk4_change
@@ -100,7 +101,7 @@ def known() -> uz.Run:
 
 
 def test_in_the_gap_motors_and_links_move_as_in_mujoco() -> None:
-    mujoco = pytest.importorskip("mujoco")
+    mujoco = import_package("mujoco")
     plant, rng = geared(), np.random.default_rng(0)
     model = mujoco.MjModel.from_xml_string(MJCF.format(dt=1e-4))
     data = mujoco.MjData(model)
@@ -120,7 +121,7 @@ def test_in_the_gap_motors_and_links_move_as_in_mujoco() -> None:
 
 def test_across_the_gap_links_move_as_in_mujoco() -> None:
     """Through the same contact frequency and damping, in an engine with contacts of its own."""
-    mujoco = pytest.importorskip("mujoco")
+    mujoco = import_package("mujoco")
     h, N = 1e-4, 8000
     t = np.arange(N) * h
     u = np.stack([6 * np.sin(9 * t), 1.5 * np.sin(13 * t)], axis=1)

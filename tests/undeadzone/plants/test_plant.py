@@ -20,9 +20,15 @@ from scenes import PAPER_PLANT, random_plant, response, scene, slopes
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.linalg.hold import zoh
 from undeadzone.linalg.matrices import Matrices
-from undeadzone.plants.build import initial_state, linear_matrices, system
-from undeadzone.plants.interop import from_control, from_scipy, to_control, to_scipy
-from undeadzone.plants.options import Plant, SecondOrder, TransferFunction
+from undeadzone.plants.build import initial_state, system
+from undeadzone.plants.interop import from_control, from_scipy, to_scipy
+from undeadzone.plants.options import (
+    Plant,
+    SecondOrder,
+    TransferFunction,
+    linear_matrices,
+    to_control,
+)
 from undeadzone.plants.system import (
     System,
     fastest_pole,

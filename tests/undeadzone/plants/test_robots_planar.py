@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
+from requirements import import_package
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.plants.build import system
 from undeadzone.plants.options import ElasticJoint, OneLink, Plant, TwoLink
@@ -147,7 +148,7 @@ ELASTIC_MJCF = """
 
 def mujoco_arm(text: str, numbers: dict[str, float]) -> Any:
     """MuJoCo's model and data of an arm whose payload is a point mass at the tip."""
-    mujoco = pytest.importorskip("mujoco")
+    mujoco = import_package("mujoco")
     point = POINT.format(numbers["payload"]) if numbers["payload"] else ""
     model = mujoco.MjModel.from_xml_string(
         text.format(**numbers | {"g": -numbers["g"], "payload": point})

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from requirements import import_package
 from undeadzone.errors import FileError, InputError
 from undeadzone.plants.options import URDF, Plant
 from undeadzone.plants.robots.arm import Arm, build_arm, forward_dynamics
@@ -20,7 +21,7 @@ from undeadzone.plants.robots.build import build_robot_plant
 from undeadzone.plants.robots.urdf import load_urdf_chain
 from undeadzone.util.arrays import Floats
 
-pytest.importorskip("adam.casadi")
+import_package("adam.casadi")
 
 UR5 = Path(__file__).parents[3] / "examples" / "ur5.urdf"
 INERTIA = '<inertia ixx="0.02" ixy="0" ixz="0" iyy="0.02" iyz="0" izz="0.02"/>'
@@ -31,7 +32,7 @@ Pinocchio = Any
 
 @pytest.fixture(scope="module")
 def pin() -> Pinocchio:
-    return pytest.importorskip("pinocchio")
+    return import_package("pinocchio")
 
 
 def joint(name: str, parent: str, child: str, kind: str = "revolute", rest: str = "") -> str:

@@ -18,8 +18,8 @@ from matplotlib.figure import Figure
 
 import once
 import undeadzone
+from documents import raw_formulas
 from scenes import scene
-from tools import raw_formulas
 from undeadzone.analysis.certificate.design_file import Design, Knowledge
 from undeadzone.errors import FileError, InputError
 from undeadzone.observers import Certified

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from benchmarks.behind_play import gap_error
-from benchmarks.two_masses import GAIN, TAU, TS, TURN, two_masses
+from benchmarks.loops.behind_play import gap_error
+from benchmarks.loops.plants.two_masses import GAIN, TAU, TS, TURN, two_masses
 
 import undeadzone as uz
 from scenes import scene

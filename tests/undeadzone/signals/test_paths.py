@@ -16,6 +16,7 @@ import pytest
 from scipy.linalg import expm
 from tests.scenes import linear
 
+from requirements import import_package
 from undeadzone.errors import InputError, ShapeError, TrackingError
 from undeadzone.feedforward import joint_path as kinematics
 from undeadzone.feedforward.joint_path import (
@@ -427,7 +428,7 @@ def test_spatial_arms(count: int) -> None:
 
 
 def ur5() -> tuple[Arm, Floats]:
-    pytest.importorskip("adam")
+    import_package("adam")
     from undeadzone.plants.robots import urdf
 
     return build_arm(urdf.load_urdf_chain(UR5)), np.array([0.0, -1.2, 1.6, -1.9, -1.57, 0.0])

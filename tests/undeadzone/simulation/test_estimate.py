@@ -13,6 +13,7 @@ import pytest
 
 import undeadzone as uz
 from commands import undeadzone as command
+from requirements import import_package
 from scenes import EXACT_SENSOR
 from undeadzone.interfaces import require_graph
 from undeadzone.scenario.reader import read_for_logs
@@ -103,7 +104,7 @@ def test_the_estimates_are_those_of_the_run_that_recorded_the_log(observer: obje
 
 
 def test_every_source_gives_the_same(run: uz.Run, folder: Path) -> None:
-    pandas = pytest.importorskip("pandas")
+    pandas = import_package("pandas")
     arrays = uz.estimate(scenario(), y=run.y[:, 0], u=run.u[:, 0])
     frame = pandas.DataFrame({"u (V)": run.u[:, 0], "t": run.t, "y": run.y[:, 0]})
     for source in (folder / "run.csv", str(folder / "run.npz"), frame, run.to_pandas()):

@@ -7,7 +7,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from benchmarks.designs import random_design
+from benchmarks.design.random_designs import random_design
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from benchmarks.designs import random_design, random_matrices
+from benchmarks.design.random_designs import random_design, random_matrices
 from scipy.linalg import expm
 from scipy.optimize import minimize_scalar
 

@@ -1,0 +1,1 @@
+"""Certified gains and pairs of truths with the same readings."""

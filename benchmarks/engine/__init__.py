@@ -1,0 +1,1 @@
+"""Simulation and live steps: speed, precision and cost, beside other programs."""

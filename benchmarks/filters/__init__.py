@@ -1,0 +1,1 @@
+"""Filters of sensors with a dead zone: coverage, errors, tests of assumptions."""

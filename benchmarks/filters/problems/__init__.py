@@ -1,0 +1,1 @@
+"""Problems for filters: plants, readings and the true values."""

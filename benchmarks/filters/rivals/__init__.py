@@ -1,0 +1,1 @@
+"""Filters of other programs, and filters in plain NumPy."""

@@ -1,0 +1,280 @@
+"""Sensors that have a shape: what round edges, other slopes, filters and repeats do to the filters.
+
+Every problem is solved by a filter that takes the sensor for exact and by the one that allows for
+a shape, as it does by default.
+`python -m benchmarks.filters.sensor_shapes --count 32 --orders 2` is a short one.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import msgspec
+import numpy as np
+
+from benchmarks.filters.glitches import HALF, Outcome, doubting, from_ranges, observe
+from benchmarks.filters.problems.assumed_worlds import KINDS, problems
+from benchmarks.filters.problems.random_plants import Problems
+from benchmarks.markdown import head, row
+from undeadzone.interfaces import Observer
+from undeadzone.nonlinearities.sensor import deadzone
+from undeadzone.observers import Extended, Kalman
+from undeadzone.util.arrays import Floats
+
+ORDERS = (1, 2, 3)
+EXACT = {"rounding": np.zeros(1), "slope_std": np.zeros(1), "lag": np.zeros(1)}
+COLUMNS = (
+    "sensor",
+    "claims",
+    "exact: lowest",
+    "flagged",
+    "shape: d_r",
+    "d_l",
+    "width",
+    "centre",
+    "z",
+    "lowest",
+    "flagged",
+    "rms of z, median",
+    "of all",
+    "deviation of a width",
+)
+
+Read = Callable[[np.random.Generator, Floats, Floats, Floats], Floats]
+"""(generator, z (samples x K), d (K x 2), noise (K)) -> readings (samples x K)."""
+
+
+def exact(rng: np.random.Generator, z: Floats, d: Floats, noise: Floats) -> Floats:
+    """The readings of an exact dead zone."""
+    return np.asarray(deadzone(z, *d.T) + noise * rng.normal(size=z.shape))
+
+
+def rounded(share: float) -> Read:
+    """Edges rounded over a share of the mean half width."""
+
+    def read(rng: np.random.Generator, z: Floats, d: Floats, noise: Floats) -> Floats:
+        p = share * d.mean(axis=1)
+        right, left = (z - d[:, 0]) / p, (-z - d[:, 1]) / p
+        y = p * (np.logaddexp(0.0, right) - np.logaddexp(0.0, left))
+        return np.asarray(y + noise * rng.normal(size=z.shape))
+
+    return read
+
+
+def steep(right: float, left: float) -> Read:
+    """Slopes that are not 1."""
+
+    def read(rng: np.random.Generator, z: Floats, d: Floats, noise: Floats) -> Floats:
+        y = deadzone(z, *d.T)
+        return np.asarray(np.where(y > 0, right, left) * y + noise * rng.normal(size=z.shape))
+
+    return read
+
+
+def averaged(count: int) -> Read:
+    """The mean of the last readings."""
+
+    def read(rng: np.random.Generator, z: Floats, d: Floats, noise: Floats) -> Floats:
+        y = deadzone(z, *d.T)
+        first = np.repeat(y[:1], count - 1, axis=0)
+        sums = np.cumsum(np.vstack([np.zeros_like(y[:1]), first, y]), axis=0)
+        return np.asarray((sums[count:] - sums[:-count]) / count + noise * rng.normal(size=z.shape))
+
+    return read
+
+
+def lagging(samples: float) -> Read:
+    """A filter of first order behind the zone."""
+
+    def read(rng: np.random.Generator, z: Floats, d: Floats, noise: Floats) -> Floats:
+        y, keep = deadzone(z, *d.T), np.exp(-1 / samples)
+        for k in range(1, len(y)):
+            y[k] = keep * y[k - 1] + (1 - keep) * y[k]
+        return np.asarray(y + noise * rng.normal(size=z.shape))
+
+    return read
+
+
+def growing(share: float) -> Read:
+    """Widths that grow by a share of themselves until the end."""
+
+    def read(rng: np.random.Generator, z: Floats, d: Floats, noise: Floats) -> Floats:
+        size = np.linspace(1 - share, 1.0, len(z))[:, None]
+        y = deadzone(z, d[:, 0] * size, d[:, 1] * size)
+        return np.asarray(y + noise * rng.normal(size=z.shape))
+
+    return read
+
+
+def repeating(share: float) -> Read:
+    """Readings of which some repeat the one before."""
+
+    def read(rng: np.random.Generator, z: Floats, d: Floats, noise: Floats) -> Floats:
+        y, again = exact(rng, z, d, noise), rng.uniform(size=z.shape) < share
+        for k in range(1, len(y)):
+            y[k] = np.where(again[k], y[k - 1], y[k])
+        return y
+
+    return read
+
+
+def median_of_5(rng: np.random.Generator, z: Floats, d: Floats, noise: Floats) -> Floats:
+    """The median of the last five readings."""
+    y = exact(rng, z, d, noise)
+    windows = np.stack([np.vstack([y[:k], y[: len(y) - k]]) for k in range(5)])
+    return np.asarray(np.median(windows, axis=0))
+
+
+def stuck(samples: int, again: float = 0.0) -> Read:
+    """A sensor that is stuck from the middle on, but for noise in `again` of its rms."""
+
+    def read(rng: np.random.Generator, z: Floats, d: Floats, noise: Floats) -> Floats:
+        y = exact(rng, z, d, noise)
+        part = slice(HALF, HALF + samples)
+        y[part] = y[HALF] + again * noise * rng.normal(size=y[part].shape)
+        return y
+
+    return read
+
+
+SENSORS: dict[str, Read] = {
+    "honest": exact,
+    "edges rounded 0.1": rounded(0.1),
+    "slope 1.05": steep(1.05, 1.05),
+    "slope 1.1": steep(1.1, 1.1),
+    "right slope 1.1": steep(1.1, 1.0),
+    "mean of 3": averaged(3),
+    "mean of 8": averaged(8),
+    "lag of 3 samples": lagging(3.0),
+    "2 % repeat": repeating(0.02),
+    "10 % repeat": repeating(0.1),
+    "50 % repeat": repeating(0.5),
+    "median of 5": median_of_5,
+    "stuck for 160": stuck(160),
+    "stuck and noisy for 160": stuck(160, 1.0),
+    "widths grow 20 %": growing(0.2),
+    "edges rounded 0.3": rounded(0.3),
+}
+
+
+class Assuming(NamedTuple):
+    """Options of a filter whose sensor is assumed to have some shape."""
+
+    options: Any
+    shape: dict[str, Any]
+
+    def build(self, model: Any, sensor: Any) -> Observer:
+        """Return the filter."""
+        built: Observer = self.options.build(model, msgspec.structs.replace(sensor, **self.shape))
+        return built
+
+
+def _kalman(known: Problems, k: int) -> Kalman:
+    """`kalman` told the ranges alone."""
+    return Kalman(right=known.ranges[k, 0], left=known.ranges[k, 1])
+
+
+def _extended(known: Problems, k: int) -> Extended:
+    """`extended` told the ranges alone."""
+    return Extended(right=known.ranges[k, 0], left=known.ranges[k, 1])
+
+
+ASSUMPTIONS = {
+    "told": doubting,
+    "ranges alone": from_ranges,
+    "`extended`": _extended,
+    "`kalman`": _kalman,
+}
+USUAL = ("told", "ranges alone")
+
+
+def solve(assumptions: str, posed: Problems, shape: dict[str, Any]) -> Outcome:
+    """Return what a filter makes of problems.
+
+    Args:
+        assumptions: one of `ASSUMPTIONS`.
+        posed: the problems.
+        shape: what is assumed of the sensor; {}: what is by default.
+    """
+    return observe(lambda known, k: Assuming(ASSUMPTIONS[assumptions](known, k), shape), posed)
+
+
+class Pooled(NamedTuple):
+    """Outcomes of several orders: shares held (5), flagged, errors of z and deviations (K)."""
+
+    covered: Floats
+    flagged: float
+    rms: Floats
+    std: Floats
+
+
+def _pool(outcomes: Sequence[Outcome], sizes: Floats) -> Pooled:
+    """Return outcomes of all orders as one; errors over half widths `sizes` (K)."""
+    covered = np.mean([one.verdict.covered() for one in outcomes], axis=0)
+    flagged = 1 - np.mean([one.consistent.mean() for one in outcomes])
+    rms = np.concatenate([one.rms for one in outcomes]) / sizes
+    return Pooled(
+        covered, float(flagged), rms, np.concatenate([one.verdict.stds[:, 2] for one in outcomes])
+    )
+
+
+def table(
+    count: int = 48,
+    seed: int = 7,
+    orders: Sequence[int] = ORDERS,
+    assumptions: Sequence[str] = USUAL,
+    sensors: Sequence[str] = tuple(SENSORS),
+    shape: dict[str, Any] | None = None,
+) -> str:
+    """The table, from `count` problems of each order a row."""
+    kind, alike = KINDS["both edges"], (0.8, 1.25)
+    posed = [problems(kind, order, count, seed, ratios=alike) for order in orders]
+    sizes = np.concatenate([one.d.mean(axis=1) for one in posed])
+    lines = ["## Sensors with a shape\n", *head(*COLUMNS)]
+    for name in sensors:
+        read = []
+        for one in posed:
+            rng = np.random.default_rng([seed, len(one.models[0].A)])
+            read.append(one._replace(y=SENSORS[name](rng, one.z, one.d, one.noise)))
+        for assumed in assumptions:
+            sharp = _pool([solve(assumed, one, EXACT) for one in read], sizes)
+            wide = _pool([solve(assumed, one, shape or {}) for one in read], sizes)
+            of_all = np.sqrt(np.mean(wide.rms**2) / np.mean(sharp.rms**2))
+            lines.append(
+                row(
+                    name,
+                    assumed,
+                    f"{sharp.covered.min():.2f}",
+                    f"{sharp.flagged:.2f}",
+                    *(f"{share:.2f}" for share in wide.covered),
+                    f"{wide.covered.min():.2f}",
+                    f"{wide.flagged:.2f}",
+                    f"{np.median(wide.rms / sharp.rms):.2f}",
+                    f"{of_all:.2f}",
+                    f"{np.median(wide.std / sharp.std):.2f}",
+                )
+            )
+            print(lines[-1], file=sys.stderr, flush=True)
+    note = (
+        f"{count * len(orders)} problems of orders {tuple(orders)} a row, seed {seed}, whose z "
+        "reaches both edges. Lowest: share of 95 % intervals that hold the truth in the end, the "
+        "least of d_r, d_l, width, centre and z. The last three columns are over those of the "
+        "filter that takes the sensor for exact."
+    )
+    return "\n".join([*lines, "", note, ""])
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.filters.sensor_shapes", description=__doc__
+    )
+    parser.add_argument("--orders", nargs="+", type=int, default=ORDERS, choices=ORDERS)
+    parser.add_argument("--count", type=int, default=48, help="problems of each order a row")
+    parser.add_argument("--seed", type=int, default=7)
+    parser.add_argument("--claims", nargs="+", default=USUAL, choices=tuple(ASSUMPTIONS))
+    parser.add_argument("--sensors", nargs="+", default=tuple(SENSORS), choices=tuple(SENSORS))
+    words = parser.parse_args()
+    print(table(words.count, words.seed, words.orders, words.claims, words.sensors))

@@ -1,0 +1,1 @@
+"""Exported C: size, cost, precision, bad readings."""

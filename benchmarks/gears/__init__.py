@@ -1,0 +1,1 @@
+"""Arms and servos behind gears with gaps, by the filter `contact`."""

@@ -1,0 +1,1 @@
+"""Identification from logs: classes, widths, gaps and time."""

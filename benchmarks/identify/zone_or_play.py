@@ -1,0 +1,147 @@
+"""Dead zone, play, both or neither: named by one filter with four offsets, and by `uz.identify`.
+
+WHICH_LOOPS: loops of each of the 8 kinds (50). WHICH_LOGS: logs of each kind and family whose plant
+is identified too (3).
+"""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+
+import undeadzone as uz
+from benchmarks.identify.logs.zone_or_play import (
+    FAMILIES,
+    KINDS,
+    NOISE,
+    WHERE,
+    closed_loop,
+    open_log,
+)
+from benchmarks.markdown import head, row
+from undeadzone_identify.models.motion import FourOffsets, MotionRule, estimate_four_offsets
+from undeadzone_studies.statistics.intervals import proportion
+
+TWO_SIDED = 1.96
+WINDOW = 20  # readings, a 25th of the reference's period
+
+
+def offsets(kind: str, a0: float, seed: int) -> tuple[FourOffsets, np.ndarray]:
+    """What the filter finds in a loop, and the true widths."""
+    loop = closed_loop(kind, a0, seed)
+    whole = np.ones(loop.y.size, bool)
+    start = np.zeros(1, int)
+    found = estimate_four_offsets(
+        loop.plant, loop.u, loop.y, whole, start, MotionRule(NOISE, 0.0, WINDOW)
+    )
+    return found, np.append(loop.widths, 0.0)
+
+
+def known_plant() -> list[str]:
+    """The table of loops with a known plant."""
+    count = int(os.environ.get("WHICH_LOOPS", "50"))
+    lines = head(
+        "A", "what is there", "named rightly", "error of play, dead zone, rest", "coverage of these"
+    )
+    right, hits = 0, np.zeros((0, 3))
+    for a0, name in ((1.0, "nonsingular"), (0.0, "singular")):
+        for kind in KINDS:
+            first = 1000 * (KINDS.index(kind) + len(KINDS) * int(a0))  # every loop a fresh one
+            answers = [offsets(kind, a0, first + seed) for seed in range(count)]
+            errors = np.array([abs(found.play_and_zone_widths - truth) for found, truth in answers])
+            stds = np.array([found.width_deviations for found, _ in answers])
+            named = sum(found.element_name == kind for found, _ in answers)
+            covers = errors < TWO_SIDED * stds
+            right, hits = right + named, np.vstack([hits, covers])
+            middle = ", ".join(f"{error:.4f}" for error in np.median(errors, axis=0))
+            covered = ", ".join(f"{share:.2f}" for share in covers.mean(axis=0))
+            words = kind.replace("_", " ")
+            lines.append(row(name, words, f"{named} of {count}", middle, covered))
+    low = proportion(right, 8 * count)
+    lines += [
+        "",
+        f"Named rightly: {right} of {8 * count} [{low.low:.3f}, 1]."
+        f" Coverage over all: {hits.mean():.3f} of {hits.size} intervals.",
+    ]
+    return lines
+
+
+VERDICTS = {"neither": "none"}  # of `identify`, where its word is another one
+
+
+def identified(kind: str, family: str, seed: int) -> tuple[bool, list[tuple[float, float]]]:
+    """Whether `identify` names a log rightly; errors and half intervals of the widths it gives."""
+    log = open_log(kind, family, seed)
+    found = uz.identify(t=log.step, u=log.u, y=log.y)
+    numbers = found.numbers()
+    if found.verdict != VERDICTS.get(kind, kind):
+        return False, []
+    columns = {"play": (0, "width"), "both": (0, "width"), "dead_zone": (1, "width")}
+    columns["input_zone"] = (1, "width")
+    errors = []
+    for place, name in [columns[kind]] if kind in columns else []:
+        errors.append(_error(numbers[name], log.widths[place]))
+    if kind == "both":
+        errors.append(_error(numbers["zone_width"], log.widths[1]))
+    return True, [error for error in errors if error is not None]
+
+
+def _error(interval: list[float] | None, truth: float) -> tuple[float, float] | None:
+    """|error| and half interval; None where no width is given."""
+    if interval is None:
+        return None
+    value, low, high = interval
+    return abs(value - truth), (high - low) / 2
+
+
+def unknown_plant() -> list[str]:
+    """The table of logs whose plant is identified too."""
+    count = int(os.environ.get("WHICH_LOGS", "3"))
+    lines = head("readings", "what is there", "named rightly", "widths", "median error", "held")
+    right, hits = 0, []
+    for family in FAMILIES:
+        for kind in WHERE:
+            first = 1000 * (WHERE.index(kind) + len(WHERE) * list(FAMILIES).index(family))
+            answers = [identified(kind, family, first + seed) for seed in range(count)]
+            named = sum(is_right for is_right, _ in answers)
+            errors = [error for _, several in answers for error in several]
+            covers = [error < half for error, half in errors]
+            right, hits = right + named, hits + covers
+            cells = ["-", "-", "-"]
+            if errors:
+                middle = float(np.median([error for error, _ in errors]))
+                cells = [str(len(errors)), f"{middle:.4f}", f"{np.mean(covers):.2f}"]
+            words = kind.replace("_", " ")
+            lines.append(row(family, words, f"{named} of {count}", *cells))
+    total = count * len(WHERE) * len(FAMILIES)
+    share, cover = proportion(right, total), proportion(sum(hits), len(hits))
+    lines += [
+        "",
+        f"Named rightly: {right} of {total} [{share.low:.2f}, {share.high:.2f}]. 95 % intervals of"
+        f" widths hold in {cover.value:.2f} [{cover.low:.2f}, {cover.high:.2f}] of {len(hits)}.",
+    ]
+    return lines
+
+
+def table() -> str:
+    """Both tables."""
+    lines = [
+        "## Which is it: dead zone, play, both or neither",
+        "",
+        "One Kalman filter with an offset for each (sign of y, direction of y), plant known: z'' ="
+        " -a0 z - 2 z' + u on 5 sin 1.3 t, 100 Hz, 30 s, noise 0.01, white disturbance 0.5, gaps"
+        " and zones of 0.2 to 1 a side. Errors are medians of |error|, widths c_r + c_l, d_r + d_l,"
+        " and b1 - b2 - b3 + b4, which must be 0; 95 % intervals.",
+        "",
+        *known_plant(),
+        "",
+        "`uz.identify` on 1500 samples in open loop, nothing known: random plants of order 1 to 3,"
+        " z of rms 1, gaps of 0.1 to 0.8, zones of 0.15 to 0.6 a side. Readings: with noise of 0.01"
+        " to 0.06, the same with a disturbance of the input (rms 0.1 at z), or an encoder of 0.05"
+        " with such a disturbance of 0.05. Widths: how many were given; both: gap and zone.",
+        "",
+        *unknown_plant(),
+        "",
+    ]
+    return "\n".join(lines)

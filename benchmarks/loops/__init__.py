@@ -1,0 +1,1 @@
+"""Closed loops with backlash, or with dead zones at both ends."""

@@ -1,1 +1,0 @@
-"""What undeadzone is made of: `python -m supply hashes`, `sbom WHEEL` and `sizes`."""

@@ -1,0 +1,1 @@
+"""Programs for those who work on undeadzone: inputs, mutants, what it is made of."""
