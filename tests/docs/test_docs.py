@@ -21,6 +21,7 @@ from undeadzone_arena.contest.methods import methods_for_scenarios
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+CONTRIBUTING = ROOT / "CONTRIBUTING.md"
 SUMMARY = "## Summary: best and worst figure of each subject"
 NUMBER = re.compile(r"-?\d+\.?\d*(?:e-?\d+)?")
 
@@ -137,10 +138,15 @@ def test_the_first_keys_are_25_that_a_scenario_has() -> None:
         assert heads, f"{table}.{key}"
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", [CONTRIBUTING, *PAGES], ids=lambda page: page.name)
 def test_links_point_to_files(page: Path) -> None:
     for target in re.findall(r"\]\(([^)#:]+)\)", page.read_text()):
         assert (page.parent / target).exists(), target
+
+
+def test_who_contributes_reads_four_kilobytes() -> None:
+    """Details are on docs/testing.md and docs/architecture.md."""
+    assert CONTRIBUTING.stat().st_size <= 4096
 
 
 @pytest.mark.parametrize("method", methods())

@@ -5,11 +5,14 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
+import shlex
 import shutil
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
@@ -72,6 +75,48 @@ runs = 20
 "sensor.right" = { uniform = [0.4, 0.6] }
 """
 Run = Callable[..., str]
+PIP = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
+OFFLINE = ["--no-deps", "--no-build-isolation", "--no-index"]
+
+
+class Step(NamedTuple):
+    """A step of the tutorial.
+
+    Attributes:
+        title: its heading.
+        code: of its cells.
+        files: its blocks of TOML.
+        commands: that a reader types.
+    """
+
+    title: str
+    code: str
+    files: list[str]
+    commands: list[str]
+
+
+def read_steps() -> list[Step]:
+    """Read the steps of the tutorial of an observer of one's own."""
+    tutorial = (ROOT / "docs" / "tutorials" / "add_an_observer.py").read_text(encoding="utf-8")
+    _, *sections = re.split(r"^# ## \d\. ", tutorial, flags=re.MULTILINE)
+    steps = []
+    for section in sections:
+        title, _, body = section.partition("\n")
+        cells = re.split(r"^# %%.*\n", body, flags=re.MULTILINE)
+        code = "".join(cell for cell in cells[1:] if not cell.startswith("# "))
+        prose = re.sub("^# ?", "", cells[0], flags=re.MULTILINE)
+        files = re.findall(r"```toml\n(.*?)```", prose, re.DOTALL)
+        steps.append(Step(title, code, files, re.findall(r"^\$ (.*)", prose, re.MULTILINE)))
+    return steps
+
+
+def register(site: Path, name: str, points: str) -> None:
+    """Install the entry points of a package in a folder, all at once."""
+    folder = site / f"{name}-new"
+    folder.mkdir()
+    (folder / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
+    (folder / "entry_points.txt").write_text(points)
+    folder.rename(site / f"{name}-1.0.dist-info")
 
 
 @pytest.fixture
@@ -80,14 +125,17 @@ def command(tmp_path: Path) -> Run:
     site = tmp_path / "site"
     (site / "mine").mkdir(parents=True)
     (site / "mine" / "__init__.py").write_text(OWN, encoding="utf-8")
-    about = site / "mine-1.0.dist-info"
-    about.mkdir()
-    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: mine\nVersion: 1.0\n")
-    (about / "entry_points.txt").write_text(
+    points = (
         "[undeadzone.observers]\nheld = mine:Held\nlost = nowhere:Lost\n"
         "[undeadzone.commands]\ngreet = mine:greet\n"
     )
+    register(site, "mine", points)
     (tmp_path / "mine.toml").write_text(SCENARIO, encoding="utf-8")
+    return command_beside(site, tmp_path)
+
+
+def command_beside(site: Path, folder: Path) -> Run:
+    """Return a function that runs `undeadzone` in a folder, beside what a site has installed."""
     before = os.environ.get("PYTHONPATH", "")
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, [str(site), before]))}
 
@@ -95,7 +143,7 @@ def command(tmp_path: Path) -> Run:
         main = "from undeadzone.cli import main; main()"
         done = subprocess.run(
             [sys.executable, "-c", main, *arguments],
-            cwd=tmp_path,
+            cwd=folder,
             env=environment,
             capture_output=True,
             text=True,
@@ -121,6 +169,32 @@ def test_a_registered_observer_is_a_method_as_any_other(command: Run, tmp_path: 
     assert not row["reference"]
 
 
+def test_the_recipe_and_the_tutorial_have_the_same_steps() -> None:
+    recipe = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8").partition("## Add a method")[2]
+    titles = re.findall(r"^\d\. \*\*(.+?)\.\*\*", recipe, re.MULTILINE)
+    assert titles == [step.title for step in read_steps()]
+    assert len(titles) == 5
+
+
+def test_the_tutorial_makes_a_package_in_an_empty_folder(tmp_path: Path) -> None:
+    """Its cells, its files and its commands, in the order in which a reader meets them."""
+    equations, options, _, registration, use = read_steps()
+    package, site = tmp_path / "package", tmp_path / "site"
+    package.mkdir()
+    (package / "fixed_width.py").write_text(equations.code + options.code, encoding="utf-8")
+    (package / "pyproject.toml").write_text(*registration.files, encoding="utf-8")
+    (package / "scenario.toml").write_text(*use.files, encoding="utf-8")
+    install, run = (shlex.split(line) for line in use.commands)
+    assert install == ["pip", "install", "."]
+    target = ["--target", str(site)]
+    subprocess.run([*PIP, *install[1:], *OFFLINE, *target], cwd=package, check=True)
+    undeadzone, *arguments = run
+    assert undeadzone == "undeadzone"
+    found = json.loads(command_beside(site, package)(*arguments, "--json", "--no-figures"))
+    assert found["method"] == "fixed_width"
+    assert found["d_right"] == pytest.approx(0.7)
+
+
 def test_a_registered_command_is_one_of_undeadzone(command: Run) -> None:
     assert command("greet") == "hello\n"
     assert "Say hello from another package." in command("--help")
@@ -133,12 +207,8 @@ def test_what_is_installed_meanwhile_is_found(
     monkeypatch.syspath_prepend(tmp_path)
     for name in ("one", "other"):
         assert OBSERVERS.find_options(f"held_{name}") is None
-        folder = tmp_path / f"{name}-new"
-        folder.mkdir()
-        (folder / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
         point = f"held_{name} = undeadzone.observers.oracle:Oracle\n"
-        (folder / "entry_points.txt").write_text(f"[undeadzone.observers]\n{point}")
-        folder.rename(tmp_path / f"{name}-1.0.dist-info")
+        register(tmp_path, name, f"[undeadzone.observers]\n{point}")
         assert f"held_{name}" in OBSERVERS.list_tags()
     assert {"held_one", "held_other"} <= set(OBSERVERS.list_tags())
 
@@ -159,12 +229,7 @@ def test_a_registered_name_is_one_of_uz(tmp_path: Path, monkeypatch: pytest.Monk
     """As `uz.identify` and `uz.export` are, whose packages are no part of the tool."""
     monkeypatch.syspath_prepend(tmp_path)
     assert not hasattr(undeadzone, "root")
-    folder = tmp_path / "roots-new"
-    folder.mkdir()
-    (folder / "METADATA").write_text("Metadata-Version: 2.1\nName: roots\nVersion: 1.0\n")
-    points = "root = math:sqrt\nlost = nowhere:lost\n"
-    (folder / "entry_points.txt").write_text(f"[undeadzone.names]\n{points}")
-    folder.rename(tmp_path / "roots-1.0.dist-info")
+    register(tmp_path, "roots", "[undeadzone.names]\nroot = math:sqrt\nlost = nowhere:lost\n")
     assert undeadzone.root is math.sqrt
     with pytest.raises(undeadzone.InputError, match="lost is registered at nowhere:lost, which"):
         undeadzone.lost  # noqa: B018
