@@ -24,7 +24,7 @@ Floats = NDArray[np.float64]
 
 SEED: Final = 58
 DRAWN: Final = 10
-CLAIMS: Final = Path(__file__).parents[1] / "src" / "undeadzone_paper" / "claims.toml"
+CLAIMS: Final = Path(__file__).parents[2] / "src" / "undeadzone_paper" / "claims.toml"
 A: Final = np.array([[0.0, 1.0], [-1.0, -2.0]])
 CHAIN: Final = np.array([[0.0, 1.0], [0.0, 0.0]])  # (15)
 B: Final = np.array([0.0, 1.0])

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
-UR5 = Path(__file__).parents[1] / "examples" / "ur5.urdf"
+UR5 = Path(__file__).parents[2] / "examples" / "ur5.urdf"
 STEP = 1e-4  # of MuJoCo [s]
 FIRM = [0.99, 0.99, 0.0001, 0.5, 2.0]  # solimp of a gap's ends
 

@@ -16,7 +16,7 @@ from undeadzone.plants.robots.arm import build_arm, forward_dynamics, inverse_dy
 from undeadzone.util.arrays import Floats
 from undeadzone_studies.ensemble.batch import constant_params
 
-UR5 = Path(__file__).parents[1] / "examples" / "ur5.urdf"
+UR5 = Path(__file__).parents[3] / "examples" / "ur5.urdf"
 JOINTS = 6
 Move = Literal["euler", "rk4", "follow"]
 MOVES = get_args(Move)
