@@ -22,7 +22,7 @@ import numpy as np
 import pytest
 
 SLOW = Path(__file__).with_name("slow.txt")  # functions, and whole files that share a slow start
-LEAST_SLOW = 0.5  # CPU time of a slow test [s]: those below take two minutes together
+LEAST_SLOW = 0.25  # CPU time of a slow test [s]: those below take two minutes together
 TABLE = Path(__file__).with_name("cpu.toml")
 UNIT = 0.1  # CPU time of the yardstick that defines a second [s]
 EXCESS = 2.0  # times its ceiling that a file may take: compiled kernels may be missing
