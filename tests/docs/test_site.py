@@ -72,7 +72,11 @@ def found_faults(screen: Browser, pages: list[Path]) -> dict[str, Any]:
             screen.sized(width, 900, idle=0)
             if width == SCREENS[0]:
                 screen.open(page.as_uri(), READY)
-            if faults := screen.value(FAULTS):
+            faults = screen.value(FAULTS)
+            if faults:  # a drawer may still be moving
+                screen.sized(width, 900)
+                faults = screen.value(FAULTS)
+            if faults:
                 found[f"{page.name} at {width}"] = faults
     return found
 
