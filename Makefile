@@ -22,7 +22,7 @@ quick: .venv/tested           ## the same without the tests that take longest (t
 	$(BIN)/ruff check .
 	$(BIN)/mypy & types=$$!; $(BIN)/pytest -n 2 -m "not slow and not long"; tests=$$?; wait $$types && exit $$tests
 
-long: .venv/benched           ## statistics and strangers, an hour: nightly, and before a release
+long: .venv/tested            ## statistics and strangers, an hour: nightly, and before a release
 	$(BIN)/python -m benchmarks --write long_tests
 	! grep '^Failed: ' benchmarks/RESULTS.md
 	$(BIN)/python -m tests.reference --compare
