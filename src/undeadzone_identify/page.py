@@ -13,14 +13,13 @@ from undeadzone.report import html
 from undeadzone.util.text import HALF_95, format_with_interval, label_with_unit
 from undeadzone_identify.chain import compensating_lines
 from undeadzone_identify.figures import build_figures, lost_motion
+from undeadzone_identify.results.account import Account
 from undeadzone_identify.results.lost_motion import IdentifiedMotion
 from undeadzone_identify.results.next_log import NextLog
 from undeadzone_identify.results.result import Identified
 from undeadzone_identify.results.words import (
-    OPEN,
     crossing_columns,
     describe_rivals,
-    headline,
 )
 from undeadzone_identify.selection.adequacy import DEPENDS
 from undeadzone_identify.selection.orders import OrderFit, is_fit_at_limit
@@ -43,7 +42,8 @@ CAPTIONS = {
 
 # Lines that stand on the first screen; the others say how it was decided.
 FIRST = re.compile(
-    r"[bcdf]_(right|left)|([bcd] )?width|friction|possible|input|shape|odds|plant|note"
+    r"[bcdf]_(right|left)|([bcd] )?width|friction|input|shape|odds|plant|note"
+    r"|pays|remedy|not decided|at most|doubt"
 )
 
 OF_ELEMENT = {  # in place of these
@@ -108,7 +108,7 @@ def build_identified_page(
     """
     answer = found_log.answer
     head = html.build_paragraph(
-        html.build_tag("span", headline(answer), "no" if found_log.verdict in OPEN else "yes")
+        html.build_tag("span", found_log.headline(), _colour(found_log.account))
     )
     first: list[tuple[str, str]] = []
     rest: list[tuple[str, str]] = []
@@ -120,7 +120,7 @@ def build_identified_page(
     return html.build_page(
         f"Identified: {source}",
         head,
-        *map(html.build_paragraph, answer.reasons),
+        *map(html.build_paragraph, () if found_log.account.doubts else answer.reasons),
         html.build_section(
             "The answer",
             html.build_table(("what", "value"), first),
@@ -140,6 +140,11 @@ def build_identified_page(
         *_few_lines_section(found_log.numbers(), source),
         origin=origin,
     )
+
+
+def _colour(account: Account) -> str:
+    """Return the class of a headline: whether it holds a number or a bound."""
+    return "yes" if account.says_something else "no"
 
 
 def _summary_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
@@ -188,7 +193,7 @@ def _build_motion_page(
     origin: html.Origin | None = None,
 ) -> str:
     """Build the HTML page of two positions."""
-    head = html.build_tag("span", found.headline(), "no" if found.verdict in OPEN else "yes")
+    head = html.build_tag("span", found.headline(), _colour(found.account))
     shown = html.encode_pictures(images, CAPTIONS | OF_POSITIONS)
     return html.build_page(
         f"Identified: {source}",

@@ -23,11 +23,8 @@ from undeadzone_identify.models.shape import SensorShape, measure_shape
 from undeadzone_identify.models.zone_fit import ZoneFit
 from undeadzone_identify.results.loop_words import describe_loop
 from undeadzone_identify.selection.alternatives import (
-    MEASURED,
     Element,
     Findings,
-    fit_of,
-    measure_word,
     validate_element,
 )
 from undeadzone_identify.selection.decision import (
@@ -36,7 +33,6 @@ from undeadzone_identify.selection.decision import (
     LARGER,
     MODELS,
     UNEXPLAINED,
-    UNLIKELY,
     VALVE,
     Case,
     Feedback,
@@ -92,20 +88,6 @@ class Disturbance(NamedTuple):
     ahead: bool
 
 
-class Possible(NamedTuple):
-    """Consequences of a class that is not excluded.
-
-    Attributes:
-        share: its odds.
-        widths: right, left, width and centre, if it is the truth; None if it has none.
-        option: by which a user who knows that it is the truth says so; empty if there is none.
-    """
-
-    share: float
-    widths: DisplayedWidths
-    option: str
-
-
 class Answer(NamedTuple):
     """Answer to a log.
 
@@ -123,7 +105,6 @@ class Answer(NamedTuple):
         chosen: the order that was chosen, with the checks of the findings.
         excitation: samples and visits a side.
         widths: of a zone of the sensor, with intervals, in the scale of the fit (rms of y is 1).
-        possible: the classes that are not excluded, beside the one that is named.
         shape: of the sensor's zone, as far as readings tell it; None: not asked.
     """
 
@@ -140,7 +121,6 @@ class Answer(NamedTuple):
     chosen: OrderFit
     excitation: Excitation
     widths: WidthEstimates
-    possible: dict[str, Possible] = {}
     shape: SensorShape | None = None
 
     @property
@@ -336,7 +316,7 @@ def to_answer(case: Case, found: Findings) -> Answer:
     if answer.zone and found.shaped is not None and case.record_data.y.size <= MANY:
         shape = measure_shape(found.shaped, case.record_data.y_scale, case.grid.step)
         answer = answer._replace(shape=shape)
-    return answer._replace(possible=_find_possible(answer))
+    return answer
 
 
 def _with_valve(answer: Answer, valve: ValveFindings) -> Answer:
@@ -350,30 +330,6 @@ def _with_valve(answer: Answer, valve: ValveFindings) -> Answer:
     if answer.verdict == "operating_point" or not reasons:
         reasons = [*answer.reasons, *reasons]
     return answer._replace(width=valve.stick if is_faulty else None, reasons=reasons)
-
-
-OPTIONS = {  # by which a user who knows the class says so
-    "dead_zone": "--place sensor",
-    "input_zone": "--place actuator",
-    "friction": "--place plant",
-    "play": "--kind play",
-}
-
-
-def _find_possible(answer: Answer) -> dict[str, Possible]:
-    """Find the measured classes that the odds do not exclude, beside the one that is named."""
-    case = answer.case
-    found = answer.found
-    possible = {}
-    for word, share in found.odds.items():
-        fit = fit_of(case, found, word)
-        if share < UNLIKELY or word == answer.verdict or word not in MEASURED or fit is None:
-            continue
-        own = word == "dead_zone" and case.jump_edges is None
-        widths = _log_unit_widths(answer, 1.0) if own else measure_word(case, fit, word)[0]
-        option = OPTIONS.get(word, "") if case.options.place == "auto" else ""
-        possible[word] = Possible(share, widths, option)
-    return possible
 
 
 def _odds_of_word(case: Case, found: Findings) -> dict[str, float]:

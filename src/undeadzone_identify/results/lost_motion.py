@@ -13,8 +13,9 @@ from undeadzone.util.arrays import to_json_value
 from undeadzone.util.shown import Block
 from undeadzone.util.text import HALF_95, bracket_interval
 from undeadzone_identify.models.estimates import Interval
+from undeadzone_identify.results.formats import describe_interval, unit_suffix
 from undeadzone_identify.results.result import save_numbers
-from undeadzone_identify.results.words import describe_interval, describe_shares, unit_suffix
+from undeadzone_identify.results.words import describe_shares
 from undeadzone_identify.selection.lost_motion import LostMotionAnswer
 
 

@@ -5,6 +5,7 @@ outputs.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import json
 import os
 from pathlib import Path
@@ -21,6 +22,7 @@ from undeadzone_identify.logs.log import log_from_arrays, read_log
 from undeadzone_identify.models.estimates import Interval
 from undeadzone_identify.models.kalman_fit import smooth_with_deviation
 from undeadzone_identify.models.plant import PlantSimulator
+from undeadzone_identify.results.account import Account
 from undeadzone_identify.results.assemble import Answer
 from undeadzone_identify.results.model import (
     Predicted,
@@ -31,9 +33,10 @@ from undeadzone_identify.results.model import (
     simulate_answer,
 )
 from undeadzone_identify.results.next_log import NextLog, best_next_log
+from undeadzone_identify.results.speech import account_of_answer
 from undeadzone_identify.results.to_continuous import observer_matrices
 from undeadzone_identify.results.to_scenario import scenario_text
-from undeadzone_identify.results.words import answer_numbers, summarise_answer
+from undeadzone_identify.results.words import answer_numbers, headline, summarise_answer
 
 WRITTEN = (
     "play",
@@ -97,6 +100,7 @@ class Identified:
 
     Attributes:
         answer: every value; the properties below are its most used ones.
+        spoken: account of the log where another instrument than the fits gave it.
 
     Example:
         >>> import numpy as np
@@ -117,6 +121,12 @@ class Identified:
     """
 
     answer: Answer
+    spoken: Account | None = None
+
+    @functools.cached_property
+    def account(self) -> Account:
+        """Return effect, cost, remedy, what is not decided, and the largest that could hide."""
+        return self.spoken or account_of_answer(self.answer)
 
     @property
     def verdict(self) -> str:
@@ -315,11 +325,15 @@ class Identified:
 
     def numbers(self) -> dict[str, Any]:
         """Return all numbers of the answer, as `--json` prints."""
-        return dict(to_json_value(answer_numbers(self.answer)))
+        return dict(to_json_value(answer_numbers(self.answer, self.account)))
 
     def summary(self) -> dict[str, Any]:
         """Return the answer in words, as the command prints."""
-        return summarise_answer(self.answer)
+        return summarise_answer(self.answer, self.account)
+
+    def headline(self) -> str:
+        """Return the finding in one line."""
+        return headline(self.answer, self.account)
 
     def blocks(self) -> list[Block]:
         """Return the table that `undeadzone identify` prints."""

@@ -13,11 +13,12 @@ import numpy as np
 from undeadzone.nonlinearities.sensor import DIRECTIONS
 from undeadzone.results.mjcf import Joint
 from undeadzone.util.arrays import Floats
-from undeadzone.util.text import bracket_interval
 from undeadzone_identify.models.estimates import Interval
 from undeadzone_identify.models.least_squares import describe_p_value
 from undeadzone_identify.models.shape import SensorShape
+from undeadzone_identify.results.account import BOUNDED, INDICATED, MEASURED, Account
 from undeadzone_identify.results.assemble import Answer
+from undeadzone_identify.results.formats import describe_interval, unit_suffix
 from undeadzone_identify.results.loop_words import loop_numbers, shape_in_words
 from undeadzone_identify.selection.alternatives import OF_INPUT
 from undeadzone_identify.selection.decision import MEMORY, MODELS, VALVE
@@ -164,11 +165,12 @@ AT_ZERO = "  assumes z = 0 at u = 0"
 # --- Numbers
 
 
-def answer_numbers(answer: Answer) -> dict[str, Any]:
+def answer_numbers(answer: Answer, account: Account) -> dict[str, Any]:
     """Return all numbers of an answer, as nested dictionaries.
 
     Args:
         answer: to a log.
+        account: of it.
 
     Returns:
         zone, verdict, right, left, width, centre (each [value, low, high] or None), order,
@@ -180,7 +182,8 @@ def answer_numbers(answer: Answer) -> dict[str, Any]:
     return {
         "zone": answer.zone,
         "verdict": answer.verdict,
-        "found": headline(answer),
+        "found": headline(answer, account),
+        "answer": account.to_json(),
         "reasons": answer.reasons,
         **{name: _interval_list(getattr(answer, name)) for name in DIRECTIONS},
         "input_widths": None
@@ -196,7 +199,6 @@ def answer_numbers(answer: Answer) -> dict[str, Any]:
         "offsets": _offset_numbers(answer),
         "odds": answer.found.odds,
         "alternatives": nats_behind_best(answer.found.models),
-        "levels": _level_numbers(answer),
         "friction": _interval_list(answer.found.friction),
         "shape": answer.shape
         and {name: _interval_list(one) for name, one in answer.shape._asdict().items()},
@@ -258,14 +260,6 @@ def _offset_numbers(answer: Answer) -> dict[str, Any] | None:
     return {"name": offsets.element_name, "play": play, "dead_zone": zone, "rest": rest}
 
 
-def _level_numbers(answer: Answer) -> dict[str, dict[str, list[float] | None]]:
-    """Return the widths under each class that is possible beside the one that is named."""
-    return {
-        word: {name: _interval_list(one.widths[name]) for name in DIRECTIONS}
-        for word, one in answer.possible.items()
-    }
-
-
 def _stage_numbers(answer: Answer) -> dict[str, Any]:
     """Return widths and half intervals by stage of the fit."""
     widths = answer.widths
@@ -284,12 +278,15 @@ def _stage_numbers(answer: Answer) -> dict[str, Any]:
 # --- Words
 
 
-def headline(answer: Answer) -> str:
+def headline(answer: Answer, account: Account) -> str:
     """Return the finding in one line, with its number and interval.
 
     Args:
         answer: to a log.
+        account: of it.
     """
+    if account.grade in (MEASURED, INDICATED, BOUNDED):
+        return account.headline()
     grid = answer.case.grid
     word = answer.verdict
     at_input = word in ("input_zone", "friction", *VALVE)
@@ -301,24 +298,24 @@ def headline(answer: Answer) -> str:
     return ": ".join([HEADS[word], *([" / ".join(texts)] if texts else [])])
 
 
-def summarise_answer(answer: Answer) -> dict[str, Any]:
+def summarise_answer(answer: Answer, account: Account) -> dict[str, Any]:
     """Return the answer as lines of the terminal: name and text, or a list of texts.
 
     Args:
         answer: to a log.
+        account: of it.
 
     Returns:
         The lines in order.
     """
     grid = answer.case.grid
     lines: dict[str, Any] = {"record": _describe_record(answer), "plant": _describe_plant(answer)}
-    lines["found"] = headline(answer) + _describe_certainty(answer)
-    if answer.reasons:
+    lines["found"] = headline(answer, account) + _describe_certainty(answer)
+    lines |= account.summary()
+    if answer.reasons and not account.doubts:
         lines["why"] = answer.reasons
     if answer.found.odds:
         lines["odds"] = describe_shares(answer.found.odds)
-    if answer.possible:
-        lines["possible"] = describe_possible(answer)
     unit = unit_suffix(grid.output_unit)
     lines |= _describe_widths(answer)
     if answer.found.valve is not None:
@@ -363,25 +360,6 @@ def _describe_shape(shape: SensorShape, unit: str) -> str:
     if shape.lag.low > 0:
         lag = describe_interval(shape.lag, " s")
     return f"{rounding}; slope of the left side over the right {slope}; smoothed by a lag of {lag}"
-
-
-def describe_possible(answer: Answer) -> list[str]:
-    """Describe the widths under each class that is possible, and how a user says that it is so."""
-    grid = answer.case.grid
-    lines = []
-    for word, one in answer.possible.items():
-        unit = unit_suffix(grid.input_unit if word in OF_INPUT else grid.output_unit)
-        sides = {name: one.widths[name] for name in ("right", "left")}
-        widths = sides if any(sides.values()) else {"width": one.widths["width"]}
-        letter = LETTERS.get(word, "d")
-        numbers = [
-            f"{_width_title(letter, name)} {describe_interval(interval, unit)}"
-            for name, interval in widths.items()
-            if interval is not None
-        ]
-        known = f"; if you know this, use {one.option}" if one.option else ""
-        lines.append(f"if it is {MODELS[word]}: {', '.join(numbers)}{known}")
-    return lines
 
 
 def _describe_widths(answer: Answer) -> dict[str, str]:
@@ -429,33 +407,6 @@ def _describe_valve(answer: Answer, valve: ValveFindings) -> dict[str, str]:
 def _width_title(letter: str, name: str) -> str:
     """Return the title of a width: d_right, c width."""
     return f"{letter}_{name}" if name in ("right", "left") else f"{letter} {name}"
-
-
-def unit_suffix(unit: str) -> str:
-    """Return a unit behind a number.
-
-    Args:
-        unit: "1" for none.
-    """
-    return "" if unit == "1" else f" {unit}"
-
-
-def describe_interval(interval: Interval, unit: str) -> str:
-    """Describe a value with its interval, with significant digits only.
-
-    Args:
-        interval: the value, its low and its high end.
-        unit: behind the numbers, with a blank ahead.
-    """
-    value, low, high = interval
-    if not np.isfinite(high):
-        if not np.isfinite(low):
-            return "unknown: an offset would shift it"
-        return f"at least {low:.4g}{unit}: no reading lies beyond this edge"
-    if high == low:
-        return f"{value:.6g}{unit}  (given)"
-    digits = max(0, int(np.ceil(-np.log10(max(high - low, 1e-300)))) + 2)
-    return f"{bracket_interval(value, low, high, f'.{min(digits, 12)}f')}{unit}"
 
 
 def _describe_record(answer: Answer) -> str:

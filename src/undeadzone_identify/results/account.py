@@ -1,0 +1,246 @@
+"""Account of a log in five parts: the effect, what it costs, the remedy, what is not decided, and
+the largest effect that could hide.
+
+Certainty is withheld, the number never: a grade tells how sure it is.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+from undeadzone_identify.models.estimates import Interval
+from undeadzone_identify.results.formats import describe_interval, unit_suffix
+
+NAMED = "named"  # a class of models explains the log, and no other does
+MEASURED = "measured"  # the number is certain, its cause may not be
+INDICATED = "indicated"  # the likeliest number, with the doubts that are printed
+BOUNDED = "bounded"  # nothing was found: the largest effects that could hide
+OPEN = "open"  # neither a number nor a bound
+SAYS = (NAMED, MEASURED, INDICATED, BOUNDED)  # grades with a number or a bound
+CERTAIN = (NAMED, MEASURED)  # grades for which code and a scenario are written
+LEADS = {MEASURED: "Measured: ", INDICATED: "Indicated, not certain: "}
+
+
+class Effect(NamedTuple):
+    """Effect of a nonlinearity, whatever its cause.
+
+    Attributes:
+        words: what happens.
+        remedy: what helps against it; empty if nothing does.
+        of_input: whether its numbers have the unit of the input.
+    """
+
+    words: str
+    remedy: str
+    of_input: bool
+
+
+KEEP = "keep commands inside these limits"
+ADD_EDGE = "add the edge to each command that shall move it: u + upper, u - lower"
+EFFECTS = {
+    "input loss": Effect("a band of the input moves nothing", ADD_EDGE, True),
+    "input threshold": Effect(
+        "the output starts at a threshold of the input",
+        "command at least the threshold, and nothing beyond it is shifted",
+        True,
+    ),
+    "input reversal": Effect(
+        "motion is lost after each reversal of the input",
+        "add the gap after each reversal of the command",
+        True,
+    ),
+    "input range": Effect("the input acts within limits", KEEP, True),
+    "input shape": Effect("the input acts along a curve", "invert the curve", True),
+    "input rate": Effect(
+        "the input acts at a limited rate", "command no faster than the limit", True
+    ),
+    "output loss": Effect(
+        "a band of the output is not read",
+        "take a silent reading as an interval, and add the edge to every other reading",
+        False,
+    ),
+    "output threshold": Effect(
+        "the reading is silent up to a threshold",
+        "take a silent reading as an interval; other readings are right as they are",
+        False,
+    ),
+    "output reversal": Effect(
+        "motion is lost between output and reading at each reversal",
+        "add half of the gap to the reading, against the direction of motion",
+        False,
+    ),
+    "output range": Effect(
+        "the reading ends at limits", "discard readings at the limits", False
+    ),
+    "output shape": Effect("the reading follows a curve", "invert the curve", False),
+    "loss": Effect(
+        "the reading rests over a band of the command, at which end cannot be decided here",
+        ADD_EDGE,
+        True,
+    ),
+    "low end": Effect(
+        "below an edge of the command the reading stays at its least value", KEEP, True
+    ),
+    "high end": Effect(
+        "above an edge of the command the reading stays at its largest value", KEEP, True
+    ),
+    "fold": Effect("a reading stands for two commands beyond a fold", KEEP, True),
+    "friction": Effect(
+        "friction resists the motion", "feed its level forward in the direction of motion", True
+    ),
+    "free play": Effect(
+        "the position rests anywhere in a gap at one goal",
+        "no command helps: measure behind the gear, or load one side",
+        False,
+    ),
+    "outside": Effect(
+        "an oscillation from outside swings the loop",
+        "look upstream for another loop of this period",
+        False,
+    ),
+    "tuning": Effect(
+        "the loop is tuned too tightly", "divide the gain of the controller", False
+    ),
+    "storage": Effect(
+        "only changes of the reading are stored",
+        "record every sample: set the dead band of the recorder to 0",
+        False,
+    ),
+}
+
+
+class Buys(NamedTuple):
+    """Rms errors on data that had no part in the fits, in the unit of the output.
+
+    Attributes:
+        without: of a straight plant.
+        remaining: with the effect.
+        deviations: by how many standard deviations the effect is better.
+    """
+
+    without: float
+    remaining: float
+    deviations: float
+
+    @property
+    def share(self) -> float:
+        """Return the share of the squared error that the effect takes away."""
+        return 1 - (self.remaining / max(self.without, 1e-300)) ** 2
+
+
+Numbers = dict[str, Interval]
+
+
+class Account(NamedTuple):
+    """Account of a log.
+
+    Attributes:
+        grade: how sure it is: named, measured, indicated, bounded or open.
+        effects: what was found, by its key in EFFECTS, with its numbers by name in the unit of its
+            end; empty if nothing was.
+        by: the instrument that gave them.
+        units: of input and output.
+        buys: the held-out errors; None if no model was compared.
+        others: effects that are not excluded, with their numbers.
+        doubts: why it is not certain.
+        unmet: sides that the log never tried.
+        limits: the largest effect that could hide (95 %), by effect.
+    """
+
+    grade: str
+    effects: dict[str, Numbers]
+    by: str
+    units: tuple[str, str]
+    buys: Buys | None = None
+    others: dict[str, Numbers] = {}
+    doubts: tuple[str, ...] = ()
+    unmet: tuple[str, ...] = ()
+    limits: dict[str, float] = {}
+
+    @property
+    def remedies(self) -> list[str]:
+        """Return what helps, a line for each effect."""
+        return [EFFECTS[effect].remedy for effect in self.effects]
+
+    @property
+    def is_certain(self) -> bool:
+        """Return whether code may be written for it."""
+        return self.grade in CERTAIN and bool(self.effects)
+
+    @property
+    def says_something(self) -> bool:
+        """Return whether it holds a number or a bound."""
+        return self.grade in SAYS
+
+    def with_doubts(self, *doubts: str) -> Account:
+        """Return the account with further doubts ahead of the others."""
+        return self._replace(doubts=(*filter(None, doubts), *self.doubts))
+
+    def unit_of(self, effect: str) -> str:
+        """Return the unit of an effect's numbers."""
+        return self.units[0 if EFFECTS[effect].of_input else 1]
+
+    def headline(self) -> str:
+        """Return grade, effects and numbers in one line."""
+        if not self.effects:
+            held = self.grade == BOUNDED
+            return "Nothing hidden was found" if held else "No number can be given"
+        return LEADS.get(self.grade, "") + "; ".join(self._describe(self.effects))
+
+    def _describe(self, effects: dict[str, Numbers]) -> list[str]:
+        """Return effects with their numbers as texts."""
+        texts = []
+        for effect, numbers in effects.items():
+            suffix = unit_suffix(self.unit_of(effect))
+            known = ", ".join(f"{name} {describe_interval(one, suffix)}" for name, one in numbers.items())
+            texts.append(": ".join(filter(None, [EFFECTS[effect].words, known])))
+        return texts
+
+    def summary(self) -> dict[str, Any]:
+        """Return the parts beside the headline as lines of the terminal."""
+        output = unit_suffix(self.units[1])
+        lines: dict[str, Any] = {}
+        if self.buys is not None:
+            lines["pays"] = (
+                f"held-out error {self.buys.without:.4g}{output} without it,"
+                f" {self.buys.remaining:.4g}{output} with it ({100 * self.buys.share:.0f} % of the"
+                f" squares, {self.buys.deviations:.1f} deviations)"
+            )
+        if self.effects:
+            lines["remedy"] = self.remedies
+        rows = self._describe(self.others)
+        rows += [f"the {side} side was never tried" for side in self.unmet]
+        if rows:
+            lines["not decided"] = rows
+        if self.limits:
+            lines["at most"] = [
+                f"{value:.3g}{unit_suffix(self.unit_of(effect))}: {EFFECTS[effect].words}"
+                for effect, value in self.limits.items()
+            ]
+        if self.doubts:
+            lines["doubt"] = [*self.doubts]
+        return lines
+
+    def to_json(self) -> dict[str, Any]:
+        """Return all parts as JSON has them."""
+        return {
+            "grade": self.grade,
+            "effects": {key: _numbers_to_json(one) for key, one in self.effects.items()},
+            "units": {"input": self.units[0], "output": self.units[1]},
+            "by": self.by,
+            "pays": self.buys and {**self.buys._asdict(), "share": self.buys.share},
+            "remedies": self.remedies,
+            "not_decided": {key: _numbers_to_json(one) for key, one in self.others.items()},
+            "never_tried": [*self.unmet],
+            "doubts": [*self.doubts],
+            "at_most": self.limits,
+        }
+
+
+def _numbers_to_json(numbers: Numbers) -> dict[str, list[float | None]]:
+    """Return numbers as [value, low, high], what is not finite as None."""
+    return {
+        name: [float(one) if math.isfinite(one) else None for one in interval]
+        for name, interval in numbers.items()
+    }

@@ -1,0 +1,251 @@
+"""Account of the fits of a log: what is named, or else the likeliest number with its doubts.
+
+A fit without the name that it would deserve still has a number. It counts if data that had no part
+in the fit are simulated better with it than by a straight plant, by a paired comparison.
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import islice
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from undeadzone.util.arrays import Flags, Floats
+from undeadzone_identify.models.estimates import Interval, long_run_covariance
+from undeadzone_identify.models.least_squares import FittedModel
+from undeadzone_identify.results.account import (
+    BOUNDED,
+    INDICATED,
+    NAMED,
+    OPEN,
+    Account,
+    Buys,
+    Numbers,
+)
+from undeadzone_identify.results.assemble import WITHHELD, Answer
+from undeadzone_identify.selection.alternatives import (
+    MEASURED,
+    fit_of,
+    held_out_residual,
+    impossible_words,
+    measure_word,
+)
+from undeadzone_identify.selection.odds import model_probabilities
+
+DYNAMICS = "plant and nonlinearity, fitted together"
+EFFECT_OF = {  # words of the verdict
+    "dead_zone": "output loss",
+    "unreached": "output loss",
+    "filtered_zone": "output loss",
+    "jump": "output threshold",
+    "saturation": "output range",
+    "other": "output shape",
+    "play": "output reversal",
+    "both": "output reversal",
+    "friction": "friction",
+    "input_zone": "input loss",
+    "two_zones": "output loss",
+    "input_curve": "input shape",
+    "input_play": "input reversal",
+    "input_rate": "input rate",
+    "stiction": "input reversal",
+    "external": "outside",
+    "tight_tuning": "tuning",
+}
+TRIED = 5  # of the likeliest models, that are compared on held-out data
+OTHERS = 2  # effects that are printed beside the first
+APART = 2.5  # deviations by which two models are told apart
+SIMILAR = 1.1  # of the least held-out error, up to which a model simulates as well
+HINT, GAINS, SHOWS = 1.5, 0.02, 0.75  # deviations and share of squares, or share of the rms that
+# is left, from which an effect is worth a number
+EXPLAINED = 0.5  # share of the held-out readings, from which a straight plant bounds an effect
+
+
+def account_of_answer(answer: Answer) -> Account:
+    """Return the account of a log of one output by the fits of its plant.
+
+    Args:
+        answer: to the log.
+    """
+    grid = answer.case.grid
+    units = (grid.input_unit, grid.output_unit)
+    word = answer.verdict
+    if word in WITHHELD:
+        return _account_of_fits(answer, units) if answer.found.valve is None else _open(
+            answer, units
+        )
+    if word == "operating_point":
+        return _open(answer, units)
+    effects = {}
+    if word in EFFECT_OF:
+        effects[EFFECT_OF[word]] = _named_numbers(answer)
+    element = answer.element
+    if element is not None and element.input:
+        effects["input loss"] = dict(element.input)
+    if element is not None and element.zone is not None:
+        effects["output loss"] = {"width": element.zone}
+    limits = {} if effects else _find_limits(answer)
+    buys = None
+    if answer.servo is None:
+        buys = _buys_of_word(answer)
+    return Account(NAMED, effects, DYNAMICS, units, buys, limits=limits)
+
+
+def _open(answer: Answer, units: tuple[str, str]) -> Account:
+    """Return the account without a number, with the reasons."""
+    return Account(OPEN, {}, DYNAMICS, units, doubts=tuple(answer.reasons))
+
+
+def _named_numbers(answer: Answer) -> Numbers:
+    """Return the numbers of a named class: both sides, else the width; of friction its level."""
+    if answer.found.friction is not None and answer.verdict == "friction":
+        return {"level": answer.found.friction}
+    names = ("right", "left", "width")
+    there = {name: getattr(answer, name) for name in names if getattr(answer, name) is not None}
+    if answer.verdict in ("play", "both", "input_play", "stiction"):
+        there = {"gap": one for name, one in there.items() if name == "width"}
+    valve = answer.found.valve
+    return there | ({"jump": valve.jump} if answer.verdict == "stiction" and valve else {})
+
+
+class Compared(NamedTuple):
+    """Model of a class, compared on data that had no part in its fit.
+
+    Attributes:
+        word: of the class.
+        fit: with all data.
+        error: of the held-out readings, 0 elsewhere (N), scaled.
+        numbers: in the unit of their end.
+    """
+
+    word: str
+    fit: FittedModel[Any]
+    error: Floats
+    numbers: Numbers
+
+    @property
+    def rms(self) -> float:
+        """Return the rms of the held-out errors, scaled, but for a common factor."""
+        return float(np.sqrt(np.mean(self.error**2)))
+
+    def deviations_before(self, other: Compared) -> float:
+        """Return by how many standard deviations it is better than another model."""
+        gain = other.error**2 - self.error**2
+        spread = float(long_run_covariance(gain[:, None])[0][0, 0]) ** 0.5
+        return float(gain.sum()) / max(spread, 1e-300)
+
+    def compare_to(self, line: Compared, test: Flags, scale: float) -> Buys:
+        """Return the held-out errors of both, in units of the log."""
+        size = scale * math.sqrt(test.size / max(int(test.sum()), 1))
+        return Buys(line.rms * size, self.rms * size, self.deviations_before(line))
+
+    @property
+    def is_positive(self) -> bool:
+        """Return whether no number of it may be 0."""
+        widths = [one for name, one in self.numbers.items() if name in ("width", "gap", "level")]
+        return all(one.low > 0 for one in widths)
+
+
+def _compare(answer: Answer, word: str) -> tuple[Compared, Flags] | None:
+    """Return a class's model on held-out data, and these; None without a fit of it."""
+    case = answer.case
+    fit = fit_of(case, answer.found, word)
+    if fit is None:
+        return None
+    e, test = held_out_residual(fit, case.options.held_out)
+    return Compared(word, fit, np.where(test, e, 0.0), _numbers_of_word(answer, word, fit)), test
+
+
+def _numbers_of_word(answer: Answer, word: str, fit: FittedModel[Any]) -> Numbers:
+    """Return the numbers of a class that is not named, in the unit of its end."""
+    if word not in MEASURED:
+        return {}
+    known = {
+        name: one for name, one in measure_word(answer.case, fit, word)[0].items() if one is not None
+    }
+    if word == "friction" and "width" in known:
+        return {"level": known["width"].scale_by(0.5)}
+    if word in ("play", "input_play"):
+        return {"gap": known["width"]}
+    return {name: one for name, one in known.items() if name != "centre"}
+
+
+def _buys_of_word(answer: Answer) -> Buys | None:
+    """Return the held-out errors of the named class and of a straight plant; None if unknown."""
+    named = _compare(answer, answer.verdict)
+    line = _compare(answer, "none")
+    if named is None or line is None or answer.verdict == "none":
+        return None
+    model, test = named
+    straight = line[0]
+    if model.error.size != straight.error.size:
+        return None
+    return model.compare_to(straight, test, answer.scale)
+
+
+def _account_of_fits(answer: Answer, units: tuple[str, str]) -> Account:
+    """Return the likeliest effect as an indication, else bounds where a straight plant holds."""
+    case, found = answer.case, answer.found
+    straight = _compare(answer, "none")
+    if straight is None:
+        return _open(answer, units)
+    line, test = straight
+    weights = model_probabilities(found.models, {*found.denied, *impossible_words(case)})
+    likely = (word for word in weights if word != "none" and word in EFFECT_OF)
+    rows = []
+    for word in islice(likely, TRIED):
+        there = _compare(answer, word)
+        if there is not None and there[0].error.size == line.error.size:
+            rows.append(there[0])
+    rows = sorted(filter(lambda one: _is_worth(one, line), rows), key=lambda one: one.rms)
+    rows = [one for one in rows if one.numbers] + [one for one in rows if not one.numbers]
+    sure = [one for one in rows if one.is_positive]
+    if not sure:
+        return _bound(answer, units, line, test)
+    first = sure[0]
+    others: dict[str, Numbers] = {}
+    for one in sure[1:]:
+        effect = EFFECT_OF[one.word]
+        as_well = first.deviations_before(one) < APART or one.rms < SIMILAR * first.rms
+        if as_well and effect != EFFECT_OF[first.word] and len(others) < OTHERS:
+            others.setdefault(effect, one.numbers)
+    buys = first.compare_to(line, test, answer.scale)
+    effects = {EFFECT_OF[first.word]: first.numbers}
+    return Account(
+        INDICATED, effects, DYNAMICS, units, buys, others, tuple(answer.reasons)
+    )
+
+
+def _is_worth(one: Compared, line: Compared) -> bool:
+    """Return whether a model simulates held-out data so much better that its number counts."""
+    share = 1 - (one.rms / max(line.rms, 1e-300)) ** 2
+    is_hint = one.deviations_before(line) > HINT and share > GAINS
+    return is_hint or one.rms < SHOWS * line.rms
+
+
+def _bound(answer: Answer, units: tuple[str, str], line: Compared, test: Flags) -> Account:
+    """Return bounds of what could hide where a straight plant explains the log, else nothing."""
+    y = line.fit.squares.data.y[test]
+    left = line.error[test].std() / max(float(y.std()), 1e-300)
+    reasons = tuple(answer.reasons)
+    if left > 1 - EXPLAINED or any(one.is_real for one in answer.found.remainders):
+        said = f"the input explains {100 * max(1 - left, 0.0):.0f} % of the held-out readings"
+        return Account(OPEN, {}, DYNAMICS, units, doubts=(said, *reasons))
+    limits = _find_limits(answer)
+    return Account(BOUNDED if limits else OPEN, {}, DYNAMICS, units, doubts=reasons, limits=limits)
+
+
+def _find_limits(answer: Answer) -> dict[str, float]:
+    """Return the upper ends of the intervals of all classes that were fitted, by effect."""
+    limits: dict[str, float] = {}
+    for word in ("input_zone", "input_play", "dead_zone", "play"):
+        fit = fit_of(answer.case, answer.found, word)
+        if fit is None:
+            continue
+        numbers = _numbers_of_word(answer, word, fit)
+        top = max((one.high for name, one in numbers.items() if name in ("width", "gap")), default=0)
+        if 0 < top < math.inf:
+            limits[EFFECT_OF[word]] = float(top)
+    return limits
