@@ -30,11 +30,12 @@ from undeadzone.util.progress import terminal_progress as progress
 
 if TYPE_CHECKING:
     from undeadzone_identify.chain import FirmwareChain
+    from undeadzone_identify.results.at_rest import IdentifiedAtRest
     from undeadzone_identify.results.lost_motion import IdentifiedMotion
     from undeadzone_identify.results.next_log import NextLog
     from undeadzone_identify.results.result import Identified, IdentifiedOutputs
 
-    Answers = Identified | IdentifiedOutputs | IdentifiedMotion
+    Answers = Identified | IdentifiedOutputs | IdentifiedMotion | IdentifiedAtRest
 
 
 KINDS = click.Choice(["auto", "deadzone", "jump", "play", "backlash"])
@@ -128,7 +129,10 @@ def identify(
     With --chain the scenario is checked, runs along the log, is exported to C, and the C runs along
     the log. It prints the distances of the reading and of the C's z^ from z.
 
-    Exit code 1: the log shows no nonlinearity with a scenario, or the firmware is refused.
+    The answer has a grade: named, measured, indicated (a number with its doubts), or bounded (the
+    largest effect that could hide). A table of commands and readings needs no times.
+
+    Exit code 1: neither a number nor a bound can be given, or the firmware is refused.
     """
     from undeadzone.logs.names import require_table
     from undeadzone.util.own_files import require_own_file
@@ -176,7 +180,8 @@ def identify(
     if folder is not None and lines:
         few = shell_command("undeadzone", "export", folder / "identify.json", "--to", "snippet")
         why |= {"few lines": f"{few} writes these in C, Python and Structured Text"}
-    is_done = is_found or is_written
+    accounts = [one.account for one in getattr(answer, "outputs", (answer,))]
+    is_done = is_written or all(one.says_something for one in accounts)
     chain_numbers = {}
     if chain is not None:
         scenario_file = path if is_written else None

@@ -7,6 +7,7 @@ model is fitted and compared, and its parameters are estimated. The last finding
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import math
 from collections.abc import Callable
@@ -28,6 +29,7 @@ from undeadzone_identify.logs.prepare import (
     prepare_log,
     require_readings,
 )
+from undeadzone_identify.looks.first import Looks, look_at
 from undeadzone_identify.models.chain import find_input_zero, fit_chains
 from undeadzone_identify.models.elements import (
     MapModel,
@@ -49,8 +51,10 @@ from undeadzone_identify.models.zone_fit import (
     refit_longest_record,
 )
 from undeadzone_identify.results.assemble import to_answer
+from undeadzone_identify.results.at_rest import IdentifiedAtRest
 from undeadzone_identify.results.lost_motion import IdentifiedMotion
 from undeadzone_identify.results.result import Identified, IdentifiedOutputs
+from undeadzone_identify.results.seen import account_at_once, account_of_looks, choose_account
 from undeadzone_identify.selection import orders
 from undeadzone_identify.selection.adequacy import (
     DEPENDS,
@@ -110,6 +114,7 @@ from undeadzone_identify.selection.servo import (
 from undeadzone_identify.selection.valve import is_named_loop
 from undeadzone_identify.servo.gap import ServoGap
 
+Found = Identified | IdentifiedOutputs | IdentifiedMotion | IdentifiedAtRest
 INTEGRATES = (
     "a torque or current moves a position, by their names, and no plant that settles explains it:"
     " taken to integrate, as with --integrators 1"
@@ -141,7 +146,7 @@ def identify(
     progress: Callable[[int], None] | None = None,
     keep: Path | None = None,
     resume: bool = False,
-) -> Identified | IdentifiedOutputs | IdentifiedMotion:
+) -> Found:
     """Find plant and dead zone from a log, with intervals that hold (docs/identify.md).
 
     Args:
@@ -175,7 +180,8 @@ def identify(
 
     Returns:
         Verdict, widths with intervals, plant, states, scenario; of several outputs one such
-        answer each; of two positions the motion that is lost between them.
+        answer each; of two positions the motion that is lost between them; of a table or a slow
+        sweep the map at rest. Each has an `account`: effect, cost, remedy, what is not decided.
 
     Raises:
         FileError: a log that cannot be read, or `keep`.
@@ -230,7 +236,7 @@ def _identify_with_cache(
     advance: Callable[[int], None],
     keep: Path,
     resume: bool,
-) -> Identified | IdentifiedOutputs | IdentifiedMotion:
+) -> Found:
     """Return the answer, with the fits cached in a file meanwhile. Raise InputError."""
     answers = Answers(keep, _cache_key(logs, options), "fits", resume)
     climbs = CachedMaxima(answers)
@@ -256,7 +262,7 @@ def _identify_logs(
     options: Options,
     advance: Callable[[int], None],
     cached_maxima: CachedMaxima | None = None,
-) -> Identified | IdentifiedOutputs | IdentifiedMotion:
+) -> Found:
     """Identify the records: return the answer for one output, or the answers for several.
 
     Two positions of one log are first fitted with lost motion, which needs no plant. If that is not
@@ -276,7 +282,7 @@ def _identify_logs(
     for log in logs:
         if len(log.outputs) != len(names):
             raise InputError(f"{log.source}: has {len(log.outputs)} outputs, others {len(names)}")
-    motion = None
+    motion, looks = None, Looks()
     is_conclusive = False  # the lost motion is the answer, whatever plant fits
     if len(logs) == len(names) == 1 and needs_motion_test(logs[0]):
         motion, is_conclusive = find_lost_motion(logs[0], options)
@@ -284,6 +290,12 @@ def _identify_logs(
     if motion is not None and is_conclusive:
         return IdentifiedMotion(motion)
     logs = [without_drive(log) for log in logs]
+    if len(logs) == len(names) == 1 and not is_named_loop(logs[0]) and options == Options():
+        looks = look_at(logs[0])
+        at_once = account_at_once(logs[0], looks)
+        if at_once is not None:
+            return IdentifiedAtRest(logs[0], looks, at_once)
+    seen = account_of_looks(logs[0], looks)
     outputs = ([log.select_output(k) for log in logs] for k in range(len(names)))
     try:
         require_readings(sum(int(np.isfinite(log.y).sum(axis=0).max()) for log in logs))
@@ -297,7 +309,12 @@ def _identify_logs(
     except InputError as error:  # no plant fits, or an irregular step, which positions may have
         failure = error
     else:
-        return answers[0] if len(answers) == 1 else IdentifiedOutputs(names, tuple(answers))
+        if len(answers) > 1:
+            return IdentifiedOutputs(names, tuple(answers))
+        (one,) = answers
+        return dataclasses.replace(one, spoken=choose_account(one.account, seen, looks))
+    if seen is not None and seen.effects:
+        return IdentifiedAtRest(logs[0], looks, seen.with_doubts(f"no plant was fitted: {failure}"))
     if motion is None or not motion.are_positions:
         raise failure
     no_plant = f"no plant was fitted: {failure}"

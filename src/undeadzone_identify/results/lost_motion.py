@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from typing import Any
 
 import numpy as np
@@ -13,8 +14,10 @@ from undeadzone.util.arrays import to_json_value
 from undeadzone.util.shown import Block
 from undeadzone.util.text import HALF_95, bracket_interval
 from undeadzone_identify.models.estimates import Interval
+from undeadzone_identify.results.account import INDICATED, MEASURED, Account
 from undeadzone_identify.results.formats import describe_interval, unit_suffix
 from undeadzone_identify.results.result import save_numbers
+from undeadzone_identify.results.speech import account_of_motion
 from undeadzone_identify.results.words import describe_shares
 from undeadzone_identify.selection.lost_motion import LostMotionAnswer
 
@@ -25,12 +28,19 @@ class IdentifiedMotion:
 
     Attributes:
         answer: every value; the properties below are its most used ones.
+        spoken: account of the log where another instrument gave it.
 
     See Also:
         identify
     """
 
     answer: LostMotionAnswer
+    spoken: Account | None = None
+
+    @functools.cached_property
+    def account(self) -> Account:
+        """Return effect, cost, remedy, what is not decided, and the largest that could hide."""
+        return self.spoken or account_of_motion(self.answer)
 
     @property
     def verdict(self) -> str:
@@ -83,6 +93,7 @@ class IdentifiedMotion:
                     "zone": False,
                     "verdict": one.verdict,
                     "found": self.headline(),
+                    "answer": self.account.to_json(),
                     "reasons": one.reasons,
                     "right": None,
                     "left": None,
@@ -114,6 +125,8 @@ class IdentifiedMotion:
         """Return the finding, in one line."""
         one = self.answer
         unit = unit_suffix(one.log.input_unit)
+        if self.account.grade in (MEASURED, INDICATED):
+            return self.account.headline()
         if one.verdict == "none":
             return f"No lost motion: a gap above {one.gap.high:.4g}{unit} is excluded"
         if one.verdict != "play":
@@ -138,8 +151,10 @@ class IdentifiedMotion:
             f" ({steps.min():.4g} to {steps.max():.4g}), {names}"
             f"{_bracketed(one.log.output_units[0])}",
             "found": self.headline(),
-            "why": one.reasons,
         }
+        lines |= self.account.summary()
+        if not self.account.doubts:
+            lines["why"] = one.reasons
         if one.odds:
             lines["odds"] = describe_shares(one.odds)
         if one.parts is not None:

@@ -32,9 +32,11 @@ from undeadzone_identify.selection.alternatives import (
     impossible_words,
     measure_word,
 )
+from undeadzone_identify.selection.lost_motion import LostMotionAnswer
 from undeadzone_identify.selection.odds import model_probabilities
 
 DYNAMICS = "plant and nonlinearity, fitted together"
+BOTH_POSITIONS = "one position along the other"
 EFFECT_OF = {  # words of the verdict
     "dead_zone": "output loss",
     "unreached": "output loss",
@@ -91,6 +93,24 @@ def account_of_answer(answer: Answer) -> Account:
     if answer.servo is None:
         buys = _buys_of_word(answer)
     return Account(NAMED, effects, DYNAMICS, units, buys, limits=limits)
+
+
+def account_of_motion(motion: LostMotionAnswer) -> Account:
+    """Return the account of the motion that is lost between two positions.
+
+    Args:
+        motion: the answer to a log of two positions.
+    """
+    units = (motion.log.input_unit, motion.log.output_units[0])
+    if motion.verdict == "play":
+        numbers = {"gap": motion.gap}
+        if motion.parts is not None:
+            numbers = {"gap": motion.parts.gap, "friction": motion.parts.friction}
+        return Account(NAMED, {"input reversal": numbers}, BOTH_POSITIONS, units)
+    if motion.verdict == "none":
+        limits = {"input reversal": motion.gap.high}
+        return Account(BOUNDED, {}, BOTH_POSITIONS, units, limits=limits)
+    return Account(OPEN, {}, BOTH_POSITIONS, units, doubts=tuple(motion.reasons))
 
 
 def _open(answer: Answer, units: tuple[str, str]) -> Account:

@@ -1,0 +1,63 @@
+"""All direct looks at a log, before any dynamics: each has its preconditions, or sees nothing."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from undeadzone.logs.names import kind_of
+from undeadzone_identify.logs.log import Log
+from undeadzone_identify.looks.map import RestMap, map_at_rest, map_of_rate
+from undeadzone_identify.looks.pushes import FrictionLevel, friction_level
+from undeadzone_identify.looks.rests import FreePlay, free_play_between_rests
+from undeadzone_identify.looks.stillness import Stillness, longest_stillness
+from undeadzone_identify.looks.valley import Valley, gap_of_valleys
+
+
+class Looks(NamedTuple):
+    """What is seen directly in a log; None where a look sees nothing.
+
+    Attributes:
+        at_rest: the map of readings over commands at rest.
+        of_rate: the map of the reading's rate, of an output that integrates.
+        stillness: the longest stretch in which the reading stands still while the command travels.
+        rests: two rests at one goal.
+        valley: least readings on the way up and on the way down.
+        friction: level of the friction that a torque overcomes.
+    """
+
+    at_rest: RestMap | None = None
+    of_rate: RestMap | None = None
+    stillness: Stillness | None = None
+    rests: FreePlay | None = None
+    valley: Valley | None = None
+    friction: FrictionLevel | None = None
+
+
+def look_at(log: Log) -> Looks:
+    """Look at a log with one input and one output.
+
+    Args:
+        log: with any times.
+
+    Returns:
+        What is seen; nothing of a log with several inputs.
+    """
+    if log.u.shape[1] > 1 or log.y.shape[1] > 1:
+        return Looks()
+    known = np.isfinite(log.y[:, 0])
+    t, u, y = log.t[known], log.u[known, 0], log.y[known, 0]
+    kind = kind_of(log.inputs[0], log.input_unit)
+    read = kind_of(log.outputs[0], log.output_units[0])
+    if kind == "torque":
+        moves = read in ("position", "speed")
+        return Looks(friction=friction_level(t, u, y, read == "speed") if moves else None)
+    at_rest = map_at_rest(t, u, y)
+    return Looks(
+        at_rest,
+        None if at_rest is not None else map_of_rate(t, u, y),
+        longest_stillness(t, u, y),
+        free_play_between_rests(t, u, y) if kind == "goal" else None,
+        gap_of_valleys(t, u, y),
+    )

@@ -1,0 +1,104 @@
+"""Result of `identify` where a look at the log alone gives the answer: no plant is fitted."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+from undeadzone.errors import InputError
+from undeadzone.util import shown
+from undeadzone.util.arrays import to_json_value
+from undeadzone.util.shown import Block
+from undeadzone_identify.logs.log import Log
+from undeadzone_identify.looks.first import Looks
+from undeadzone_identify.models.estimates import Interval
+from undeadzone_identify.results.account import Account
+from undeadzone_identify.results.result import save_numbers
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class IdentifiedAtRest:
+    """Effect that a log shows without any dynamics, such as a band in its map at rest.
+
+    Attributes:
+        log: which log.
+        looks: what is seen directly.
+        account: effect, cost, remedy, what is not decided, and the largest that could hide.
+
+    See Also:
+        identify
+    """
+
+    log: Log
+    looks: Looks
+    account: Account
+
+    @property
+    def verdict(self) -> str:
+        """Return the effect as a word: input_loss, loss, low_end, ...; none or unclear without."""
+        without = "none" if self.account.limits else "unclear"
+        return next(iter(self.account.effects), without).replace(" ", "_")
+
+    @property
+    def zone(self) -> bool:
+        """Return False: at which end a band lies takes a plant to tell."""
+        return False
+
+    @property
+    def width(self) -> Interval | None:
+        """Return the width of the band, or of the gap, as (value, low, high); None without one."""
+        numbers = next(iter(self.account.effects.values()), {})
+        return numbers.get("width", numbers.get("gap"))
+
+    def scenario(self, title: str = "Identified log") -> str:
+        """Raise InputError: no plant was fitted."""
+        raise InputError("scenario: the map at rest has no plant: record steps of the command")
+
+    def headline(self) -> str:
+        """Return the finding in one line."""
+        return self.account.headline()
+
+    def numbers(self) -> dict[str, Any]:
+        """Return all numbers of the answer, as `--json` prints."""
+        log = self.log
+        return dict(
+            to_json_value(
+                {
+                    "zone": False,
+                    "verdict": self.verdict,
+                    "found": self.headline(),
+                    "answer": self.account.to_json(),
+                    "width": None if self.width is None else list(self.width),
+                    "record": {"samples": int(log.t.size)},
+                    "units": {"input": log.input_unit, "output": log.output_units[0]},
+                    "remarks": [*log.remarks],
+                }
+            )
+        )
+
+    def summary(self) -> dict[str, Any]:
+        """Return the answer in words, as the command prints."""
+        log = self.log
+        names = f"{log.inputs[0]} [{log.input_unit}], {log.outputs[0]} [{log.output_units[0]}]"
+        lines: dict[str, Any] = {
+            "record": f"{log.t.size} samples, {names}",
+            "found": self.headline(),
+            "by": self.account.by,
+        }
+        lines |= self.account.summary()
+        if log.remarks:
+            lines["note"] = [*log.remarks]
+        return lines
+
+    def blocks(self) -> list[Block]:
+        """Return the table that `undeadzone identify` prints."""
+        return [self.summary()]
+
+    __repr__ = shown.format_result
+    _repr_html_ = shown.result_to_html
+
+    drawn = ("undeadzone_identify.figures", "at_rest", "map_at_rest")
+    plot = shown.plot
+    """Draw it."""
+
+    save = save_numbers

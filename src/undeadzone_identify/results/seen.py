@@ -1,0 +1,134 @@
+"""Account of a log by direct looks, and who speaks: a look, a name by the fits, or their number."""
+
+from __future__ import annotations
+
+from undeadzone_identify.logs.log import Log
+from undeadzone_identify.looks.first import Looks
+from undeadzone_identify.looks.map import FlatPart, RestMap
+from undeadzone_identify.models.estimates import Interval
+from undeadzone_identify.results.account import (
+    BOUNDED,
+    INDICATED,
+    MEASURED,
+    NAMED,
+    OPEN,
+    Account,
+    Numbers,
+)
+
+ENOUGH = 6  # rows beside an edge, from which it is measured
+CLOSE = 0.75  # share of the torque that friction and motion explain, from which it is measured
+HARDLY = 0.5  # share below which a torque and a motion are hardly related
+FLIPS = 8  # changes between two rests, from which the play is measured
+SWEEPS = 4  # from which a gap between least readings is measured
+EDGES = {"left": "lower", "right": "upper"}
+
+
+def account_of_looks(log: Log, looks: Looks) -> Account | None:
+    """Return the account by the first look that sees something; None if none does.
+
+    Args:
+        log: that was looked at.
+        looks: what is seen.
+    """
+    units = (log.input_unit, log.output_units[0])
+    seen = looks.friction
+    if seen is not None:
+        hull = seen.level
+        small = hull.high - hull.low < hull.value / 2
+        grade = MEASURED if seen.share > CLOSE and small else INDICATED
+        return Account(grade, {"friction": {"level": hull}}, "torque along the motion", units)
+    if looks.rests is not None:
+        one = looks.rests
+        sure = one.flips >= FLIPS and one.is_sharp
+        effects = {"free play": {"gap": one.gap}}
+        return Account(MEASURED if sure else INDICATED, effects, "rests at one goal", units)
+    if looks.valley is not None and looks.valley.gap.low > 0:
+        grade = MEASURED if looks.valley.sweeps >= SWEEPS else INDICATED
+        effects = {"input reversal": {"gap": looks.valley.gap}}
+        return Account(grade, effects, "least readings of sweeps up and down", units)
+    for one, by in ((looks.at_rest, "map at rest"), (looks.of_rate, "map of the rate at rest")):
+        if one is not None:
+            return _account_of_map(one, by, units)
+    return None
+
+
+def _account_of_map(seen: RestMap, by: str, units: tuple[str, str]) -> Account | None:
+    """Return the account of a map at rest; None where it has neither a part nor a bound."""
+    by = f"{by} ({seen.x.size} levels of the command)"
+    parts = [_effect_of_part(part) for part in seen.flats]
+    effects: dict[str, Numbers] = {}
+    for effect, numbers in parts:
+        effects.setdefault(effect, numbers)
+    unmet = tuple(side for side, rows in seen.met.items() if not rows and "loss" in effects)
+    if effects:
+        edges = [edge for part in seen.flats for edge in (part.left, part.right) if edge is not None]
+        grade = MEASURED if min(edge.rows for edge in edges) >= ENOUGH else INDICATED
+        level = f"the reading rests at {seen.flats[0].level:.4g}"
+        return Account(grade, effects, f"{by}; {level}", units, unmet=unmet)
+    if seen.fold is not None:
+        edge = Interval(seen.fold, seen.fold, seen.fold)
+        return Account(INDICATED, {"fold": {"edge": edge}}, by, units)
+    if seen.bound is None:
+        return None
+    return Account(BOUNDED, {}, by, units, limits={"loss": seen.bound})
+
+
+def _effect_of_part(part: FlatPart) -> tuple[str, Numbers]:
+    """Return the effect of a flat part of a map with its edges."""
+    edges = {EDGES[name]: getattr(part, name) for name in EDGES}
+    numbers = {name: edge.interval for name, edge in edges.items() if edge is not None}
+    if part.kind != "band":
+        return part.kind, numbers
+    if all(edge.jumps for edge in edges.values() if edge is not None):
+        return "input threshold", numbers
+    if len(numbers) == len(EDGES):
+        low, high = numbers["lower"], numbers["upper"]
+        ends = high.low - low.high, high.high - low.low
+        numbers["width"] = Interval(high.value - low.value, *ends)
+    return "loss", numbers
+
+
+def account_at_once(log: Log, looks: Looks) -> Account | None:
+    """Return the account by looks where dynamics tell no more; None where they may.
+
+    A table and a slow sweep have no dynamics, and a torque along a motion, or two rests at one
+    goal, need none.
+
+    Args:
+        log: that was looked at.
+        looks: what is seen.
+    """
+    said = account_of_looks(log, looks)
+    if said is None:
+        return None
+    one = looks.at_rest
+    if looks.friction is not None or looks.rests is not None:
+        return said if said.grade == MEASURED else None
+    if one is None or one.rows.how == "holds":
+        return None
+    return said if said.grade in (MEASURED, INDICATED) or one.rows.how == "table" else None
+
+
+def choose_account(fitted: Account, seen: Account | None, looks: Looks) -> Account:
+    """Return the account that speaks: a name by the fits, else a measured number, else theirs.
+
+    Args:
+        fitted: by the fits of a plant.
+        seen: by looks; None: they see nothing.
+        looks: what is seen. No bound is below the travel of the command while the reading stood
+            still.
+    """
+    if seen is not None and seen.effects and not (fitted.grade == NAMED and fitted.effects):
+        is_better = seen.grade == MEASURED or fitted.grade in (OPEN, BOUNDED)
+        if is_better:
+            others = {key: one for key, one in fitted.effects.items() if key not in seen.effects}
+            return seen._replace(others=others | fitted.others)
+    if seen is not None and fitted.grade == OPEN and seen.grade == BOUNDED:
+        return seen
+    travel = 0.0 if looks.stillness is None else looks.stillness.travel
+    limits = {
+        key: max(one, travel) if key.startswith("input") else one
+        for key, one in fitted.limits.items()
+    }
+    return fitted._replace(limits=limits)
