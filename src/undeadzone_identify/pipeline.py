@@ -75,10 +75,12 @@ from undeadzone_identify.selection.alternatives import (
     has_play_ahead,
     holds_more,
     may_have_shaped_zone,
+    may_lie_at_input,
     needs_an_element,
     needs_valve_test,
     with_adequacy,
     withhold_hidden_readings,
+    withhold_zone_at_either_end,
     without_needless,
 )
 from undeadzone_identify.selection.decision import (
@@ -623,6 +625,7 @@ HYPOTHESES = (
         "a shaped zone without a width", may_have_shaped_zone, deny_shaped_zone_without_width
     ),
     Hypothesis("if a larger model simulates better", holds_more, without_needless),
+    Hypothesis("at which end a zone is", may_lie_at_input, withhold_zone_at_either_end),
     Hypothesis("the widths of a play", _has_play_verdict, add_play_gap),
     Hypothesis("noise that falls silent in the zone", _has_zone_with_zeros, _add_kalman_fit),
     Hypothesis("a spring that bends, or an offset", _needs_remainder_test, _add_remainder),

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from undeadzone.util.arrays import Flags, Floats
-from undeadzone_identify.models.estimates import Interval, long_run_covariance
+from undeadzone_identify.models.elements import FEWEST
 from undeadzone_identify.models.least_squares import FittedModel
 from undeadzone_identify.results.account import (
     BOUNDED,
@@ -26,12 +26,16 @@ from undeadzone_identify.results.account import (
 )
 from undeadzone_identify.results.assemble import WITHHELD, Answer
 from undeadzone_identify.selection.alternatives import (
+    APART,
     MEASURED,
+    OF_INPUT,
     fit_of,
+    gain_and_spread,
     held_out_residual,
     impossible_words,
     measure_word,
 )
+from undeadzone_identify.selection.decision import MEMORY
 from undeadzone_identify.selection.lost_motion import LostMotionAnswer
 from undeadzone_identify.selection.odds import model_probabilities
 
@@ -56,9 +60,9 @@ EFFECT_OF = {  # words of the verdict
     "external": "outside",
     "tight_tuning": "tuning",
 }
+SIDES = ("right", "left")
 TRIED = 5  # of the likeliest models, that are compared on held-out data
 OTHERS = 2  # effects that are printed beside the first
-APART = 2.5  # deviations by which two models are told apart
 SIMILAR = 1.1  # of the least held-out error, up to which a model simulates as well
 HINT, GAINS, SHOWS = 1.5, 0.02, 0.75  # deviations and share of squares, or share of the rms that
 # is left, from which an effect is worth a number
@@ -152,9 +156,8 @@ class Compared(NamedTuple):
 
     def deviations_before(self, other: Compared) -> float:
         """Return by how many standard deviations it is better than another model."""
-        gain = other.error**2 - self.error**2
-        spread = float(long_run_covariance(gain[:, None])[0][0, 0]) ** 0.5
-        return float(gain.sum()) / max(spread, 1e-300)
+        gain, spread = gain_and_spread(self.error, other.error)
+        return gain / max(spread, 1e-300)
 
     def compare_to(self, line: Compared, test: Flags, scale: float) -> Buys:
         """Return the held-out errors of both, in units of the log."""
@@ -163,9 +166,11 @@ class Compared(NamedTuple):
 
     @property
     def is_positive(self) -> bool:
-        """Return whether no number of it may be 0."""
-        widths = [one for name, one in self.numbers.items() if name in ("width", "gap", "level")]
-        return all(one.low > 0 for one in widths)
+        """Return whether no number of it may be 0, and no edge lies on the other side."""
+        sides = [one.high > 0 for name, one in self.numbers.items() if name in SIDES]
+        return all(sides) and all(
+            one.low > 0 for name, one in self.numbers.items() if name not in SIDES
+        )
 
 
 def _compare(answer: Answer, word: str) -> tuple[Compared, Flags] | None:
@@ -182,14 +187,27 @@ def _numbers_of_word(answer: Answer, word: str, fit: FittedModel[Any]) -> Number
     """Return the numbers of a class that is not named, in the unit of its end."""
     if word not in MEASURED:
         return {}
-    known = {
-        name: one for name, one in measure_word(answer.case, fit, word)[0].items() if one is not None
-    }
-    if word == "friction" and "width" in known:
+    measured = measure_word(answer.case, fit, word)[0]
+    known = {name: one for name, one in measured.items() if one is not None and name != "centre"}
+    if word == "friction":
         return {"level": known["width"].scale_by(0.5)}
-    if word in ("play", "input_play"):
+    if word in MEMORY or word == "input_play":
         return {"gap": known["width"]}
-    return {name: one for name, one in known.items() if name != "centre"}
+    unmet = _unmet_sides(answer, word, known)
+    return {
+        name: one for name, one in known.items() if name not in unmet and (name != "width" or not unmet)
+    }
+
+
+def _unmet_sides(answer: Answer, word: str, widths: Numbers) -> set[str]:
+    """Return the sides of a zone beyond whose edges the log never was."""
+    samples = dict(zip(SIDES, answer.excitation.samples, strict=True))
+    if word in OF_INPUT:
+        u = answer.case.grid.u[:, 0]
+        for name, beyond in zip(SIDES, (u, -u), strict=True):
+            edge = widths.get(name)
+            samples[name] = 0 if edge is None else int(np.count_nonzero(beyond > edge.value))
+    return {name for name, count in samples.items() if count < FEWEST}
 
 
 def _buys_of_word(answer: Answer) -> Buys | None:
@@ -220,8 +238,8 @@ def _account_of_fits(answer: Answer, units: tuple[str, str]) -> Account:
         if there is not None and there[0].error.size == line.error.size:
             rows.append(there[0])
     rows = sorted(filter(lambda one: _is_worth(one, line), rows), key=lambda one: one.rms)
-    rows = [one for one in rows if one.numbers] + [one for one in rows if not one.numbers]
-    sure = [one for one in rows if one.is_positive]
+    positive = [one for one in rows if one.is_positive]
+    sure = [one for one in positive if one.numbers] or positive[:1]
     if not sure:
         return _bound(answer, units, line, test)
     first = sure[0]

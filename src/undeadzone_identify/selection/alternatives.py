@@ -111,6 +111,7 @@ SMALLER = {  # words of models that a word's model holds
     "other": ("none",),
 }
 SURELY = 2.0  # deviations, by which a larger model must be worse to be denied
+APART, CLOSE = 2.5, 1.05  # deviations, and ratio of rms, by which a model is told from another
 LITTLE = 0.1  # share of held-out squares: a smaller gain must be one by SURELY deviations
 MOST_INSIDE = 0.5  # slope in the middle of a zone over that outside, from which it is another curve
 LAST = {"input_zone": 40, "two_zones": 40}  # steps of a climb that checks a fit
@@ -139,7 +140,9 @@ MEASURED = {  # what is known of an element, by word
     "input_zone": tuple(DIRECTIONS),
     "dead_zone": tuple(DIRECTIONS),
     "filtered_zone": tuple(DIRECTIONS),
+    "jump": ("right", "left", "width"),
     "play": ("width",),
+    "both": ("width",),
     "input_play": ("width",),
 }
 
@@ -1078,9 +1081,8 @@ def without_needless(case: Case, found: Findings) -> Findings:
         smaller = next((one for one in models if one and one.squares.data.y.size == e.size), None)
         if smaller is None:
             continue
-        gain = (held_out_residual(smaller, held_out)[0] ** 2 - e**2)[test]
-        total = float(gain.sum())
-        sure = SURELY * float(long_run_covariance(gain[:, None])[0][0, 0]) ** 0.5
+        total, spread = gain_and_spread(e[test], held_out_residual(smaller, held_out)[0][test])
+        sure = SURELY * spread
         if total > min(sure, LITTLE * float(e[test] @ e[test])):
             continue
         if total > -sure:
@@ -1095,7 +1097,49 @@ def without_needless(case: Case, found: Findings) -> Findings:
     return found
 
 
+def may_lie_at_input(case: Case, found: Findings) -> bool:
+    """Return whether a sensor's zone is named whose place nobody gave."""
+    is_open = case.jump_edges is None and case.options.place == "auto"
+    return is_open and found.element is None and found.verdict.word in ("dead_zone", "filtered_zone")
+
+
+def withhold_zone_at_either_end(case: Case, found: Findings) -> Findings:
+    """Withhold a sensor's zone if an element of the input simulates held-out data as well.
+
+    Args:
+        case: the log.
+        found: named a zone of the sensor.
+    """
+    word = found.verdict.word
+    own = fit_of(case, found, word)
+    if own is None:
+        return found
+    e, test = held_out_residual(own, case.options.held_out)
+    for name in ("input_zone", "friction"):
+        other = fit_of(case, found, name)
+        if other is None or other.squares.data.y.size != e.size:
+            continue
+        left = held_out_residual(other, case.options.held_out)[0][test]
+        total, spread = gain_and_spread(e[test], left)
+        is_close = root_mean_square(left) < CLOSE * root_mean_square(e[test])
+        if is_close and total < APART * spread:
+            reason = f"{CANNOT_TELL} {MODELS[word]} from {MODELS[name]}: both simulate as well"
+            return found._replace(verdict=build_verdict("undecided", reason), odds={})
+    return found
+
+
 # --- How it does on data that had no part in its fit
+
+
+def gain_and_spread(error: Floats, other: Floats) -> tuple[float, float]:
+    """Return how much less a model's squared errors are than another's, and its deviation.
+
+    Args:
+        error: of the model, on held-out data (N).
+        other: of the other one (N).
+    """
+    gain = other**2 - error**2
+    return float(gain.sum()), float(long_run_covariance(gain[:, None])[0][0, 0]) ** 0.5
 
 
 def validate_element(element: Element, held_out: float) -> HeldOutScore:
