@@ -138,6 +138,7 @@ def identify(
     from undeadzone.util.own_files import require_own_file
     from undeadzone_identify.chain import compensating_lines
     from undeadzone_identify.pipeline import identify as identified
+    from undeadzone_identify.results.at_rest import IdentifiedAtRest
     from undeadzone_identify.results.lost_motion import IdentifiedMotion
     from undeadzone_identify.results.result import WRITTEN
 
@@ -156,7 +157,7 @@ def identify(
         names = [str(path) for path in logs]
         answer = identified(names, progress=advance, keep=keep, resume=resume, **options)
         wanted = options["kind"].replace("backlash", "play")
-        motion = answer if isinstance(answer, IdentifiedMotion) else None
+        motion = answer if isinstance(answer, IdentifiedMotion | IdentifiedAtRest) else None
         is_found = answer.verdict in ("dead_zone", "play" if motion else wanted)
         written: list[Path] = [] if folder is None else [answer.save(folder / "identify.json")]
         reason = None
@@ -173,15 +174,14 @@ def identify(
     why |= {} if reason is None else {"no scenario": reason.removeprefix("scenario: ")}
     is_written = path in written
     driven = is_written and "[reference]" in path.read_text(encoding="utf-8")
-    late = 0 if isinstance(answer, IdentifiedMotion) else answer.recorded_delay
+    late = getattr(answer, "recorded_delay", 0)
     follow = {"next": _next_commands(path, logs, options, driven, late)} if is_written else {}
     numbers = answer.numbers()
-    lines = compensating_lines(numbers, first.name)
+    lines = compensating_lines(numbers, first.name) if answer.account.is_certain else {}
     if folder is not None and lines:
         few = shell_command("undeadzone", "export", folder / "identify.json", "--to", "snippet")
         why |= {"few lines": f"{few} writes these in C, Python and Structured Text"}
-    accounts = [one.account for one in getattr(answer, "outputs", (answer,))]
-    is_done = is_written or all(one.says_something for one in accounts)
+    is_done = is_written or answer.account.says_something
     chain_numbers = {}
     if chain is not None:
         scenario_file = path if is_written else None
@@ -233,7 +233,8 @@ def _build_firmware(
         run_firmware_chain,
         run_snippet_chain,
     )
-    from undeadzone_identify.results.result import IdentifiedOutputs
+    from undeadzone_identify.results.lost_motion import IdentifiedMotion
+    from undeadzone_identify.results.result import Identified
 
     with progress("going on to firmware", None):
         if scenario is not None:
@@ -243,7 +244,7 @@ def _build_firmware(
         if (
             lost_motion is None
             or lost_motion.kind != "backlash"
-            or isinstance(answer, IdentifiedOutputs)
+            or not isinstance(answer, IdentifiedMotion | Identified)
         ):
             reason = "none: there is neither a scenario nor a certain gap to make it of"
             return FirmwareChain({"firmware": reason}, {}, [], False)
@@ -302,11 +303,12 @@ def _write_pages(answer: Answers, folder: Path, source: str, best: NextLog | Non
     """Write a page with figures for each output to a folder; return the paths."""
     from undeadzone.results.mjcf import write_gears
     from undeadzone_identify.page import write_identified, write_identified_motion
+    from undeadzone_identify.results.at_rest import IdentifiedAtRest
     from undeadzone_identify.results.lost_motion import IdentifiedMotion
     from undeadzone_identify.results.result import Identified
     from undeadzone_identify.results.words import servo_joints
 
-    if isinstance(answer, IdentifiedMotion):
+    if isinstance(answer, IdentifiedMotion | IdentifiedAtRest):
         return write_identified_motion(answer, folder, source, build_origin(None))
     if isinstance(answer, Identified):
         written = write_gears(servo_joints(answer.answer), folder)

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from undeadzone.util.arrays import Floats, Integers
+    from undeadzone_identify.results.at_rest import IdentifiedAtRest
     from undeadzone_identify.results.lost_motion import IdentifiedMotion
     from undeadzone_identify.results.result import IdentifiedOutputs
     from undeadzone_identify.selection.alternatives import Element
@@ -209,6 +210,43 @@ def both_flanks(axes: Axes, result: IdentifiedMotion) -> None:
         axes.axhline(sign * 0.5 * found.gain * one.gap.value, color=ink.ESTIMATE, linewidth=0.8)
     left = label_with_unit("y - R u - b", one.log.output_units[0])
     finish_panel(axes, "Both flanks", left, label_with_unit("u", one.log.input_unit))
+
+
+def at_rest(result: IdentifiedAtRest) -> Figure:
+    """Draw readings over commands at rest with the edges of each flat part.
+
+    Args:
+        result: of a log whose map at rest gave the answer.
+    """
+    figure, (axes,) = create_panels(1, 3.2)
+    map_at_rest(axes, result)
+    return figure
+
+
+def map_at_rest(axes: Axes, result: IdentifiedAtRest) -> None:
+    """Draw the map at rest, or the readings over the commands, with shaded bands.
+
+    Args:
+        axes: where to.
+        result: of a log.
+    """
+    log = result.log
+    _plot_dots(axes, log.u[:, 0], log.y[:, 0], ink.MUTED, "readings")
+    seen = result.looks.at_rest
+    if seen is not None:
+        axes.plot(seen.x, seen.predict(seen.x), color=ink.ESTIMATE, label="map at rest")
+    for part in () if seen is None else seen.flats:
+        ends = [edge.interval for edge in (part.left, part.right) if edge is not None]
+        inside = [one.value for one in ends]
+        limits = axes.get_xlim()
+        low = inside[0] if part.left is not None else limits[0]
+        high = inside[-1] if part.right is not None else limits[1]
+        axes.axvspan(low, high, color=ink.ESTIMATE, alpha=0.12, lw=0)
+        for one in ends:
+            axes.axvspan(one.low, one.high, color=ink.ESTIMATE, alpha=0.3, lw=0)
+        axes.set_xlim(limits)
+    finish_panel(axes, label_with_unit(log.outputs[0], log.output_units[0]))
+    axes.set_xlabel(label_with_unit(log.inputs[0], log.input_unit))
 
 
 def _shade_held_out(axes: Axes, found_log: Identified) -> None:

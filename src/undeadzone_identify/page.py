@@ -12,8 +12,9 @@ import numpy as np
 from undeadzone.report import html
 from undeadzone.util.text import HALF_95, format_with_interval, label_with_unit
 from undeadzone_identify.chain import compensating_lines
-from undeadzone_identify.figures import build_figures, lost_motion
+from undeadzone_identify.figures import at_rest, build_figures, lost_motion
 from undeadzone_identify.results.account import Account
+from undeadzone_identify.results.at_rest import IdentifiedAtRest
 from undeadzone_identify.results.lost_motion import IdentifiedMotion
 from undeadzone_identify.results.next_log import NextLog
 from undeadzone_identify.results.result import Identified
@@ -59,6 +60,11 @@ OF_ELEMENT = {  # in place of these
 OF_POSITIONS = {
     "overview": "Above: the second position and its fit. Below: what it lags behind the first, by"
     " the first; the lines are both flanks of the gap.",
+}
+
+AT_REST = {
+    "overview": "Readings over commands at rest; the band in which the reading stands still is"
+    " shaded, with the 95 % intervals of its edges.",
 }
 
 
@@ -166,9 +172,12 @@ def _few_lines_section(numbers: dict[str, Any], source: str) -> list[html.Html]:
 
 
 def write_identified_motion(
-    found: IdentifiedMotion, folder: Path, source: str, origin: html.Origin | None = None
+    found: IdentifiedMotion | IdentifiedAtRest,
+    folder: Path,
+    source: str,
+    origin: html.Origin | None = None,
 ) -> list[Path]:
-    """Write the figure of two positions as SVG and report.html to a folder.
+    """Write the figure of two positions, or of a map at rest, as SVG and report.html to a folder.
 
     Args:
         found: the answer.
@@ -183,18 +192,20 @@ def write_identified_motion(
         FileError: a file cannot be written.
     """
     text = partial(_build_motion_page, found, source=source, origin=origin)
-    return html.write_page({"overview": lost_motion(found)}, folder, text)
+    draw = lost_motion if isinstance(found, IdentifiedMotion) else at_rest
+    return html.write_page({"overview": draw(found)}, folder, text)
 
 
 def _build_motion_page(
-    found: IdentifiedMotion,
+    found: IdentifiedMotion | IdentifiedAtRest,
     images: Mapping[str, bytes],
     source: str,
     origin: html.Origin | None = None,
 ) -> str:
-    """Build the HTML page of two positions."""
+    """Build the HTML page of two positions, or of a map at rest."""
     head = html.build_tag("span", found.headline(), _colour(found.account))
-    shown = html.encode_pictures(images, CAPTIONS | OF_POSITIONS)
+    captions = OF_POSITIONS if isinstance(found, IdentifiedMotion) else AT_REST
+    shown = html.encode_pictures(images, captions)
     return html.build_page(
         f"Identified: {source}",
         html.build_paragraph(head),

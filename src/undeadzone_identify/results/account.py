@@ -17,6 +17,7 @@ MEASURED = "measured"  # the number is certain, its cause may not be
 INDICATED = "indicated"  # the likeliest number, with the doubts that are printed
 BOUNDED = "bounded"  # nothing was found: the largest effects that could hide
 OPEN = "open"  # neither a number nor a bound
+GRADES = (NAMED, MEASURED, INDICATED, BOUNDED, OPEN)
 SAYS = (NAMED, MEASURED, INDICATED, BOUNDED)  # grades with a number or a bound
 CERTAIN = (NAMED, MEASURED)  # grades for which code and a scenario are written
 LEADS = {MEASURED: "Measured: ", INDICATED: "Indicated, not certain: "}

@@ -50,6 +50,16 @@ class IdentifiedAtRest:
         numbers = next(iter(self.account.effects.values()), {})
         return numbers.get("width", numbers.get("gap"))
 
+    @property
+    def right(self) -> Interval | None:
+        """Return the upper edge of the band [u]; None without one."""
+        return next(iter(self.account.effects.values()), {}).get("upper")
+
+    @property
+    def left(self) -> Interval | None:
+        """Return the lower edge of the band [u]; None without one."""
+        return next(iter(self.account.effects.values()), {}).get("lower")
+
     def scenario(self, title: str = "Identified log") -> str:
         """Raise InputError: no plant was fitted."""
         raise InputError("scenario: the map at rest has no plant: record steps of the command")

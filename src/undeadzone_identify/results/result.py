@@ -22,7 +22,7 @@ from undeadzone_identify.logs.log import log_from_arrays, read_log
 from undeadzone_identify.models.estimates import Interval
 from undeadzone_identify.models.kalman_fit import smooth_with_deviation
 from undeadzone_identify.models.plant import PlantSimulator
-from undeadzone_identify.results.account import Account
+from undeadzone_identify.results.account import GRADES, Account
 from undeadzone_identify.results.assemble import Answer
 from undeadzone_identify.results.model import (
     Predicted,
@@ -384,6 +384,11 @@ class IdentifiedOutputs:
         """
         words = [one.verdict for one in self.outputs]
         return next((word for word in words if word != "dead_zone"), "dead_zone")
+
+    @property
+    def account(self) -> Account:
+        """Return the account of the output of which least is known."""
+        return max((one.account for one in self.outputs), key=lambda one: GRADES.index(one.grade))
 
     @property
     def recorded_delay(self) -> int:

@@ -16,6 +16,7 @@ import numpy as np
 
 from undeadzone.util.arrays import Floats, Integers
 from undeadzone_identify.logs.grid import Grid
+from undeadzone_identify.logs.log import Log
 from undeadzone_identify.models.chain import ChainFit, ChainModel
 from undeadzone_identify.models.estimates import Interval
 from undeadzone_identify.models.least_squares import (
@@ -199,7 +200,7 @@ def may_be_valve(case: Case, odds: dict[str, float]) -> bool:
     return any(odds.get(word, 0.0) > UNLIKELY for word in SUSPECTS) or is_control_loop(case)
 
 
-def is_named_loop(grid: Grid) -> bool:
+def is_named_loop(grid: Grid | Log) -> bool:
     """Return whether the input has the name of a controller's output.
 
     Args:

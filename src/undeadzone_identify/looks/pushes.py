@@ -1,0 +1,2 @@
+class FrictionLevel: pass
+def friction_level(*a): return None

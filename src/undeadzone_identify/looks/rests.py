@@ -1,0 +1,2 @@
+class FreePlay: pass
+def free_play_between_rests(*a): return None

@@ -1,0 +1,2 @@
+class Stillness: pass
+def longest_stillness(*a): return None

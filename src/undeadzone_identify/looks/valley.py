@@ -1,0 +1,2 @@
+class Valley: pass
+def gap_of_valleys(*a): return None
