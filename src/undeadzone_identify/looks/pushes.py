@@ -1,2 +1,0 @@
-class FrictionLevel: pass
-def friction_level(*a): return None

@@ -1,2 +1,0 @@
-class Valley: pass
-def gap_of_valleys(*a): return None
