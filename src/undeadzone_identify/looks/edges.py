@@ -7,6 +7,7 @@ share of the way outside, and perhaps a step.
 
 from __future__ import annotations
 
+import itertools
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +19,7 @@ from undeadzone_identify.models.estimates import Interval
 BENDS = ((), (0.4,), (0.15, 0.5), (0.05, 0.2, 0.5), (0.03, 0.1, 0.25, 0.5, 0.75))
 KNOWN = 4e-4  # of the range: no map is better known
 LEAP = 0.02  # of the range, from which a step at an edge is one
+MILD = 2.0  # times log n: how much worse a line with a jump may be than one that bends more
 SURE = 4.0  # times the residual, from which it is one
 TENTHS = 10  # groups of the jackknife
 
@@ -80,31 +82,35 @@ def fit_side(x: Floats, v: Floats, w: Floats, inner: int, bends: int | None = No
     last = min(inner - 1 + max(inner, 8), n - 2)
     rank = np.arange(max(inner // 2 - 0.5, 0.0), last + 0.99, max(0.25, last / 160))
     grid = np.interp(rank, np.arange(n), x)
-    best = (np.inf, (), False, 0.0)
-    for places in BENDS:
-        for steps in (False, True):
-            size = 2 + len(places) + steps
-            if (bends is None or bends == len(places)) and outer > len(places) + steps:
-                losses, _ = _solve(x, v, w, grid, places, steps)
-                k = int(np.argmin(losses))
-                price = n * np.log(losses[k] / n + KNOWN**2) + (size + 1) * np.log(n)
-                best = min(best, (float(price), places, steps, float(grid[k])))
-    places, steps, at = best[1:]
-    if steps:
-        side = _finish(x, v, w, inner, at, places, True)
-        if abs(side.step) > max(LEAP, SURE * float(np.std(side.outer))):
+    at_rows = x[int(rank[0] + 0.5) : last + 1]
+    best: dict[bool, tuple[float, tuple[float, ...], float]] = {}
+    for steps, places in itertools.product((False, True), BENDS):
+        size = 2 + len(places) + steps
+        if bends in (None, len(places)) and outer > len(places) + steps:
+            edges = at_rows if steps else grid
+            losses, _ = _solve(x, v, w, edges, places, steps)
+            k = int(np.argmin(losses))
+            price = n * np.log(losses[k] / n + KNOWN**2) + (size + 1) * np.log(n)
+            best[steps] = min(best.get(steps, (np.inf,)), (float(price), places, float(edges[k])))
+    if True in best and best[True][0] < best[False][0] + MILD * np.log(n):
+        side = _finish(x, v, w, inner, best[True][2], best[True][1], True)
+        least = max(LEAP, SURE * float(np.std(side.outer)))
+        ahead = side.step * np.sign(side.slope or side.step)
+        if ahead > least:
             return side
-    at = _refine(x, v, w, grid, places)
-    return _finish(x, v, w, inner, at, places, False)
+    places = best[False][1]
+    return _finish(x, v, w, inner, _refine(x, v, w, grid, places), places, False)
 
 
-def jackknife(x: Floats, v: Floats, w: Floats, side: Side) -> float:
-    """Return the half width of the 95 % interval of an edge, which leaves a tenth of the rows out."""
+def jackknife(x: Floats, v: Floats, w: Floats, inner: int, side: Side) -> float:
+    """Return the half width of the 95 % interval of an edge, by leaving tenths of the rows out."""
     groups = np.arange(x.size) % min(TENTHS, max(3, x.size // 3))
     near = x[np.searchsorted(x, side.x)] - x[max(np.searchsorted(x, side.x) - 1, 0)]
+    if inner < 3:
+        groups[:inner] = -1
     reach = max(near, 0.3 * (side.x - x[0]))
     grid = np.linspace(max(side.x - reach, x[0]), min(side.x + reach, x[-2]), 41)
-    edges = [_refine(x, v, w * (groups != g), grid, side.bends) for g in np.unique(groups)]
+    edges = [_refine(x, v, w * (groups != g), grid, side.bends) for g in range(groups.max() + 1)]
     size = len(edges)
     scatter = np.sqrt((size - 1) * np.var(edges))
     return float(student.ppf(0.975, size - 1) * scatter)

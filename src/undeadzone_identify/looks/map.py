@@ -27,18 +27,21 @@ from undeadzone_identify.looks.rows import (
 from undeadzone_identify.models.estimates import Interval
 
 MOST = 400  # levels of a map; more are put together by quantiles
+CLOSE = 1e-3  # of the commands' range, below which two levels are one
 WIDE, FINE = 0.012, 1e-4  # of the range: distances from the level of a candidate
 CANDIDATES = 6
+SMOOTHED = 24  # levels in a row, from which noise is smoothed
 STEEPER = 0.35  # of the slope beside it: the largest inside a candidate
 FLAT = 0.1  # of the slope beside it: the largest inside a flat part
 HIDES, LEAST = 8.0, 0.008  # residuals and share of the range, that a flat part hides at least
+FOUND = 5.0  # residuals by which a band lies beside a straight line, all rows together
 EXPLAINED = 0.98  # of the variance beside a flat part
 BENT = 4.0  # times the bends after it: the bend at an edge behind one or two levels
 UNVISITED = 0.2  # of the commands' range, from which a gap is said
 APART = 0.05  # of the range: readings that contradict, and both sides of a gap
 FOLDED = 0.03  # of the range, by which a reading must come back
 TURN = 0.3  # of the commands' range, from which the way back is a sweep of its own
-PERIODS, EVEN, RIPPLES = 3, 0.25, 0.5  # least number, spread of distances, share of the variance
+PERIODS, EVEN, RIPPLES = 4, 0.25, 0.5  # least number, spread of distances, share of the variance
 STAYS = 0.03  # of the commands' range, by which a command moves that stays
 RATE_EXPLAINED = 0.8  # of the variance of rates, by the command
 
@@ -162,7 +165,7 @@ def read_map(rows: Rows) -> RestMap | None:
     up_down = _up_down(u, y, rows.came, line)
     plays = up_down is not None and up_down.low > 0 and up_down.value > LEAST
     one_way = _one_way(u, y, rows.came) if plays else unit
-    parts = _flat_parts(one_way, _legs(u, y))
+    parts = _flat_parts(one_way, _legs(u, y), plays)
     ripples = _ripples(unit, parts)
     parts = [] if ripples else parts
     nodes = _nodes(one_way, parts) if parts else line
@@ -179,18 +182,19 @@ def read_map(rows: Rows) -> RestMap | None:
         "curve": bent > max(3 * noise, LEAST),
         "line": True,
     }
+    shape = next(word for word, found in shapes.items() if found)
     return RestMap(
         rows=rows,
         x=levels.x,
         y=levels.v,
         flats=tuple(_in_units(part, base, height) for part in parts),
-        shape=next(word for word, found in shapes.items() if found),
+        shape=shape,
         up_down=None if up_down is None else up_down.scale_by(height[0]),
-        bound=_bound(nodes, one_way, noise) * height[0],
+        bound=_bound(nodes, one_way, noise, shape == "line") * height[0],
         unvisited=_unvisited(levels, height),
         met=_met(one_way, parts),
         fold=None if fold is None else base[0] + height[0] * fold,
-        contradicts=float(np.mean(np.abs(residual) > max(APART, HIDES * noise))),
+        contradicts=float(np.mean(np.abs(residual) > APART)),
         share=float(1 - np.var(residual) / np.var(y)),
         quiet=_quiet(parts),
         nodes=base[:, None] + height[:, None] * nodes,
@@ -204,7 +208,8 @@ def _medians(u: Floats, y: Floats) -> Levels:
     """Return the medians by level of the command, or by its quantiles if there are many."""
     x = np.unique(u)
     if x.size > MOST:
-        x = np.unique(np.quantile(u, np.linspace(0, 1, MOST + 1)[:-1]))
+        x = np.quantile(u, np.linspace(0, 1, MOST + 1)[:-1])
+    x = x[np.unique(np.floor((x - x[0]) / (CLOSE * np.ptp(x))), return_index=True)[1]]
     level = np.searchsorted(x, u, side="right") - 1
     order = np.lexsort((y, level))
     first = np.searchsorted(level[order], np.arange(x.size + 1))
@@ -263,7 +268,7 @@ def _nodes(levels: Levels, parts: list[FlatPart]) -> Floats:
         inside |= within
     for first, last in zip(*bounds_of_runs(~inside), strict=True):
         run = slice(first, last + 1)
-        if last - first >= 7:
+        if last - first >= SMOOTHED:
             v[run] = make_smoothing_spline(x[run], v[run], levels.w[run])(x[run])
     nodes = np.vstack([np.column_stack([x, v]), *points])
     return nodes[np.argsort(nodes[:, 0], kind="stable")].T
@@ -272,7 +277,7 @@ def _nodes(levels: Levels, parts: list[FlatPart]) -> Floats:
 # --- Flat parts
 
 
-def _flat_parts(levels: Levels, legs: list[Levels]) -> list[FlatPart]:
+def _flat_parts(levels: Levels, legs: list[Levels], plays: bool) -> list[FlatPart]:
     """Return the flat parts from left to right."""
     x, v = levels.x, levels.v
     n = x.size
@@ -280,7 +285,7 @@ def _flat_parts(levels: Levels, legs: list[Levels]) -> list[FlatPart]:
     runs = [run for near in (fine, WIDE) for run in find_runs(v, near, 3)]
     runs = [run for run in runs if _is_steeper_beside(levels, *run)]
     runs.sort(key=lambda run: run[0] - run[1])
-    short = [(0, 2), (n - 2, n), (0, 1), (n - 1, n)]
+    short = [] if plays else [(0, 2), (n - 2, n), (0, 1), (n - 1, n)]
     parts: list[FlatPart] = []
     for run in [*runs[:CANDIDATES], *short]:
         low, high = x[run[0]], x[run[1] - 1]
@@ -371,6 +376,8 @@ def _is_flat(levels: Levels, inside: Flags, fits: list[Side], residual: Floats) 
     explains = min(side.share for side in fits) > EXPLAINED
     if leans or not explains or hidden < max(HIDES * noise, LEAST):
         return False
+    if n < 3:
+        return True
     degree = 2 + len(fits)
     curve = np.polynomial.Polynomial.fit(x[near], v[near], degree, w=w[near])
     bent = np.sum(((v - curve(x)) * w)[near] ** 2)
@@ -395,7 +402,7 @@ def _edge(
     if side.step:
         found = Interval((still + moves) / 2, still, moves)
     else:
-        found = Interval.from_half_width(side.x, max(cell, jackknife(x, v, w, side)))
+        found = Interval.from_half_width(side.x, max(cell, jackknife(x, v, w, end - first, side)))
     own = [_edge_of_leg(leg, level, len(side.bends)) for leg in legs]
     own = [at for at in own if at is not None]
     if own:
@@ -476,15 +483,15 @@ def _up_down(u: Floats, y: Floats, came: Floats, line: Floats) -> Interval | Non
 def _ripples(levels: Levels, parts: list[FlatPart]) -> bool:
     """Return whether the map waves about a bent line with a period, or has flat parts like stairs."""
     bands = [_ends(part) for part in parts if part.kind == "band"]
-    apart = np.diff(np.mean(bands, axis=1)) if len(bands) >= PERIODS else np.array([1.0, -1.0])
+    apart = np.diff(np.mean(bands, axis=1)) if len(bands) > 2 else np.array([1.0, -1.0])
     if np.std(apart) < EVEN * np.mean(apart):
         return True
     size = levels.x.size
-    if size < 8 * PERIODS:
+    if parts or size < 8 * PERIODS:
         return False
     x = np.linspace(0, 1, size)
     v = np.interp(x, levels.x, levels.v)
-    wave = v - np.polyval(np.polyfit(x, v, 3), x)
+    wave = v - np.polyval(np.polyfit(x, v, 5), x)
     often = np.arange(PERIODS, size / 4, 0.5)
     power = np.abs(np.exp(2j * np.pi * np.outer(often, x)) @ wave) ** 2 * 2 / size
     is_real = np.std(wave) > max(3 * noise_of(levels.v), 5 * KNOWN)
@@ -501,13 +508,31 @@ def _fold(nodes: Floats, noise: float) -> float | None:
     return None
 
 
-def _bound(nodes: Floats, levels: Levels, noise: float) -> float:
+def _bound(nodes: Floats, levels: Levels, noise: float, is_line: bool) -> float:
     """Return the largest dead band that the map could hide: by its noise, slope and spacing."""
     x, v = levels.x, np.interp(levels.x, *nodes)
+    if is_line:
+        return _bound_beside_line(levels)
     slope = np.abs(np.diff(v) / np.diff(x))
     moving = slope > STEEPER * np.median(slope)
     widths = np.maximum(4 * np.diff(x), max(HIDES * noise, LEAST) / np.maximum(slope, 1e-9))
     return float(min(np.quantile(widths[moving], 0.95), 1.0))
+
+
+def _bound_beside_line(levels: Levels) -> float:
+    """Return the largest dead band that a straight line could hide, wherever it lies."""
+    x, v = levels.x, levels.v
+    line = np.column_stack([np.ones(x.size), x])
+    basis = np.linalg.qr(line)[0]
+    off = v - basis @ (basis.T @ v)
+    noise = max(float(np.sqrt(off @ off / (x.size - 2))), KNOWN)
+    slope = abs(float(np.linalg.lstsq(line, v)[0][1]))
+    widths, places = np.linspace(0.01, 1, 100)[:, None, None], np.linspace(0, 1, 41)[:, None]
+    inner = (places >= widths / 2) & (places <= 1 - widths / 2)
+    band = (x - places) - np.clip(x - places, -widths / 2, widths / 2)
+    bent = slope * (band - (band @ basis) @ basis.T)
+    seen = np.sqrt(np.sum(bent**2, axis=-1, keepdims=True)) > FOUND * noise
+    return float(widths[np.argmax((seen | ~inner).all(axis=1)[:, 0])][0, 0])
 
 
 def _unvisited(levels: Levels, height: Floats) -> tuple[float, float] | None:
