@@ -17,6 +17,7 @@ from undeadzone.util.arrays import Flags, Floats
 from undeadzone_identify.models.estimates import Interval
 
 BENDS = ((), (0.4,), (0.15, 0.5), (0.05, 0.2, 0.5), (0.03, 0.1, 0.25, 0.5, 0.75))
+BEYOND = 3  # moving rows between an edge and the first bend, at least
 KNOWN = 4e-4  # of the range: no map is better known
 LEAP = 0.02  # of the range, from which a step at an edge is one
 MILD = 2.0  # times log n: how much worse a line with a jump may be than one that bends more
@@ -86,7 +87,8 @@ def fit_side(x: Floats, v: Floats, w: Floats, inner: int, bends: int | None = No
     best: dict[bool, tuple[float, tuple[float, ...], float]] = {}
     for steps, places in itertools.product((False, True), BENDS):
         size = 2 + len(places) + steps
-        if bends in (None, len(places)) and outer > len(places) + steps:
+        first_bend = outer * places[0] if places else BEYOND
+        if bends in (None, len(places)) and outer > 1 + steps and first_bend >= BEYOND:
             edges = at_rows if steps else grid
             losses, _ = _solve(x, v, w, edges, places, steps)
             k = int(np.argmin(losses))

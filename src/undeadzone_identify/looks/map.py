@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.interpolate import make_smoothing_spline
+from scipy.interpolate import UnivariateSpline
 from scipy.stats import t as student
 
 from undeadzone.util.arrays import Flags, Floats, bounds_of_runs
@@ -215,7 +215,8 @@ def _medians(u: Floats, y: Floats) -> Levels:
     first = np.searchsorted(level[order], np.arange(x.size + 1))
     count = np.diff(first)
     readings, commands = y[order], np.sort(u)
-    low, high = first[:-1] + (count - 1) // 2, first[:-1] + count // 2
+    high = first[:-1] + count // 2
+    low = first[:-1] + (count - 1) // 2 if x.size < MOST else high  # no mean across an edge
     w = np.sqrt(np.minimum(count, 30))
     medians = (readings[low] + readings[high]) / 2
     return Levels((commands[low] + commands[high]) / 2, medians, w / w.mean())
@@ -228,6 +229,8 @@ def _without_outliers(levels: Levels) -> Levels:
         return levels
     far = np.full(x.size, np.inf)
     places = np.arange(x.size)
+    edge = 0 if x.size >= SMOOTHED else 2
+    far[:edge] = far[x.size - edge :] = 0
     for a, b in ((-2, -1), (-1, 1), (1, 2)):
         known = (places + a >= 0) & (places + b < x.size)
         k = places[known]
@@ -269,7 +272,8 @@ def _nodes(levels: Levels, parts: list[FlatPart]) -> Floats:
     for first, last in zip(*bounds_of_runs(~inside), strict=True):
         run = slice(first, last + 1)
         if last - first >= SMOOTHED:
-            v[run] = make_smoothing_spline(x[run], v[run], levels.w[run])(x[run])
+            noise = max(noise_of(v[run]), KNOWN)
+            v[run] = UnivariateSpline(x[run], v[run], levels.w[run] / noise)(x[run])
     nodes = np.vstack([np.column_stack([x, v]), *points])
     return nodes[np.argsort(nodes[:, 0], kind="stable")].T
 
@@ -408,6 +412,8 @@ def _edge(
     if own:
         low, high = np.quantile(own, [0.05, 0.95]).tolist()
         found = Interval(found.value, min(found.low, low), max(found.high, high))
+    if end - first < 3:
+        found = Interval(*np.clip(found, still, moves).tolist())
     if moves - still > UNVISITED:
         found = Interval(found.value, min(found.low, still), max(found.high, moves))
     return Edge(found, still, moves, bool(side.step), rows)
