@@ -31,7 +31,8 @@ class Edge(NamedTuple):
     Attributes:
         interval: the edge with its 95 % interval [u].
         still: the outermost command at rest [u].
-        moves: the innermost command that moves [u].
+        moves: the innermost command that moves [u]. If it lies inside `still`, motion starts at
+            `still` and stops at `moves`.
         jumps: whether the reading jumps here, so that the edge is a threshold.
         rows: number of moving commands beyond.
     """
@@ -75,7 +76,7 @@ def fit_side(x: Floats, v: Floats, w: Floats, inner: int, bends: int | None = No
         v: readings (n).
         w: weights (n).
         inner: number of leading rows at rest.
-        bends: number of bends; None for the number by Bayes' criterion.
+        bends: largest number of bends; None for any, by Bayes' criterion.
     """
     n, outer = x.size, x.size - inner
     if outer < 2:
@@ -88,7 +89,7 @@ def fit_side(x: Floats, v: Floats, w: Floats, inner: int, bends: int | None = No
     for steps, places in itertools.product((False, True), BENDS):
         size = 2 + len(places) + steps
         first_bend = outer * places[0] if places else BEYOND
-        if bends in (None, len(places)) and outer > 1 + steps and first_bend >= BEYOND:
+        if (bends is None or len(places) <= bends) and outer > 1 + steps and first_bend >= BEYOND:
             edges = at_rows if steps else grid
             losses, _ = _solve(x, v, w, edges, places, steps)
             k = int(np.argmin(losses))

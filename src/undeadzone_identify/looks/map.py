@@ -14,12 +14,12 @@ from scipy.interpolate import UnivariateSpline
 from scipy.stats import t as student
 
 from undeadzone.util.arrays import Flags, Floats, bounds_of_runs
+from undeadzone_identify.logs.grid import find_quantum
 from undeadzone_identify.looks.edges import KNOWN, Edge, Side, find_runs, fit_side, jackknife
 from undeadzone_identify.looks.rows import (
     LEVELS,
     Rows,
     known_samples,
-    last_changes,
     noise_of,
     rows_at_rest,
     turns,
@@ -36,13 +36,14 @@ FLAT = 0.1  # of the slope beside it: the largest inside a flat part
 HIDES, LEAST = 8.0, 0.008  # residuals and share of the range, that a flat part hides at least
 FOUND = 5.0  # residuals by which a band lies beside a straight line, all rows together
 EXPLAINED = 0.98  # of the variance beside a flat part
+NEAREST = 5  # moving levels that count for an edge behind one or two levels
 BENT = 4.0  # times the bends after it: the bend at an edge behind one or two levels
 UNVISITED = 0.2  # of the commands' range, from which a gap is said
 APART = 0.05  # of the range: readings that contradict, and both sides of a gap
 FOLDED = 0.03  # of the range, by which a reading must come back
 TURN = 0.3  # of the commands' range, from which the way back is a sweep of its own
 PERIODS, EVEN, RIPPLES = 4, 0.25, 0.5  # least number, spread of distances, share of the variance
-STAYS = 0.03  # of the commands' range, by which a command moves that stays
+STAYS = 0.1  # of the commands' range, by which a command moves that stays
 RATE_EXPLAINED = 0.8  # of the variance of rates, by the command
 
 
@@ -165,7 +166,8 @@ def read_map(rows: Rows) -> RestMap | None:
     up_down = _up_down(u, y, rows.came, line)
     plays = up_down is not None and up_down.low > 0 and up_down.value > LEAST
     one_way = _one_way(u, y, rows.came) if plays else unit
-    parts = _flat_parts(one_way, _legs(u, y), plays)
+    hung = _hysteresis(u, y)
+    parts = [hung] if hung else _flat_parts(one_way, _legs(u, y, rows.came), plays)
     ripples = _ripples(unit, parts)
     parts = [] if ripples else parts
     nodes = _nodes(one_way, parts) if parts else line
@@ -248,9 +250,9 @@ def _one_way(u: Floats, y: Floats, came: Floats) -> Levels:
     return _medians(u[way], y[way])
 
 
-def _legs(u: Floats, y: Floats) -> list[Levels]:
+def _legs(u: Floats, y: Floats, came: Floats) -> list[Levels]:
     """Return the levels of each sweep of the command, if there are several."""
-    turned = turns(u, TURN)
+    turned = turns(u, TURN) if came.any() else np.zeros(0, int)
     if not turned.size:
         return []
     legs = zip(np.split(u, turned), np.split(y, turned), strict=True)
@@ -299,6 +301,29 @@ def _flat_parts(levels: Levels, legs: list[Levels], plays: bool) -> list[FlatPar
     return sorted(parts, key=_ends)
 
 
+def _hysteresis(u: Floats, y: Floats) -> FlatPart | None:
+    """Return rest that ends at one command and begins at another one; None if it does not.
+
+    The edge is between the command that stops the motion, `moves`, and that which starts it,
+    `still`. Between both the state before stays, which no flat part explains otherwise.
+    """
+    level = float(np.median(y[y < y.min() + WIDE])) if np.median(y) < APART else np.nan
+    at_rest = np.abs(y - level) < WIDE
+    if min(at_rest.sum(), np.sum(~at_rest)) < LEVELS or np.any(np.abs(y - level)[~at_rest] < APART):
+        return None
+    starts, stops = float(u[at_rest].max()), float(u[~at_rest].min())
+    between = (u >= stops) & (u <= starts)
+    changes = np.append(False, at_rest[1:] != at_rest[:-1])
+    if starts - stops < LEAST or between.sum() < LEVELS or changes[between].sum() > 1:
+        return None
+    line = np.polynomial.Polynomial.fit(u[~at_rest], y[~at_rest], 1)
+    if np.var((y - line(u))[~at_rest]) > (1 - EXPLAINED) * np.var(y):
+        return None
+    found = Interval((starts + stops) / 2, stops, starts)
+    edge = Edge(found, starts, stops, True, int(np.sum(~at_rest)))
+    return FlatPart("low end", level, None, edge, int(at_rest.sum()))
+
+
 def _ends(part: FlatPart) -> tuple[float, float]:
     """Return where a flat part begins and ends."""
     left = -np.inf if part.left is None else part.left.interval.value
@@ -336,11 +361,10 @@ def _fit_part(levels: Levels, run: tuple[int, int], legs: list[Levels]) -> FlatP
         if unmet or (left is right) or end - first < (1 if is_short else 3):
             return None
     level = float(np.average(v[inside], weights=w[inside] ** 2))
-    residual = v - level
-    if right is not None:
-        residual[n - right.outer.size :] = right.outer
-    if left is not None:
-        residual[: left.outer.size] = left.outer[::-1]
+    residual = np.where(inside, v - level, 0.0)
+    for view, (_, outer), side in zip((residual[::-1], residual), runs, sides, strict=True):
+        if side is not None:
+            view[outer : outer + side.outer.size] = side.outer
     fits = [side for side in sides if side is not None]
     view = views[first == 0]
     if is_short and (len(fits) > 1 or not _bends_at_once(view.x, view.v, end - first)):
@@ -361,9 +385,13 @@ def _fit_part(levels: Levels, run: tuple[int, int], legs: list[Levels]) -> FlatP
 def _fit_outwards(
     x: Floats, v: Floats, w: Floats, first: int, end: int, share: float
 ) -> Side | None:
-    """Return the fit of the edge behind a run, of whose rows a share is left out ahead."""
+    """Return the fit of the edge behind a run, of whose rows a share is left out ahead.
+
+    Behind one or two rows, few rows count.
+    """
+    last = end + NEAREST if end - first < 3 else x.size
     first += int(share * (end - first))
-    return fit_side(x[first:], v[first:], w[first:], end - first)
+    return fit_side(x[first:last], v[first:last], w[first:last], end - first)
 
 
 def _is_flat(levels: Levels, inside: Flags, fits: list[Side], residual: Floats) -> bool:
@@ -403,10 +431,11 @@ def _edge(
     still, moves = float(view.x[end - 1]), float(view.x[end])
     cell = 0.25 * (moves - still)
     rows = view.x.size - end
+    rounding = find_quantum(view.v - level) / 2 / max(abs(side.slope), 1e-9)
     if side.step:
         found = Interval((still + moves) / 2, still, moves)
     else:
-        found = Interval.from_half_width(side.x, max(cell, jackknife(x, v, w, end - first, side)))
+        found = Interval.from_half_width(side.x, jackknife(x, v, w, end - first, side) + max(cell, rounding))
     own = [_edge_of_leg(leg, level, len(side.bends)) for leg in legs]
     own = [at for at in own if at is not None]
     if own:
@@ -576,8 +605,8 @@ def _rate_rows(t: Floats, u: Floats, y: Floats, size: int, lag: int) -> Rows | N
     if np.sum(stays) < 4 * LEVELS:
         return None
     rate = (y[starts + size] - y[starts])[stays] / passed[stays]
-    u, came = np.median(asked, axis=1)[stays], last_changes(u)[starts][stays]
-    return Rows(u, rate, came, np.full(u.size, size), np.zeros(u.size), "sweep")
+    u = np.median(asked, axis=1)[stays]
+    return Rows(u, rate, np.zeros(u.size), np.full(u.size, size), np.zeros(u.size), "sweep")
 
 
 def _neighbours_agree(rows: Rows) -> float:

@@ -17,6 +17,8 @@ TABLE = 160  # rows of a table that someone has written down, at most
 SLOW = 0.03  # of the reading's range: its median spread at one command, in a slow sweep
 SELDOM = 4.0  # times as much: the spread that a tenth of the commands may exceed
 SETTLED = 0.004  # of the reading's spread, by which the last quarter of a hold may still move
+FASTER = 0.7  # of the quarter before, by which the last quarter of a hold moves at most
+COMING = 0.15  # of the reading's spread, by which it moves at most
 
 
 class Rows(NamedTuple):
@@ -104,16 +106,29 @@ def noise_of(y: Floats) -> float:
 
 
 def _settled_rows(u: Floats, y: Floats, came: Floats, cut: Integers) -> Rows | None:
-    """Return a row of each hold whose last quarter reads what the quarter before it read."""
+    """Return a row of each hold that comes to rest.
+
+    The last quarter of such a hold reads what the quarter before it read. If few holds do, those
+    count too that come near to rest like a plant of first order, whose last value is known then.
+    """
     noise, still = noise_of(y), SETTLED * float(np.std(y))
-    rows = []
+    rows, coming = [], []
     held = [(a, b) for a, b in zip(cut[:-1], cut[1:], strict=True) if b - a >= HOLD]
     for a, b in held:
         quarter = (b - a) // 4 + 1
-        late, before = y[b - quarter : b], y[max(b - 2 * quarter, a) : b - quarter]
+        first, before, late = (
+            y[max(b - k * quarter, a) : b - (k - 1) * quarter] for k in (3, 2, 1)
+        )
+        moved, earlier = late.mean() - before.mean(), before.mean() - first.mean()
         error = noise * math.sqrt(1 / late.size + 1 / before.size)
-        if abs(late.mean() - before.mean()) < 3 * error + still:
-            rows.append((u[a], np.median(late), came[a], late.size, late.std()))
+        row = [u[a], np.median(late), came[a], late.size, late.std()]
+        if abs(moved) < 3 * error + still:
+            rows.append(row)
+            coming.append(row)
+        elif 0 < moved * np.sign(earlier) < min(FASTER * abs(earlier), COMING * np.std(y)):
+            rest = moved / (earlier / moved - 1)
+            coming.append([u[a], late.mean() + rest, came[a], late.size, abs(rest)])
+    rows = rows if len(rows) >= max(LEVELS, len(held) / 2) else coming
     if len(rows) < max(LEVELS, len(held) / 2):
         return None
     u, y, came, count, spread = np.array(rows).T
