@@ -17,6 +17,7 @@ from undeadzone.util.arrays import Flags, Floats
 from undeadzone_identify.models.estimates import Interval
 
 BENDS = ((), (0.4,), (0.15, 0.5), (0.05, 0.2, 0.5), (0.03, 0.1, 0.25, 0.5, 0.75))
+RISES = 0.25  # of the mean slope outside: the least slope just beyond an edge
 BEYOND = 3  # moving rows between an edge and the first bend, at least
 KNOWN = 4e-4  # of the range: no map is better known
 LEAP = 0.02  # of the range, from which a step at an edge is one
@@ -87,13 +88,13 @@ def fit_side(x: Floats, v: Floats, w: Floats, inner: int, bends: int | None = No
     at_rows = x[int(rank[0] + 0.5) : last + 1]
     best: dict[bool, tuple[float, tuple[float, ...], float]] = {}
     for steps, places in itertools.product((False, True), BENDS):
-        size = 2 + len(places) + steps
         first_bend = outer * places[0] if places else BEYOND
         if (bends is None or len(places) <= bends) and outer > 1 + steps and first_bend >= BEYOND:
-            edges = at_rows if steps else grid
-            losses, _ = _solve(x, v, w, edges, places, steps)
+            edges = at_rows if steps else _refine(x, v, w, grid, places)
+            losses = _losses(x, v, w, edges, places, steps)
             k = int(np.argmin(losses))
-            price = n * np.log(losses[k] / n + KNOWN**2) + (size + 1) * np.log(n)
+            numbers = 3 + len(places) + steps
+            price = n * np.log(losses[k] / n + KNOWN**2) + numbers * np.log(n)
             best[steps] = min(best.get(steps, (np.inf,)), (float(price), places, float(edges[k])))
     if True in best and best[True][0] < best[False][0] + MILD * np.log(n):
         side = _finish(x, v, w, inner, best[True][2], best[True][1], True)
@@ -101,8 +102,7 @@ def fit_side(x: Floats, v: Floats, w: Floats, inner: int, bends: int | None = No
         ahead = side.step * np.sign(side.slope or side.step)
         if ahead > least:
             return side
-    places = best[False][1]
-    return _finish(x, v, w, inner, _refine(x, v, w, grid, places), places, False)
+    return _finish(x, v, w, inner, best[False][2], best[False][1], False)
 
 
 def jackknife(x: Floats, v: Floats, w: Floats, inner: int, side: Side) -> float:
@@ -113,19 +113,32 @@ def jackknife(x: Floats, v: Floats, w: Floats, inner: int, side: Side) -> float:
         groups[:inner] = -1
     reach = max(near, 0.3 * (side.x - x[0]))
     grid = np.linspace(max(side.x - reach, x[0]), min(side.x + reach, x[-2]), 41)
-    edges = [_refine(x, v, w * (groups != g), grid, side.bends) for g in range(groups.max() + 1)]
+    edges = [
+        _refine(x, v, w * (groups != g), grid, side.bends)[10] for g in range(groups.max() + 1)
+    ]
     size = len(edges)
     scatter = np.sqrt((size - 1) * np.var(edges))
     return float(student.ppf(0.975, size - 1) * scatter)
 
 
-def _refine(x: Floats, v: Floats, w: Floats, grid: Floats, places: tuple[float, ...]) -> float:
-    """Return the best edge on a grid that is made ten times finer, three times."""
-    for _ in range(4):
-        losses, _ = _solve(x, v, w, grid, places, False)
-        k = int(np.argmin(losses))
+def _refine(x: Floats, v: Floats, w: Floats, grid: Floats, places: tuple[float, ...]) -> Floats:
+    """Return a grid about the best edge of a grid, three times ten times finer."""
+    for _ in range(3):
+        k = int(np.argmin(_losses(x, v, w, grid, places, False)))
         grid = np.linspace(grid[max(k - 1, 0)], grid[min(k + 1, grid.size - 1)], 21)
-    return float(grid[10])
+    return grid
+
+
+def _losses(
+    x: Floats, v: Floats, w: Floats, edges: Floats, places: tuple[float, ...], steps: bool
+) -> Floats:
+    """Return the losses of edges (G), infinite where the line hardly rises behind the edge.
+
+    A later bend is the edge there.
+    """
+    losses, c = _solve(x, v, w, edges, places, steps)
+    mean = c[:, 1 : 2 + len(places)] @ np.array([1.0, *(1 - place for place in places)])
+    return np.where((np.abs(c[:, 1]) > RISES * np.abs(mean)) | steps, losses, np.inf)
 
 
 def _finish(

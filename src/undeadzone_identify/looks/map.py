@@ -40,6 +40,7 @@ NEAREST = 5  # moving levels that count for an edge behind one or two levels
 BENT = 4.0  # times the bends after it: the bend at an edge behind one or two levels
 UNVISITED = 0.2  # of the commands' range, from which a gap is said
 APART = 0.05  # of the range: readings that contradict, and both sides of a gap
+RARELY = 0.2  # of the rows between both thresholds, at which the state may change
 FOLDED = 0.03  # of the range, by which a reading must come back
 TURN = 0.3  # of the commands' range, from which the way back is a sweep of its own
 PERIODS, EVEN, RIPPLES = 4, 0.25, 0.5  # least number, spread of distances, share of the variance
@@ -287,7 +288,7 @@ def _flat_parts(levels: Levels, legs: list[Levels], plays: bool) -> list[FlatPar
     """Return the flat parts from left to right."""
     x, v = levels.x, levels.v
     n = x.size
-    fine = float(np.clip(4 * noise_of(v), FINE, WIDE))
+    fine = float(np.clip(4 * noise_of(v), FINE, APART))
     runs = [run for near in (fine, WIDE) for run in find_runs(v, near, 3)]
     runs = [run for run in runs if _is_steeper_beside(levels, *run)]
     runs.sort(key=lambda run: run[0] - run[1])
@@ -314,7 +315,7 @@ def _hysteresis(u: Floats, y: Floats) -> FlatPart | None:
     starts, stops = float(u[at_rest].max()), float(u[~at_rest].min())
     between = (u >= stops) & (u <= starts)
     changes = np.append(False, at_rest[1:] != at_rest[:-1])
-    if starts - stops < LEAST or between.sum() < LEVELS or changes[between].sum() > 1:
+    if starts - stops < LEAST or between.sum() < LEVELS or changes[between].mean() > RARELY:
         return None
     line = np.polynomial.Polynomial.fit(u[~at_rest], y[~at_rest], 1)
     if np.var((y - line(u))[~at_rest]) > (1 - EXPLAINED) * np.var(y):
@@ -403,7 +404,8 @@ def _is_flat(levels: Levels, inside: Flags, fits: list[Side], residual: Floats) 
     near = np.abs(x - middle) <= reach
     slope = min(abs(side.slope) + abs(side.step) / width for side in fits)
     hidden = slope * width if n > 1 else abs(float(v[inside][0] - fits[0].ahead))
-    noise = max(float(np.sqrt(np.mean(residual[near] ** 2))), KNOWN)
+    free = near.sum() - 2 - len(fits)
+    noise = max(float(np.sqrt(np.sum(residual[near] ** 2) / free)), KNOWN)
     leans = n > 2 and abs(np.polyfit(x[inside], v[inside], 1, w=w[inside])[0]) > FLAT * slope
     explains = min(side.share for side in fits) > EXPLAINED
     if leans or not explains or hidden < max(HIDES * noise, LEAST):
