@@ -16,7 +16,7 @@ from scipy.stats import t as student
 from undeadzone.util.arrays import Flags, Floats
 from undeadzone_identify.models.estimates import Interval
 
-BENDS = ((), (0.4,), (0.15, 0.5), (0.05, 0.2, 0.5), (0.03, 0.1, 0.25, 0.5, 0.75))
+BENDS = ((), (0.4,), (0.15, 0.5), (0.06, 0.2, 0.5), (0.1, 0.25, 0.5, 0.75))
 RISES = 0.25  # of the mean slope outside: the least slope just beyond an edge
 BEYOND = 3  # moving rows between an edge and the first bend, at least
 KNOWN = 4e-4  # of the range: no map is better known
@@ -138,7 +138,7 @@ def _losses(
     """
     losses, c = _solve(x, v, w, edges, places, steps)
     mean = c[:, 1 : 2 + len(places)] @ np.array([1.0, *(1 - place for place in places)])
-    return np.where((np.abs(c[:, 1]) > RISES * np.abs(mean)) | steps, losses, np.inf)
+    return np.where((c[:, 1] * np.sign(mean) > RISES * np.abs(mean)) | steps, losses, np.inf)
 
 
 def _finish(

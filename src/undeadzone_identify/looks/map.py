@@ -40,6 +40,7 @@ NEAREST = 5  # moving levels that count for an edge behind one or two levels
 BENT = 4.0  # times the bends after it: the bend at an edge behind one or two levels
 UNVISITED = 0.2  # of the commands' range, from which a gap is said
 APART = 0.05  # of the range: readings that contradict, and both sides of a gap
+FEW = 0.05  # of the rows of one way that may contradict the others
 RARELY = 0.2  # of the rows between both thresholds, at which the state may change
 FOLDED = 0.03  # of the range, by which a reading must come back
 TURN = 0.3  # of the commands' range, from which the way back is a sweep of its own
@@ -166,9 +167,12 @@ def read_map(rows: Rows) -> RestMap | None:
     line = _nodes(unit, [])
     up_down = _up_down(u, y, rows.came, line)
     plays = up_down is not None and up_down.low > 0 and up_down.value > LEAST
-    one_way = _one_way(u, y, rows.came) if plays else unit
+    way = _one_way(u, rows.came) if plays else np.ones(u.size, bool)
+    one_way = _medians(u[way], y[way]) if plays else unit
+    off = np.abs(y - np.interp(u, one_way.x, one_way.v))[way] > APART
     hung = _hysteresis(u, y)
     parts = [hung] if hung else _flat_parts(one_way, _legs(u, y, rows.came), plays)
+    parts = [] if plays and np.mean(off) > FEW else parts
     ripples = _ripples(unit, parts)
     parts = [] if ripples else parts
     nodes = _nodes(one_way, parts) if parts else line
@@ -197,7 +201,7 @@ def read_map(rows: Rows) -> RestMap | None:
         unvisited=_unvisited(levels, height),
         met=_met(one_way, parts),
         fold=None if fold is None else base[0] + height[0] * fold,
-        contradicts=float(np.mean(np.abs(residual) > APART)),
+        contradicts=float(np.mean(off)),
         share=float(1 - np.var(residual) / np.var(y)),
         quiet=_quiet(parts),
         nodes=base[:, None] + height[:, None] * nodes,
@@ -244,11 +248,9 @@ def _without_outliers(levels: Levels) -> Levels:
     return levels.select(~is_far) if is_far.sum() <= max(1, x.size // 50) else levels
 
 
-def _one_way(u: Floats, y: Floats, came: Floats) -> Levels:
-    """Return the levels of the way that covers more commands, the way up if both do."""
-    ways = [came > 0, came < 0]
-    way = max(ways, key=lambda flags: np.ptp(np.append(u[flags], u[flags][:1])))
-    return _medians(u[way], y[way])
+def _one_way(u: Floats, came: Floats) -> Flags:
+    """Return flags of the way that covers more commands, the way up if both do."""
+    return max((came > 0, came < 0), key=lambda way: float(np.ptp(u[way])))
 
 
 def _legs(u: Floats, y: Floats, came: Floats) -> list[Levels]:
@@ -292,13 +294,13 @@ def _flat_parts(levels: Levels, legs: list[Levels], plays: bool) -> list[FlatPar
     runs = [run for near in (fine, WIDE) for run in find_runs(v, near, 3)]
     runs = [run for run in runs if _is_steeper_beside(levels, *run)]
     runs.sort(key=lambda run: run[0] - run[1])
-    short = [] if plays else [(0, 2), (n - 2, n), (0, 1), (n - 1, n)]
+    short = [] if plays or n >= SMOOTHED else [(0, 2), (n - 2, n), (0, 1), (n - 1, n)]
     parts: list[FlatPart] = []
-    for run in [*runs[:CANDIDATES], *short]:
-        low, high = x[run[0]], x[run[1] - 1]
-        if all(high < _ends(part)[0] or low > _ends(part)[1] for part in parts):
-            part = _fit_part(levels, run, legs)
-            parts += [part] if part is not None else []
+    for first, end in [*runs[:CANDIDATES], *short]:
+        if _is_apart(x[first], x[end - 1], parts):
+            part = _fit_part(levels, (first, end), legs)
+            if part is not None and _is_apart(*_ends(part), parts):
+                parts.append(part)
     return sorted(parts, key=_ends)
 
 
@@ -330,6 +332,11 @@ def _ends(part: FlatPart) -> tuple[float, float]:
     left = -np.inf if part.left is None else part.left.interval.value
     right = np.inf if part.right is None else part.right.interval.value
     return left, right
+
+
+def _is_apart(low: float, high: float, parts: list[FlatPart]) -> bool:
+    """Return whether an interval lies beside all flat parts."""
+    return all(high < _ends(part)[0] or low > _ends(part)[1] for part in parts)
 
 
 def _is_steeper_beside(levels: Levels, first: int, end: int) -> bool:
@@ -435,7 +442,9 @@ def _edge(
     rows = view.x.size - end
     rounding = find_quantum(view.v - level) / 2 / max(abs(side.slope), 1e-9)
     if side.step:
-        found = Interval((still + moves) / 2, still, moves)
+        near = float(np.abs(v[: end - first] - level).max())
+        blur = min(near / max(abs(side.slope), 1e-9), 4 * cell)
+        found = Interval((still + moves) / 2, still - blur, moves)
     else:
         found = Interval.from_half_width(side.x, jackknife(x, v, w, end - first, side) + max(cell, rounding))
     own = [_edge_of_leg(leg, level, len(side.bends)) for leg in legs]
@@ -524,15 +533,14 @@ def _ripples(levels: Levels, parts: list[FlatPart]) -> bool:
     if np.std(apart) < EVEN * np.mean(apart):
         return True
     size = levels.x.size
-    if parts or size < 8 * PERIODS:
+    if size < 6 * PERIODS:
         return False
     x = np.linspace(0, 1, size)
     v = np.interp(x, levels.x, levels.v)
     wave = v - np.polyval(np.polyfit(x, v, 5), x)
     often = np.arange(PERIODS, size / 4, 0.5)
     power = np.abs(np.exp(2j * np.pi * np.outer(often, x)) @ wave) ** 2 * 2 / size
-    is_real = np.std(wave) > max(3 * noise_of(levels.v), 5 * KNOWN)
-    return bool(is_real and power.max() > RIPPLES * np.sum(wave**2))
+    return bool(np.std(wave) > 5 * KNOWN and power.max() > RIPPLES * np.sum(wave**2))
 
 
 def _fold(nodes: Floats, noise: float) -> float | None:
