@@ -1,0 +1,148 @@
+"""Rows at rest: commands with the reading that stands for each, from a table, holds, or a slow sweep."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from undeadzone.util.arrays import Floats, Integers
+from undeadzone_identify.logs.grid import find_quantum
+from undeadzone_identify.models.motion import white_noise_rms
+
+LEVELS = 6  # least number of different commands
+HOLD = 6  # samples in a row at one command, from which it is held
+TABLE = 160  # rows of a table that someone has written down, at most
+SLOW = 0.03  # of the reading's range: its median spread at one command, in a slow sweep
+SELDOM = 4.0  # times as much: the spread that a tenth of the commands may exceed
+SETTLED = 0.004  # of the reading's spread, by which the last quarter of a hold may still move
+FASTER = 0.7  # of the quarter before, by which the last quarter of a hold moves at most
+COMING = 0.15  # of the reading's spread, by which it moves at most
+
+
+class Rows(NamedTuple):
+    """Readings at rest.
+
+    Attributes:
+        u: commands (R).
+        y: readings (R).
+        came: sign of the last change of the command, 0 for none (R).
+        count: number of readings behind each row (R).
+        spread: standard deviation of these readings, 0 for a single one (R) [y].
+        how: "table", "holds" or "sweep".
+    """
+
+    u: Floats
+    y: Floats
+    came: Floats
+    count: Integers
+    spread: Floats
+    how: str
+
+
+def rows_at_rest(t: Floats | None, u: Floats, y: Floats) -> Rows | None:
+    """Return the rows at rest of a log; None where readings move by themselves.
+
+    Args:
+        t: times, in any order (N); None for rows in the order of their record.
+        u: commands (N).
+        y: readings, some may be missing (N).
+    """
+    u, y = known_samples(t, u, y)[1:]
+    if np.unique(u).size < LEVELS or np.ptp(y) == 0:
+        return None
+    cut = np.flatnonzero(np.diff(u, prepend=np.nan, append=np.nan))
+    length = np.diff(cut)
+    came = last_changes(u)
+    if length[length >= HOLD].sum() >= u.size / 2:
+        return _settled_rows(u, y, came, cut) or _sweep_rows(u, y, came)
+    if u.size < TABLE:
+        return Rows(u, y, came, np.ones(u.size, int), np.zeros(u.size), "table")
+    return _sweep_rows(u, y, came)
+
+
+def known_samples(t: Floats | None, u: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return the samples without a missing number, in the order of time."""
+    u, y = np.asarray(u, float), np.asarray(y, float)
+    t = np.arange(u.size, dtype=float) if t is None else np.asarray(t, float)
+    order = np.argsort(t, kind="stable")
+    order = order[np.isfinite(t + u + y)[order]]
+    return t[order], u[order], y[order]
+
+
+def last_changes(u: Floats) -> Floats:
+    """Return the sign of the last change up to each sample, 0 before the first (N)."""
+    change = np.sign(np.diff(u, prepend=u[:1]))
+    last = np.maximum.accumulate(np.where(change != 0, np.arange(u.size), 0))
+    return np.asarray(change[last])
+
+
+def turns(u: Floats, more: float) -> Integers:
+    """Return the indices at which a signal turns round, each by more than a distance.
+
+    Args:
+        u: signal (N).
+        more: distance that is no turn yet [u].
+    """
+    found, way, top = [], 0, 0
+    kept = np.flatnonzero(np.diff(np.sign(np.diff(u, prepend=u[:1])), append=0))
+    for k in [*kept.tolist(), u.size - 1]:
+        ahead = u[k] - u[top]
+        if way * ahead >= 0:
+            way, top = way or int(np.sign(ahead)), k
+        elif abs(ahead) > more:
+            found.append(top)
+            way, top = int(np.sign(ahead)), k
+    return np.array(found, int)
+
+
+def noise_of(y: Floats) -> float:
+    """Return the rms of a reading's noise with that of its rounding [y]."""
+    if y.size < LEVELS:
+        return 0.0
+    white = white_noise_rms(y, np.ones(y.size, bool), np.zeros(1, int))
+    return math.hypot(white, find_quantum(y) / math.sqrt(12))
+
+
+def _settled_rows(u: Floats, y: Floats, came: Floats, cut: Integers) -> Rows | None:
+    """Return a row of each hold that comes to rest.
+
+    The last quarter of such a hold reads what the quarter before it read. If few holds do, those
+    count too that come near to rest like a plant of first order, whose last value is known then.
+    """
+    noise, still = noise_of(y), SETTLED * float(np.std(y))
+    rows, coming = [], []
+    held = [(a, b) for a, b in zip(cut[:-1], cut[1:], strict=True) if b - a >= HOLD]
+    for a, b in held:
+        quarter = (b - a) // 4 + 1
+        first, before, late = (
+            y[max(b - k * quarter, a) : b - (k - 1) * quarter] for k in (3, 2, 1)
+        )
+        moved, earlier = late.mean() - before.mean(), before.mean() - first.mean()
+        error = noise * math.sqrt(1 / late.size + 1 / before.size)
+        row = [u[a], np.median(late), came[a], late.size, late.std()]
+        if abs(moved) < 3 * error + still:
+            rows.append(row)
+            coming.append(row)
+        elif 0 < moved * np.sign(earlier) < min(FASTER * abs(earlier), COMING * np.std(y)):
+            rest = moved / (earlier / moved - 1)
+            coming.append([u[a], late.mean() + rest, came[a], late.size, abs(rest)])
+    rows = rows if len(rows) >= max(LEVELS, len(held) / 2) else coming
+    if len(rows) < max(LEVELS, len(held) / 2):
+        return None
+    u, y, came, count, spread = np.array(rows).T
+    if np.unique(u).size < LEVELS or np.ptp(y) == 0:
+        return None
+    return Rows(u, y, came, count.astype(int), spread, "holds")
+
+
+def _sweep_rows(u: Floats, y: Floats, came: Floats) -> Rows | None:
+    """Return all samples if the readings at one command differ little, whenever they were taken."""
+    order = np.argsort(u, kind="stable")
+    size = max(8, u.size // 60)
+    parts = y[order][: u.size // size * size].reshape(-1, size)
+    spread = parts.std(axis=1) / max(float(np.ptp(np.median(parts, axis=1))), 1e-300)
+    if np.median(spread) > SLOW or np.quantile(spread, 0.9) > SELDOM * SLOW:
+        return None
+    return Rows(u, y, came, np.ones(u.size, int), np.zeros(u.size), "sweep")

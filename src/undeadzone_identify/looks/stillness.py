@@ -1,0 +1,92 @@
+"""The witness of stillness: how far the command travelled while the reading stood still.
+
+A stretch counts if the reading enters and leaves it in one direction. No limit of a dead band and no
+null may be below its travel, whatever a model says.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from undeadzone.util.arrays import Floats
+from undeadzone_identify.logs.grid import find_quantum
+from undeadzone_identify.looks.rows import known_samples, noise_of
+
+MOST = 20_000  # samples that are looked at; a longer record is thinned
+LATEST = 60  # samples by which a reading may lag
+SHORTEST = 6  # samples of a stretch
+BLUR, TOO_NOISY = 3.0, 0.05  # noise about a level; share of the range that hides all rest
+BESIDE = 2.5  # tolerances, by which the reading moves before and after
+STEP = 0.25  # of the travel: a single change of the command that is left out
+
+
+class Stillness(NamedTuple):
+    """The longest rest of a reading under a travelling command.
+
+    Attributes:
+        travel: of the command, without its largest step [u].
+        edges: commands at both ends of the stretch [u].
+        level: reading at rest [y].
+        lag: of the reading behind the command, which is taken off the stretch [samples].
+        count: number of such stretches.
+    """
+
+    travel: float
+    edges: tuple[float, float]
+    level: float
+    lag: int
+    count: int
+
+
+def longest_stillness(t: Floats | None, u: Floats, y: Floats) -> Stillness | None:
+    """Return the longest rest of a reading under a travelling command; None if there is none.
+
+    Args:
+        t: times (N); None for samples in the order of their record.
+        u: commands (N).
+        y: readings, some may be missing (N).
+    """
+    u, y = (signal[:: -(-signal.size // MOST)] for signal in known_samples(t, u, y)[1:] if u.size)
+    if u.size < 4 * SHORTEST:
+        return None
+    blur = max(BLUR * noise_of(y), 1.01 * find_quantum(y), 1e-9 * float(np.ptp(y)))
+    if not 0 < blur < TOO_NOISY * np.ptp(y):
+        return None
+    lag = _find_lag(u, y)
+    found = []
+    for first, end in _stretches(y, 2 * blur, SHORTEST + lag):
+        level = float(np.median(y[first:end]))
+        before = level - y[max(first - SHORTEST, 0)]
+        after = y[min(end + SHORTEST, y.size - 1)] - level
+        asked = u[first : end - lag]
+        change = np.diff(asked)
+        travel = abs(float(change.sum()))
+        largest = float(np.abs(change).max(initial=0.0))
+        goes_on = before * after > 0 and min(abs(before), abs(after)) > BESIDE * blur
+        if goes_on and np.abs(change).sum() < 1.2 * travel:
+            travel -= largest * (largest > STEP * travel)
+            found.append(Stillness(travel, (float(asked[0]), float(asked[-1])), level, lag, 0))
+    longest = max(found, default=None)
+    return longest and longest._replace(count=len(found))
+
+
+def _find_lag(u: Floats, y: Floats) -> int:
+    """Return the lag at which changes of the reading follow those of the command best [samples]."""
+    ahead, behind = (np.diff(signal) - np.mean(np.diff(signal)) for signal in (u, y))
+    most = min(LATEST, u.size // 8)
+    return int(np.argmax([abs(ahead[: ahead.size - k] @ behind[k:]) for k in range(most)]))
+
+
+def _stretches(y: Floats, most: float, least: int) -> list[tuple[int, int]]:
+    """Return the stretches, from left to right, in which a reading's range is so small."""
+    found = []
+    first, low, high = 0, y[0], y[0]
+    for k, value in enumerate([*y.tolist(), np.inf]):
+        low, high = min(low, value), max(high, value)
+        if high - low > most:
+            if k - first >= least:
+                found.append((first, k))
+            first, low, high = k, value, value
+    return found

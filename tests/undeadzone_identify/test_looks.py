@@ -1,0 +1,267 @@
+"""Direct looks: rows at rest, the map of any shape, the map of a rate, and the witness of stillness."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from undeadzone.util.arrays import Floats
+from undeadzone_identify.looks.map import RestMap, map_at_rest, map_of_rate
+from undeadzone_identify.looks.rows import noise_of, rows_at_rest, turns
+from undeadzone_identify.looks.stillness import longest_stillness
+
+
+def zone(u: Floats, left: float, right: float) -> Floats:
+    """A dead zone from -left to right."""
+    return np.maximum(u - right, 0) + np.minimum(u + left, 0)
+
+
+def found(u: Floats, y: Floats, t: Floats | None = None) -> RestMap:
+    """The map of rows; there is one."""
+    rest = map_at_rest(t, u, y)
+    assert rest is not None
+    return rest
+
+
+# Shape, reading over the command in [-1, 1], and edges (left, right) of the only flat part.
+SHAPES = {
+    "band": (lambda u: 3 * zone(u, 0.2, 0.3), "band", (-0.2, 0.3)),
+    "uneven band": (lambda u: zone(u, 0.2, 0.3) * np.where(u > 0, 2, 1), "band", (-0.2, 0.3)),
+    "bent band": (lambda u: np.tanh(1.5 * zone(u, 0.25, 0.1)), "band", (-0.25, 0.1)),
+    "falling band": (lambda u: -zone(u, 0.2, 0.3), "band", (-0.2, 0.3)),
+    "low end": (lambda u: np.maximum(u + 0.4, 0), "end", (None, -0.4)),
+    "high end": (lambda u: np.minimum(u, 0.6), "end", (0.6, None)),
+    "threshold": (lambda u: np.where(np.abs(u) > 0.305, u, 0), "band", (-0.305, 0.305)),
+    "line": (lambda u: 2 * u + 1, "line", None),
+    "cubic": (lambda u: u + u**3, "curve", None),
+    "inflection": (lambda u: u**3, "curve", None),
+    "soft limit": (lambda u: np.tanh(2 * u), "curve", None),
+    "parabola": (lambda u: (u - 0.1) ** 2, "fold", None),
+    "fold": (lambda u: -np.abs(u - 0.3), "fold", None),
+    "ripple": (lambda u: u + 0.03 * np.sin(20 * np.pi * u), "ripple", None),
+}
+
+
+@pytest.mark.parametrize("name", SHAPES)
+@pytest.mark.parametrize("size", [41, 600])
+def test_a_map_has_the_shape_and_the_edges_of_its_truth(name: str, size: int) -> None:
+    function, shape, edges = SHAPES[name]
+    u = np.linspace(-1, 1, size)
+    if name == "ripple" and size < 100:
+        pytest.skip("two levels a period are no ripple")
+    y = function(u)
+    rest = found(u, y + 1e-3 * np.random.default_rng(1).standard_normal(size))
+    assert rest.shape == shape
+    assert len(rest.flats) == (edges is not None)
+    assert rest.share > 0.99
+    inside = np.abs(u) < 0.95
+    assert np.abs(rest.predict(u) - y)[inside].mean() < 0.01 * np.ptp(y)
+    if edges is not None:
+        for edge, truth in zip((rest.flats[0].left, rest.flats[0].right), edges, strict=True):
+            assert (edge is None) == (truth is None)
+            if edge is not None:
+                assert edge.interval.low <= truth <= edge.interval.high
+                assert edge.interval.value == pytest.approx(truth, abs=0.03)
+                assert edge.jumps == (name == "threshold")
+
+
+def test_exact_edges_are_recovered_from_exact_rows() -> None:
+    u = np.linspace(-1, 1, 40)
+    for seed in range(10):
+        left, right = np.random.default_rng(seed).uniform(0.15, 0.4, 2)
+        (part,) = found(u, zone(u, left, right)).flats
+        assert part.left.interval.value == pytest.approx(-left, abs=2e-3)
+        assert part.right.interval.value == pytest.approx(right, abs=2e-3)
+        assert part.level == pytest.approx(0, abs=1e-9)
+
+
+def test_intervals_contain_their_truths() -> None:
+    held = []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        left, right = rng.uniform(0.15, 0.4, 2)
+        u = np.sort(rng.uniform(-1, 1, int(rng.choice([30, 60, 120]))))
+        y = zone(u, left, right) + rng.choice([0.002, 0.008]) * rng.standard_normal(u.size)
+        for part in found(u, y).flats:
+            assert part.kind == "band"
+            held += [
+                part.left.interval.low <= -left <= part.left.interval.high,
+                part.right.interval.low <= right <= part.right.interval.high,
+            ]
+    assert len(held) >= 64
+    assert np.mean(held) >= 0.9
+
+
+@pytest.mark.parametrize("scale", [1e-9, -1.0, 1e9])
+def test_units_and_signs_change_nothing(scale: float) -> None:
+    rng = np.random.default_rng(3)
+    u = np.linspace(-1, 1, 80)
+    y = zone(u, 0.2, 0.35) + 0.003 * rng.standard_normal(80)
+    (one,) = found(u, y).flats
+    (other,) = found(scale * u + 5 * scale, 3 * y / scale - 2 / scale).flats
+    edges = [one.left, one.right][:: int(np.sign(scale))]
+    for edge, scaled in zip(edges, (other.left, other.right), strict=True):
+        assert scaled.interval.value == pytest.approx(scale * (edge.interval.value + 5), rel=1e-3)
+        assert scaled.moves == pytest.approx(scale * (edge.moves + 5), rel=1e-6)
+
+
+def test_the_order_of_a_table_changes_nothing() -> None:
+    u = np.linspace(0, 10, 30)
+    y = np.maximum(u - 2.2, 0)
+    order = np.random.default_rng(0).permutation(30)
+    edges = [found(*rows).flats[0].right for rows in ((u, y), (u[::-1], y[::-1]))]
+    assert edges[0] == edges[1]
+    shuffled = found(u[order], y[order]).flats[0].right
+    assert shuffled.interval.value == pytest.approx(edges[0].interval.value, abs=1e-6)
+
+
+def test_sides_that_were_never_tried_are_quiet_and_met_counts_the_others() -> None:
+    u = np.linspace(0, 10, 51)
+    rest = found(u, np.maximum(u - 3.3, 0))
+    assert (rest.flats[0].kind, rest.quiet, rest.met) == ("low end", ("left",), {"right": 34, "left": 0})
+    falling = found(u, np.maximum(6.7 - u, 0))
+    assert (falling.flats[0].kind, falling.quiet) == ("low end", ("right",))
+    limited = found(u, np.minimum(u, 7))
+    assert (limited.flats[0].kind, limited.quiet) == ("high end", ("right",))
+
+
+def test_a_bound_is_an_upper_limit_of_what_a_straight_map_hides() -> None:
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        u = np.linspace(-1, 1, int(rng.choice([25, 60, 200])))
+        noise = 0.005 * rng.standard_normal(u.size)
+        bound = found(u, u + noise).bound
+        assert 0 < bound < 0.5
+        place = rng.uniform(-0.6, 0.6)
+        hidden = zone(u - place, 0.65 * bound, 0.65 * bound)
+        assert found(u, hidden + noise).shape != "line"
+
+
+def test_a_gap_that_nobody_visited_is_said_and_widens_the_edge() -> None:
+    u = np.append(np.linspace(-2, 0, 12), np.linspace(2, 4, 9))
+    rest = found(u, np.maximum(u - 0.9, 0))
+    assert rest.unvisited == (0.0, 2.0)
+    edge = rest.flats[0].right.interval
+    assert (edge.low, edge.high) == (0.0, 2.0)
+    assert edge.value == pytest.approx(0.9, abs=0.01)
+
+
+def test_sweeps_that_differ_widen_an_edge() -> None:
+    u = np.concatenate([np.linspace(0, 1, 300), np.linspace(1, 0, 300)])
+    edges = np.repeat([0.30, 0.34], 300)
+    edge = found(u, np.maximum(u - edges, 0), np.arange(600.0)).flats[0].right.interval
+    assert edge.low <= 0.302
+    assert edge.high >= 0.338
+
+
+def test_play_is_the_distance_of_both_ways_and_no_band() -> None:
+    u = np.concatenate([np.linspace(0, 10, 60), np.linspace(10, 0, 60)] * 2)
+    y, at = np.empty(u.size), 0.0
+    for k, command in enumerate(u):
+        y[k] = at = min(max(at, command - 0.4), command + 0.4)
+    rest = found(u, y)
+    assert rest.shape == "play"
+    assert not rest.flats
+    assert rest.up_down.value == pytest.approx(0.8, abs=0.02)
+    assert rest.up_down.low <= 0.8 <= rest.up_down.high
+    assert found(u, u).up_down.value == pytest.approx(0, abs=1e-9)
+
+
+def test_a_start_above_the_stop_is_two_thresholds() -> None:
+    rng = np.random.default_rng(2)
+    u, turns_now = rng.uniform(0, 100, 150), False
+    y = np.empty(150)
+    for k, command in enumerate(u):
+        turns_now = command > 88 or (turns_now and command > 35)
+        y[k] = 7 * command * turns_now
+    edge = found(u, y).flats[0].right
+    assert edge.jumps
+    assert 85 < edge.still <= 88
+    assert 35 < edge.moves < 45
+
+
+def test_levels_with_repeats_are_a_table_and_one_outlier_does_no_harm() -> None:
+    rng = np.random.default_rng(5)
+    u = np.tile(np.arange(0, 12.0), 10)
+    y = np.maximum(u - 2.6, 0) + 0.03 * rng.standard_normal(u.size)
+    y[37] = 400.0
+    rest = found(u, y)
+    assert rest.flats[0].right.interval.low <= 2.6 <= rest.flats[0].right.interval.high
+    assert 0 < rest.contradicts < 0.02
+
+
+def test_holds_give_their_last_readings() -> None:
+    rng = np.random.default_rng(7)
+    u = np.repeat(rng.uniform(-1, 1, 60), 40)
+    y, speed = np.empty(u.size), 0.0
+    for k, target in enumerate(2 * zone(u, 0.2, 0.3)):
+        speed += 0.12 * (target - speed)
+        y[k] = speed
+    rest = found(u, y + 1e-3 * rng.standard_normal(u.size))
+    assert rest.rows.how == "holds"
+    (part,) = rest.flats
+    assert part.left.interval.low <= -0.2 <= part.left.interval.high
+    assert part.right.interval.low <= 0.3 <= part.right.interval.high
+
+
+def test_an_integrating_reading_has_a_map_of_its_rate() -> None:
+    rng = np.random.default_rng(4)
+    u = np.repeat(rng.uniform(-100, 100, 80), 20)
+    t = 0.1 * np.arange(u.size) + 0.01 * rng.uniform(-1, 1, u.size)
+    y = np.append(0, np.cumsum(0.01 * zone(u, 30, 40) * np.diff(t, append=t[-1] + 0.1)))[:-1]
+    rest = map_of_rate(t, u, y + 1e-3 * rng.standard_normal(u.size))
+    assert rest is not None
+    (part,) = rest.flats
+    assert part.left.interval.low <= -30 <= part.left.interval.high
+    assert part.right.interval.low <= 40 <= part.right.interval.high
+
+
+def test_logs_without_rest_have_no_map() -> None:
+    rng = np.random.default_rng(8)
+    u = rng.standard_normal(2000)
+    y = np.convolve(u, np.ones(20) / 20)[:2000]
+    assert map_at_rest(None, u, y) is None
+    assert map_of_rate(np.arange(2000.0), u, y) is None
+    assert rows_at_rest(None, u, np.ones(2000)) is None
+    assert rows_at_rest(None, np.ones(2000), y) is None
+    assert map_at_rest(None, u[:5], u[:5]) is None
+    assert map_at_rest(None, u, np.full(2000, np.nan)) is None
+    assert longest_stillness(None, u, np.full(2000, np.nan)) is None
+
+
+def test_missing_readings_and_missing_times_change_nothing() -> None:
+    u = np.linspace(-1, 1, 101)
+    y = zone(u, 0.2, 0.3)
+    y[::7] = np.nan
+    (part,) = found(u, y, np.cumsum(np.random.default_rng(0).uniform(0.5, 1.5, 101))).flats
+    assert part == found(u, y).flats[0]
+    assert part.right.interval.value == pytest.approx(0.3, abs=0.01)
+
+
+def test_turns_and_noise() -> None:
+    u = np.concatenate([np.linspace(0, 1, 50), np.linspace(1, 0.2, 40), np.linspace(0.2, 3, 60)])
+    assert turns(u, 0.1).tolist() == [49, 89]
+    assert turns(u, 0.9).tolist() == []
+    assert turns(-u, 0.1).tolist() == [49, 89]
+    noise = 0.2 * np.random.default_rng(0).standard_normal(4000)
+    assert noise_of(u[0] + noise) == pytest.approx(0.2, rel=0.1)
+    assert noise_of(0.5 * np.round(np.sin(np.arange(4000.0)) * 4)) > 0.1
+
+
+def test_stillness_is_the_travel_of_the_command_in_a_band() -> None:
+    t = np.arange(4000.0)
+    u = np.sin(2 * np.pi * t / 1000)
+    y = zone(u, 0.2, 0.3) + 1e-4 * np.random.default_rng(0).standard_normal(t.size)
+    still = longest_stillness(t, u, y)
+    assert still is not None
+    assert 0.4 < still.travel <= 0.51
+    assert still.level == pytest.approx(0, abs=1e-3)
+    assert still.count >= 4
+    assert longest_stillness(t, u, u) is None
+
+
+def test_a_step_of_the_command_is_no_travel_at_rest() -> None:
+    u = np.repeat([0.0, 1.0, 3.0, 4.0, 5.0, 8.0], 50)
+    y = np.concatenate([np.zeros(25), u])[: u.size]  # late
+    still = longest_stillness(None, u, y + 1e-4 * np.random.default_rng(0).standard_normal(u.size))
+    assert still is None or still.travel < 0.1
