@@ -245,7 +245,7 @@ def _identify_with_cache(
     with answers.hold_file():
         try:
             return _identify_logs(logs, options, advance, climbs)
-        except InputError as error:  # nothing was stopped
+        except Exception as error:  # nothing was stopped, and what fails would fail again
             refused = error
         finally:
             climbs.stop_caching()

@@ -1,6 +1,5 @@
-"""Columns of a log, and which is which: by names that a user gives, else by usual ones of t, y, u.
-
-A title holds a name and a unit, which gives the length of a unit of time.
+"""Columns of a log, and which is which: by names that a user gives, else by the words and units
+of names and by what the columns do.
 """
 
 from __future__ import annotations
@@ -13,101 +12,33 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from undeadzone.errors import FileError, InputError
+from undeadzone.logs.kinds import (
+    COUNTS,
+    EXACT,
+    REFERENCE,
+    SECONDS,
+    Title,
+    add_unit,
+    increases_evenly,
+    is_regular_time,
+    kind_of,
+    rank_of,
+    split_unit,
+    split_words,
+    time_rank,
+)
 from undeadzone.util.arrays import Floats
 
-# Length of a unit of time [s]. A time that counts samples has no length of its own.
-SECONDS: Final = {
-    **dict.fromkeys(("", "s", "sec", "seconds"), 1.0),
-    **dict.fromkeys(("ms", "msec", "millis", "milliseconds"), 1e-3),
-    **dict.fromkeys(("us", "µs", "μs", "usec", "micros", "microseconds"), 1e-6),
-    **dict.fromkeys(("ns", "nanos", "nanoseconds"), 1e-9),
-    **dict.fromkeys(("min", "mins", "minute", "minutes"), 60.0),
-    **dict.fromkeys(("h", "hr", "hours"), 3600.0),
-}
-COUNTS: Final = ("sample", "samples")
-TIMES: Final = (
-    *("t", "time", "times", "zeit", "temps", "tiempo", "timestamp", "seconds", "sec"),
-    *("datetime", "date_time", "date time", "date/time", "clock", "uhrzeit", "heure", "hora"),
-    *("date", "datum", "fecha"),
-)
 DATES: Final = ("date", "datum", "fecha", "day")  # beside a column of times of day
-READINGS: Final = ("y", "output", "out", "reading", "measured", "measurement")
-INPUTS: Final = ("u", "input", "in", "command", "control")
-REFERENCES: Final = (
-    *("r", "reference", "ref", "setpoint", "set_point", "set point", "sollwert", "consigne"),
-    *("consigna", "target", "desired", "sp"),
-)
-# Names of the trades: of process control first, of physics where none of these is there. Those of
-# one tuple say the same of a column, so that two of them leave it open.
-OF_READINGS: Final = (
-    ("pv", "process value", "process variable"),
-    ("dec", "decrawdistance"),  # of a mount: the axis whose pulses change direction
-    (
-        *("flow", "level", "pressure", "temperature", "temp", "position", "speed", "rpm"),
-        *("present position", "actual position", "measured position", "present speed"),
-    ),
-    (
-        *("joint", "link", "load", "joint position", "joint angle", "link position", "link angle"),
-        *("joint encoder", "link encoder", "load encoder", "load position", "load angle"),
-    ),
-    ("axis", "star", "camera", "dial", "scale"),
-    (
-        *("encoder", "encoder position", "encoder angle", "angle", "q", "theta"),
-        *("motor encoder", "motor position", "motor angle"),  # beside a current or torque
-    ),
-)
-GOALS: Final = ("goal", "goal position", "target position", "commanded position", "goal speed")
-DRIVES: Final = ("current", "motor current", "present current", "torque", "motor torque", "effort")
-OF_INPUTS: Final = (
-    ("op", "co", "mv", "controller output", "output", "out"),
-    ("dec pulse", "decpulse", "decguidedistance"),  # signed, as a duration is not
-    ("valve", "heater", "pwm", "duty", "duty cycle", "voltage"),
-    GOALS,
-    ("desired", "target", "wanted"),  # where nothing else drives
-    ("pulses", "pulse", "motor", "motor position", "motor angle", "motor encoder"),
-    DRIVES,  # where neither a goal nor another position is
-)
-TEST_MACHINE: Final = ("displacement", "force")  # of two such columns the first drives
-# First or last words of names that no trade has: `force_command`, `measured_angle`.
-MEASURED: Final = frozenset(("reading", "measured", "measurement", "actual"))
-COMMANDED: Final = frozenset(("command", "commanded", "cmd", "input"))
-# A unit at the end of a name: `motor_deg`, `force_N`. Letters that often mean something else, and
-# units of speed, which would make a speed of a position, are none.
-_WITH_UNIT: Final = re.compile(
-    r"(.*[^\W_])[_ ](N|Nm|V|A|K|(?i:deg|rad|mrad|arcsec|arcmin|mm|cm|um|inch|us|ms|ns|px|counts"
-    r"|pct|percent|mv|ma|volts?|amps?|newtons?|pa|kpa|bar|psi|degc|celsius|kelvin))"
-)
-_TIME_WITH_UNIT: Final = re.compile(r"(?:t|time|times|timestamp|elapsed|elapsed time) (\S+)")
-_NAME_WITH_UNIT: Final = re.compile(r"(?:.* )?(\S+)")
-_ITSELF_A_TIME: Final = frozenset(
-    unit for unit in SECONDS if unit not in ("", "s", "min", "h", "hr", "sec", "seconds")
-)
+# Pairs of an input and a reading that are met more often than others, and by how much [rank].
+PAIRS: Final = {("goal", "position"): 0.3, ("drive", "speed"): 0.2, ("position", "force"): 13.0}
+# What a pair of columns adds to the difference of their ranks: common words, what one explains of
+# the other, values that last in the input, changes that come first, its place in the file.
+ALIKE, EXPLAINED, LASTING, EARLIER, AHEAD = 1.0, 0.5, 0.4, 0.3, 0.1
+LAGS: Final = range(1, 4)  # samples, by which a reading may follow its input
 INDEXED: Final = re.compile(r"^(.*?)[\[_(]?(\d+)[\])]?$")
+_PLAIN: Final = re.compile(r"[\w .\[\]()/%°#:+*-]+")  # names that an option may hold as they are
 _PRINTED_NAMES: Final = 12  # names in a message
-
-
-class Title(NamedTuple):
-    """Title of a column in a header: its name, its unit ("" if none)."""
-
-    name: str
-    unit: str
-
-
-def split_unit(text: str) -> Title:
-    """Name and unit of a header: `speed [rad/s]` or `speed (rad/s)`.
-
-    An index is no unit: `u[0]`, `pos (1)`. `[1]` after a space is: `u[0] [1]` has no dimension.
-    """
-    title = text.strip().strip("\"'").strip()
-    for opening, closing in (("[", "]"), ("(", ")")):
-        start = title.rfind(opening)
-        if start <= 0 or not title.endswith(closing):
-            continue
-        inside = title[start + 1 : -1].strip()
-        of_no_dimension = inside == "1" and opening == "[" and title[start - 1] == " "
-        if of_no_dimension or not inside.isdigit():
-            return Title(title[:start].strip(), inside)
-    return Title(title, "")
 
 
 def numbers(key: str, value: Any, kinds: str) -> Floats:
@@ -142,7 +73,8 @@ class Layout(NamedTuple):
         reading_titles, input_titles: titles of these columns.
         columns_text: in words, the column of each signal.
         reference: number of the column of the reference; None: there is none, or it is not needed.
-        of_the_trade: whether a name of a trade decided on a column, which the user should know.
+        is_certain: whether names without doubt or the user decided.
+        option: how the user sets the columns, and which are not used.
     """
 
     time: int | None
@@ -154,13 +86,13 @@ class Layout(NamedTuple):
     input_titles: list[Title]
     columns_text: str
     reference: int | None = None
-    of_the_trade: bool = False
+    is_certain: bool = True
+    option: str = ""
 
     @property
     def has_current(self) -> bool:
         """Return whether the second input is the current or torque of a servo that has a goal."""
-        plain = [_plain(title.name) for title in self.input_titles]
-        return len(plain) == 2 and plain[0] in GOALS and plain[1] in DRIVES
+        return [kind_of(*title) for title in self.input_titles] == ["goal", "torque"]
 
     @property
     def driving(self) -> list[int]:
@@ -210,7 +142,12 @@ def parse_columns(text: str | None) -> dict[str, str]:
 
 
 def layout_of_titles(
-    titles: Sequence[Title], p: int | None, m: int | None, chosen: Mapping[str, str], source: str
+    titles: Sequence[Title],
+    p: int | None,
+    m: int | None,
+    chosen: Mapping[str, str],
+    source: str,
+    values: Floats | None = None,
 ) -> Layout:
     """Return the columns of the signals of a log with a header.
 
@@ -220,17 +157,18 @@ def layout_of_titles(
             the reference if there is one.
         chosen: columns that the user names; see `parse_columns`.
         source: the log, for messages.
+        values: numbers in the columns (N x K), which decide what names leave open; None: what
+            names leave open is refused.
 
     Raises:
         FileError: a column is not known, or is used twice; names near it are listed.
     """
     _refuse_others(chosen, p, m)
-    header = _Header(titles, chosen, source)
+    if values is not None:  # a column without numbers is as good as a constant one
+        values = np.where(np.isfinite(values).any(axis=0), values, 0.0)
+    header = _Header(titles, chosen, source, values)
     time = header.find_time_column()
-    readings = header.signals("y", p, READINGS)
-    inputs = header.signals("u", m, INPUTS, readings)
-    if m is None and not _of_signal(chosen, "u"):
-        inputs = inputs + header.drive_of_servo(inputs, [*readings, time])
+    readings, inputs = header.find_signals(time, p, m)
     layout = header.layout(time, readings, inputs)
     return layout if m is not None else header.with_reference(layout)
 
@@ -265,11 +203,13 @@ class _Header(NamedTuple):
         titles: of the columns.
         chosen: columns that the user names; see `parse_columns`.
         source: the log, for messages.
+        values: numbers in the columns (N x K); None: they are not asked.
     """
 
     titles: Sequence[Title]
     chosen: Mapping[str, str]
     source: str
+    values: Floats | None = None
 
     def layout(self, time: int | None, readings: list[int], inputs: list[int]) -> Layout:
         """Return a layout, once no column is used twice and the unit of time is known."""
@@ -285,32 +225,41 @@ class _Header(NamedTuple):
             dated = [k for k, title in enumerate(self.titles) if title.name.lower() in DATES]
             date = next((k for k in dated if k not in used), None)
             roles.append(f"t from {self.titles[time].name!r}")
-        y, u = ([_add_unit(self.titles[k]) for k in columns] for columns in (readings, inputs))
+        y, u = ([add_unit(self.titles[k]) for k in columns] for columns in (readings, inputs))
         for signal, titles in (("y", y), ("u", u)):
             roles.append(f"{signal} from {', '.join(repr(title.name) for title in titles)}")
-        columns_text = ", ".join(roles)
-        named = bool(_of_signal(self.chosen, "y"))
-        known = {*READINGS, *INPUTS}
-        is_trade = not named and any(
-            (INDEXED.match(title.name) or [title.name] * 2)[1].lower() not in known
-            for title in (*y, *u)
-        )
-        return Layout(time, date, readings, inputs, seconds, y, u, columns_text, None, is_trade)
+        certain = all(abs(rank_of(title)) == EXACT for title in (*y, *u))
+        is_certain = bool(_of_signal(self.chosen, "y")) or certain
+        keys = [f"y[{i}]" if y[1:] else "y" for i in range(len(y))]
+        keys += [f"u[{i}]" if u[1:] else "u" for i in range(len(u))] + ["t"] * (time is not None)
+        parts = [f"{key}={self.printed_name(k)}" for key, k in zip(keys, used, strict=True)]
+        option = f'--columns "{",".join(parts)}"'
+        text = ", ".join(roles)
+        left = [title for k, title in enumerate(self.titles) if k not in used and title.name]
+        option = f"{option} sets them" + (f". Not used: {_list_columns(left)}" if left else "")
+        return Layout(time, date, readings, inputs, seconds, y, u, text, None, is_certain, option)
+
+    def printed_name(self, k: int) -> str:
+        """Return the name of a column as an option may hold it, else its number (from 1)."""
+        name = self.titles[k].name
+        is_plain = _PLAIN.fullmatch(name) and not name.isdigit()
+        return name if is_plain and len(self.find_equal_names(name)) == 1 else str(k + 1)
 
     def with_reference(self, layout: Layout) -> Layout:
         """Return the layout with the reference: a column that is nothing else. Raises FileError."""
-        same = [self.find_equal_names(name) for name in REFERENCES]
-        tags = [_plain(title.name).endswith(" sp") for title in self.titles]
-        same.append([k for k, is_tag in enumerate(tags) if is_tag])
         if "r" in self.chosen:
-            same = [[self.column_of_name("r")]]
-            if same[0][0] in layout.columns:
-                raise self.require_distinct(same[0][0])
-        for one in same:
-            if len(one) == 1 and one[0] not in layout.columns:
-                columns_text = f"{layout.columns_text}, r from {self.titles[one[0]].name!r}"
-                return layout._replace(reference=one[0], columns_text=columns_text)
-        return layout
+            found = [self.column_of_name("r")]
+            if found[0] in layout.columns:
+                raise self.require_distinct(found[0])
+        else:
+            near = self.likeness()[:, layout.readings[0]]
+            goals = [k for k, title in enumerate(self.titles) if kind_of(*title) in ("sp", "goal")]
+            open_ones = [k for k in goals if k not in layout.columns]
+            found = sorted(open_ones, key=lambda k: near[k] + 5 * (rank_of(self.titles[k]) < 12))
+        if not found:
+            return layout
+        columns_text = f"{layout.columns_text}, r from {self.titles[found[-1]].name!r}"
+        return layout._replace(reference=found[-1], columns_text=columns_text)
 
     def require_distinct(self, column: int) -> FileError:
         """That one column would have two parts."""
@@ -321,141 +270,186 @@ class _Header(NamedTuple):
         """Return the number of the column of times; None if there is none. Raises FileError."""
         if "t" in self.chosen:
             return self.column_of_name("t")
-        for name in TIMES:
-            same = self.find_exact_names(name)
-            if len(same) > 1:
-                many = f"several columns are named {name!r}"
-                raise FileError(f'{self.source}: {many}; columns="t=NUMBER"')
-            if same:
-                return same[0]
-        return next((k for k, title in enumerate(self.titles) if _is_time_with_unit(title)), None)
+        ranks = [time_rank(title) for title in self.titles]
+        named = [rank for rank in ranks if rank >= 0]
+        best = [k for k, rank in enumerate(ranks) if named and rank == min(named)]
+        if self.values is not None:
+            rising = {k for k, x in enumerate(self.values.T) if np.mean(np.diff(x) >= 0) > 0.9}
+            unknown = [k for k in rising if not rank_of(self.titles[k])]
+            best = [k for k in best if k in rising] or best
+            if not best and len(self.titles) > 2:
+                best = [k for k in unknown if is_regular_time(self.values[:, k])]
+            best = best[:1]
+        if len(best) > 1:
+            many = f"several columns are named {self.titles[best[0]].name!r}"
+            raise FileError(f'{self.source}: {many}; columns="t=NUMBER"')
+        return best[0] if best else None
 
-    def signals(
-        self, signal: str, count: int | None, usual: Sequence[str], others: Sequence[int] = ()
-    ) -> list[int]:
-        """Return the numbers of the columns of a signal. Raises FileError.
+    def find_signals(
+        self, time: int | None, p: int | None, m: int | None
+    ) -> tuple[list[int], list[int]]:
+        """Return the numbers of the columns of readings and of inputs. Raises FileError.
 
         Args:
-            signal: y or u.
-            count: how many there are; None: as many as are named.
-            usual: names without doubt.
-            others: columns that are something else.
+            time: number of the column of times.
+            p, m: numbers of readings and inputs; None: as many as are named.
         """
-        if signal == "y" and self.is_driven_by_output():
-            usual = [name for name in usual if name not in OF_INPUTS[0]]
-        if count is None:
-            count = len(_of_signal(self.chosen, signal)) or self.count_columns(usual)
-        required = [f"{signal}[{i}]" for i in range(count)]
-        named = [key for key in required if key in self.chosen]
-        if named and len(named) < count:
-            missing = next(key for key in required if key not in self.chosen)
-            raise InputError(f"columns: {missing} is missing. Expected {count} of {signal}")
-        if named:
-            return [self.column_of_name(key) for key in required]
-        for name in usual:
-            columns = self.usual(name, count)
-            if len(columns) == count:
-                return columns
-            if columns:
-                raise FileError(
-                    f"{self.source}: expected {count} of {signal}, the log has {len(columns)}: "
-                    f"{_list_columns([self.titles[k] for k in columns])}. Name it by "
-                    f'columns="{required[0]}=NAME"'
-                )
-        if columns := self.of_the_trade(signal, count, others):
-            return columns
-        require_table(self.source)
-        hint = self.hint_near_names(usual) or "."
-        raise FileError(
-            f"{self.source}: no name shows which column holds {signal}. There are "
-            f"{_list_columns(self.titles)}{hint} Name it "
-            f'by columns="{self.to_be_named()}"{self.example()}'
+        y, u = self.columns_named("y", p), self.columns_named("u", m)
+        ranks = self.ranks(y + u, m is not None)
+        used = {*y, *u, time}
+        is_open = np.array([k not in used and time_rank(t) < 0 for k, t in enumerate(self.titles)])
+        if self.values is not None:
+            varies = np.nanmax(self.values, axis=0) > np.nanmin(self.values, axis=0)
+            counts = [increases_evenly(x) for x in self.values.T]
+            for kept in (varies, ~(np.array(counts) & (ranks == 0))):
+                fewer = is_open & (kept | (np.abs(ranks) == EXACT))
+                is_open = fewer if fewer.sum() + bool(y) + bool(u) > 1 else is_open
+        scores = ranks[:, None] - ranks + self.likeness() + self.behaviour()
+        for axis, given in enumerate((u, y)):
+            rows = np.isin(np.arange(ranks.size), given[:1]) if given else is_open
+            scores = np.where(rows[:, None] if axis == 0 else rows, scores, -np.inf)
+        np.fill_diagonal(scores, -np.inf)
+        i, j = np.unravel_index(int(np.argmax(scores)), scores.shape)
+        best = scores[i, j]
+        is_unknown = self.values is None or best == -np.inf
+        for signal, given, k, count, usual in (("y", y, j, p, "output"), ("u", u, i, m, "input")):
+            rivals = np.delete(scores[i] if signal == "y" else scores[:, j], k)
+            tie = rivals.max(initial=-np.inf) > best - 1e-3 and not self.group(int(k), count)
+            if not given and is_unknown and (tie or best == -np.inf or ranks[k] == 0):
+                raise self.require_names(signal, usual)
+        if not y:
+            y = self.group(int(j), p) or [int(j)]
+        if not u:
+            u = self.group(int(i), m) or [int(i)]
+            u = u + (self.drive_of_servo(u, y, time) if m is None else [])
+        return y, u
+
+    def ranks(self, given: list[int], is_known_plant: bool) -> Floats:
+        """Return the rank of each column (K), by its name and by those beside it."""
+        ranks = np.array([rank_of(title) for title in self.titles])
+        ranks += (
+            0.01 * np.array([title.name.lower() in ("y", "u") for title in self.titles]) * ranks
+        )
+        outputs = np.array([split_words(title.name) in ("output", "out") for title in self.titles])
+        driven = (ranks > 17) | np.isin(np.arange(ranks.size), given)
+        if outputs.any() and not driven.any() and ((ranks < 0) & ~outputs).any():
+            ranks[outputs] = EXACT  # a controller's
+        if is_known_plant:
+            ranks[ranks == REFERENCE] = 0.0
+        return ranks
+
+    def likeness(self) -> Floats:
+        """Return how well names and kinds of an input (row) and a reading fit (K x K)."""
+        words = [{*split_words(title.name).split(" ")} for title in self.titles]
+        kinds = [kind_of(*title) for title in self.titles]
+        out = np.zeros((len(words), len(words)))
+        for i, one in enumerate(words):
+            for j, other in enumerate(words):
+                common = len(one & other) / max(len(one | other), 1)
+                out[i, j] = ALIKE * common + PAIRS.get((kinds[i], kinds[j]), 0.0)
+        return out
+
+    def behaviour(self) -> Floats:
+        """Return how well what the columns do fits an input (row) and a reading (K x K)."""
+        if self.values is None:
+            return np.zeros((len(self.titles), len(self.titles)))
+        levels = self.values - np.nanmean(self.values, axis=0)
+        changes = np.diff(levels, axis=0, prepend=levels[:1])
+        lasting = np.mean(changes == 0, axis=0)
+        x, dx = (np.nan_to_num(part / np.fmax(np.nanstd(part, axis=0), 1e-300)) for part in
+                 (levels, changes))  # fmt: skip
+        explained = np.maximum(*(np.abs(x.T @ part) / len(x) for part in (x, dx)))
+        after = np.mean([(dx[:-k].T @ dx[k:] / len(x)) ** 2 for k in LAGS], axis=0)
+        ahead = np.sign(np.arange(len(lasting)) - np.arange(len(lasting))[:, None])
+        return (
+            EXPLAINED * explained
+            + LASTING * (lasting[:, None] - lasting)
+            + EARLIER * (after - after.T) / (after + after.T + 1e-3)
+            + AHEAD * ahead
         )
 
-    def is_driven_by_output(self) -> bool:
-        """Return whether `output` is a controller's: beside a reading, and nothing else drives."""
-        drives = any(self.usual(name, 1) for name in INPUTS) or _of_signal(self.chosen, "u")
-        return not drives and bool(self.of_the_trade("y", 1, ()))
+    def columns_named(self, signal: str, count: int | None) -> list[int]:
+        """Return the columns that the user names for y or u. Raises InputError if one lacks."""
+        named = _of_signal(self.chosen, signal)
+        required = [f"{signal}[{i}]" for i in range(count or len(named))] if named else []
+        missing = [key for key in required if key not in self.chosen]
+        if missing:
+            count = len(required)
+            raise InputError(f"columns: {missing[0]} is missing. Expected {count} of {signal}")
+        return [self.column_of_name(key) for key in required]
 
-    def of_the_trade(self, signal: str, count: int, others: Sequence[int]) -> list[int]:
-        """Return the columns that bear a name of a trade; none if they are too many or few."""
-        plain = [_plain(title.name) for title in self.titles]
-        for names in OF_READINGS if signal == "y" else OF_INPUTS:
-            same = [k for k, name in enumerate(plain) if name in names and k not in others]
-            if not same and len(names[0]) == 2:  # a tag of the plant: FIC101.PV
-                same = [k for k, name in enumerate(plain) if name.split(" ")[-1] == names[0]]
-            if same:
-                return same if len(same) == count else []
-        pair = [k for k, name in enumerate(plain) if name in TEST_MACHINE]
-        if len(pair) == 2 and count == 1:
-            return pair[-1:] if signal == "y" else pair[:1]
-        words = MEASURED if signal == "y" else COMMANDED
-        ends = [{name.split(" ")[0], name.split(" ")[-1]} for name in plain]
-        same = [k for k, end in enumerate(ends) if end & words and k not in others]
-        return same if len(same) == count else []
+    def group(self, column: int, count: int | None) -> list[int]:
+        """Return the columns of one signal without doubt that differ by an index (`y[0]`).
 
-    def drive_of_servo(self, inputs: Sequence[int], others: Sequence[int | None]) -> list[int]:
-        """Return the column of the current of a servo that follows a position; none for others."""
-        named = [_plain(self.titles[k].name) for k in inputs]
-        if len(named) != 1 or named[0] not in GOALS:
-            return []
-        plain = [_plain(title.name) for title in self.titles]
-        same = [k for k, name in enumerate(plain) if name in DRIVES and k not in others]
-        return same if len(same) == 1 else []
-
-    def to_be_named(self) -> str:
-        """Return the names that are missing for signals without a known column: y=NAME,u=NAME."""
-        assignments = [f"{signal}={name}" for signal, name in self.chosen.items()]
-        for signal, usual in (("y", READINGS), ("u", INPUTS)):
-            named = any(self.usual(name, 1) for name in usual) or self.of_the_trade(signal, 1, ())
-            if not named and not _of_signal(self.chosen, signal):
-                assignments.append(f"{signal}=NAME")
-        return ",".join(assignments).replace("[0]", "")
-
-    def example(self) -> str:
-        """Return an example of columns, if names have brackets, which a shell wants quoted."""
-        indexed = [title.name for title in self.titles if title.name.endswith("]")]
-        if len(indexed) < 2:
-            return ""
-        return f', as in columns="y={indexed[0]},u={indexed[1]}"'
-
-    def count_columns(self, usual: Sequence[str]) -> int:
-        """How many columns a signal seems to have: those with an index, else one."""
-        for name in usual:
-            if self.find_equal_names(name):
-                return 1
-            if indexed := self.usual(name, 1):
-                return len(indexed)
-        return 1
-
-    def usual(self, name: str, count: int) -> list[int]:
-        """Return the columns of a usual name, by their places in the file.
-
-        They are those of the name itself if there are enough, else those with an index in its
-        order (`y[0]`, `y[1]`), else again those of the name; empty if there are none.
+        Raises FileError if they are not as many as expected.
 
         Args:
-            name: of the signal, in small letters.
-            count: channels of the signal.
+            column: one of them.
+            count: how many there must be; None: any number.
         """
-        same = self.find_equal_names(name)
-        if same and (count == 1 or len(same) > 1):
-            return same
-        indexed = []
-        for k, title in enumerate(self.titles):
-            match = INDEXED.match(title.name.lower())
-            if match and match[1] == name:
-                indexed.append((int(match[2]), k))
-        return [k for _, k in sorted(indexed)] or same
+        titles = [title.name.lower() for title in self.titles]
+        match = INDEXED.match(titles[column])
+        rank = rank_of(self.titles[column])
+        if abs(rank) != EXACT:
+            if (count or 1) > 1:
+                signal = "y" if rank < 0 else "u"
+                raise self.require_names(signal, signal)
+            return []
+        found = [INDEXED.match(title) for title in titles]
+        same = {
+            int(other[2]): k
+            for k, other in enumerate(found)
+            if match is not None and other is not None and other[1] == match[1]
+        }
+        columns = [same[index] for index in sorted(same)] or [
+            k for k, title in enumerate(titles) if title == titles[column]
+        ]
+        if count is not None and len(columns) != count:
+            signal = "y" if rank < 0 else "u"
+            raise FileError(
+                f"{self.source}: expected {count} of {signal}, the log has {len(columns)}: "
+                f"{_list_columns([self.titles[k] for k in columns])}. Name it by "
+                f'columns="{signal}[0]=NAME"'
+            )
+        return columns if count is not None or same else []
 
-    def find_exact_names(self, name: str) -> list[int]:
-        """Return the columns of that name, be they written large or small."""
-        return [k for k, title in enumerate(self.titles) if title.name.lower() == name.lower()]
+    def drive_of_servo(self, u: list[int], y: list[int], time: int | None) -> list[int]:
+        """Return the column of the current of a servo that follows a position; none for others."""
+        kinds = [kind_of(*title) for title in self.titles]
+        if [kinds[u[0]], kinds[y[0]], len(u)] != ["goal", "position", 1]:
+            return []
+        near = self.likeness()[:, y[0]]
+        same = [k for k, kind in enumerate(kinds) if kind == "torque" and k not in (*u, *y, time)]
+        if self.values is not None:
+            same = [k for k in same if np.nanstd(self.values[:, k]) > 0]
+        best = [k for k in same if near[k] >= max(near[same]) - 1e-9]
+        return best if len(best) == 1 else []
+
+    def require_names(self, signal: str, usual: str) -> FileError:
+        """That no name shows which column holds a signal."""
+        require_table(self.source)
+        names = ("y", "measured", usual) if signal == "y" else ("u", usual, "command")
+        hint = self.hint_near_names(names) or "."
+        assignments = [f"{key}={name}" for key, name in self.chosen.items()]
+        for other in ("y", "u"):
+            ranks = [rank_of(title) * (1 if other == "u" else -1) for title in self.titles]
+            if not _of_signal(self.chosen, other) and (other == signal or max(ranks) <= 0):
+                assignments.append(f"{other}=NAME")
+        columns = ",".join(assignments).replace("[0]", "")
+        return FileError(
+            f"{self.source}: no name shows which column holds {signal}. There are "
+            f'{_list_columns(self.titles)}{hint} Name it by columns="{columns}"'
+        )
 
     def find_equal_names(self, name: str) -> list[int]:
         """Return the columns of that name; if there is none, those of that name with a unit."""
-        with_unit = (k for k, title in enumerate(self.titles) if _plain(title.name) == name.lower())
-        return self.find_exact_names(name) or list(with_unit)
+        lower = split_unit(name).name.lower()
+        exact = [k for k, title in enumerate(self.titles) if title.name.lower() == name.lower()]
+        near = [k for k, title in enumerate(self.titles) if title.name.lower() == lower]
+        words = split_words(name)
+        return exact or near or [
+            k for k, title in enumerate(self.titles) if split_words(title.name) == words
+        ]  # fmt: skip
 
     def column_of_name(self, key: str) -> int:
         """Return the column of a chosen name or number (from 1).
@@ -486,46 +480,12 @@ class _Header(NamedTuple):
         return ""
 
 
-def has_time(titles: Sequence[Title]) -> bool:
-    """Return whether a name is that of a column of times.
-
-    Args:
-        titles: of the columns.
-    """
-    return any(title.name.lower() in TIMES or _is_time_with_unit(title) for title in titles)
-
-
-def _add_unit(title: Title) -> Title:
-    """Return a title with the unit at the end of its name, unless it has another."""
-    found = _WITH_UNIT.fullmatch(title.name)
-    return Title(title.name, found[2]) if found and not title.unit else title
-
-
-def _plain(name: str) -> str:
-    """Return the words of a name without a unit at their end."""
-    found = _WITH_UNIT.fullmatch(name)
-    return _split_words(found[1] if found else name)
-
-
-def _split_words(name: str) -> str:
-    """Return a name in small letters, with blanks between its words."""
-    apart = re.sub(r"([a-z])(Ms|Us|Ns)$", r"\1 \2", name)
-    return " ".join(re.sub(r"[_.\-/\s]+", " ", apart).lower().split())
-
-
-def _is_time_with_unit(title: Title) -> bool:
-    """Return whether a name contains a time and its unit: `t_ms`, `millis`."""
-    name = _split_words(title.name)
-    found = _TIME_WITH_UNIT.fullmatch(name)
-    return name in _ITSELF_A_TIME or (found is not None and found[1] in SECONDS)
-
-
 def _seconds(title: Title, source: str) -> float | None:
     """Return the length of a unit of time [s]; None if it counts samples. Raises FileError."""
     unit = title.unit.lower()
-    found = _NAME_WITH_UNIT.fullmatch(_split_words(title.name))
-    if not unit and found is not None and found[1] in SECONDS:
-        unit = found[1]
+    last = split_words(add_unit(title).name).split(" ")[-1]
+    if not unit:
+        unit = (add_unit(title).unit or (last if last in (*SECONDS, *COUNTS) else "")).lower()
     if unit in COUNTS:
         return None
     if unit not in SECONDS:

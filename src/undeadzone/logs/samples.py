@@ -14,13 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from undeadzone.errors import FileError
-from undeadzone.logs.names import (
-    Layout,
-    Title,
-    has_time,
-    layout_of_numbers,
-    layout_of_titles,
-)
+from undeadzone.logs.names import Layout, layout_of_numbers, layout_of_titles
 from undeadzone.logs.stamps import Stamps, is_ambiguous, over_midnight, since_1970, stamps_of
 from undeadzone.logs.text import (
     LARGEST,
@@ -42,6 +36,8 @@ Numbered = list[tuple[int, str]]  # lines with their numbers
 
 MOST_UNREADABLE = 0.5  # share of the lines of a log that may be unreadable
 FIRST = 10  # lines that tell the dialect, if as many have come
+SEEN, STRETCHES = 500, 8  # lines in a row, and how often, that show what columns do
+FEWEST_SEEN = 3
 TOLERANCE: Final = 0.01  # of the step: how far the usual time between samples may be from it
 JITTER: Final = 0.25  # of the step: how far a sample may be from where it should be
 LONGEST: Final = 100_000  # steps of a gap
@@ -209,9 +205,8 @@ class LogReader:
                 self._first = numbered  # a line of units may follow
                 return self._none()
             lines_below = [line for _, line in numbered[dialect.heads :]]
-            dialect = self._with_mark(dialect, lines_below)
-            dialect = self._dialect = _with_index_named(dialect, lines_below[:FIRST])
-            self.layout = self._layout(dialect)
+            dialect = self._dialect = self._with_mark(dialect, lines_below)
+            self.layout = self._layout(dialect, lines_below)
             self._require_readable(dialect, self.layout, numbered[dialect.heads :])
             numbered = numbered[dialect.heads :]
         if not numbered or self._dialect is None or self.layout is None:
@@ -252,10 +247,16 @@ class LogReader:
         numbered = enumerate((line[: LONGEST_LINE + 1] for line in lines), first)
         return [(k, line) for k, line in numbered if is_content(line)]
 
-    def _layout(self, dialect: Dialect) -> Layout:
-        """Return the columns of the signals. Raises FileError."""
+    def _layout(self, dialect: Dialect, lines: Sequence[str]) -> Layout:
+        """Return the columns of the signals; of no known plant, by their values too.
+
+        Raises FileError.
+        """
         if dialect.titles is not None:
-            return layout_of_titles(dialect.titles, self._p, self._m, self._chosen, self._source)
+            values = None if self._live or self._p else _values_of(dialect, lines)
+            return layout_of_titles(
+                dialect.titles, self._p, self._m, self._chosen, self._source, values
+            )
         return layout_of_numbers(dialect.width, self._p, self._m, self._chosen, self._source)
 
     def _require_readable(self, dialect: Dialect, layout: Layout, lines: Numbered) -> None:
@@ -365,36 +366,26 @@ class LogReader:
         return found
 
 
-def _with_index_named(dialect: Dialect, lines: Sequence[str]) -> Dialect:
-    """Return the dialect with a name for an index without one, as data frames write it.
+def _values_of(dialect: Dialect, lines: Sequence[str]) -> Floats | None:
+    """Return numbers of all columns (N x K) in some stretches of lines; None if there are few."""
+    cut = np.linspace(0, max(len(lines) - SEEN, 0), STRETCHES).astype(int)
+    chosen = np.unique(np.add.outer(cut, np.arange(SEEN)))
+    rows = [dialect.cells(lines[k]) for k in chosen[chosen < len(lines)].tolist()]
+    rows = [row for row in rows if len(row) == dialect.width]
+    if len(rows) < FEWEST_SEEN:
+        return None
+    return np.column_stack(
+        [numbers_of_texts(column, dialect) for column in zip(*rows, strict=True)]
+    )
 
-    It is the time if no other column is, and it increases as times do. A count 0, 1, 2 is none.
-    """
-    titles = dialect.titles
-    if titles is None or titles[0].name not in ("", "Unnamed: 0") or has_time(titles):
-        return dialect
-    rows = [dialect.cells(line) for line in lines]
-    texts = [row[0] for row in rows if len(row) == dialect.width]
-    stamps = stamps_of(texts)
+
+def numbers_of_texts(texts: Sequence[str], dialect: Dialect) -> Floats:
+    """Return the numbers in the cells of a column, or its times [s]; NaN where there is none."""
     values = [dialect.parse_number(text) for text in texts]
-    if all(value is None for value in values) and stamps is not None:
-        values = [stamps.seconds(text) for text in texts]
-    if not is_regular_time(np.array(values, float)):
-        return dialect
-    return dialect._replace(titles=(Title("time", ""), *titles[1:]))
-
-
-def is_regular_time(values: Floats) -> bool:
-    """Return whether values increase regularly, and do not just count from 0 or 1.
-
-    Args:
-        values: of a column (N).
-    """
-    between = np.diff(values)
-    if values.size < 3 or not (between > 0).all():
-        return False
-    counts = bool((between == 1).all()) and values[0] in (0, 1)
-    return not counts and float(np.ptp(between)) <= 2 * JITTER * float(np.median(between))
+    if all(value is None for value in values):
+        stamps = stamps_of(texts)
+        values = [None if stamps is None else stamps.seconds(text) for text in texts]
+    return np.array(values, float)
 
 
 def _join_date_and_time(cells: list[str], layout: Layout) -> str:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from undeadzone.errors import FileError, InputError
-from undeadzone.logs.names import Title, split_unit
+from undeadzone.logs.kinds import Title, split_unit
 from undeadzone.util.files import open_plain, unreadable_file
 
 BLOCK: Final = 1 << 22  # bytes of a file that are read at once

@@ -18,18 +18,9 @@ import numpy as np
 
 from undeadzone.errors import FileError, InputError
 from undeadzone.logs.matlab73 import NUMERIC, is_matlab_73, load_matlab_73, unpacked_size
-from undeadzone.logs.names import (
-    INPUTS,
-    READINGS,
-    REFERENCES,
-    Layout,
-    Title,
-    has_time,
-    layout_of_titles,
-    numbers,
-    split_unit,
-)
-from undeadzone.logs.samples import Samples, is_regular_time, oldest_first
+from undeadzone.logs.kinds import Title, has_time, is_regular_time, split_unit
+from undeadzone.logs.names import Layout, layout_of_titles, numbers
+from undeadzone.logs.samples import Samples, oldest_first
 from undeadzone.logs.stamps import since_1970, stamps_of
 from undeadzone.logs.text import LARGEST
 from undeadzone.util.arrays import Floats
@@ -66,11 +57,11 @@ def samples_of(
     columns = _columns(log)
     if not columns:
         raise FileError(f"{source}: holds no columns of numbers")
-    if "t" not in chosen:
-        columns = _with_time_named(columns)
     titles = [title for title, _ in columns]
     values = [column for _, column in columns]
-    layout = layout_of_titles(titles, p, m, chosen, source)
+    sizes = {column.size for column in values}
+    seen = np.column_stack(values) if len(sizes) == 1 and min(sizes) > 1 and not p else None
+    layout = layout_of_titles(titles, p, m, chosen, source, seen)
     length = values[layout.readings[0]].size
     for k in layout.columns:
         if values[k].size != length:
@@ -117,22 +108,6 @@ def _columns(log: Any) -> Columns:
     if log.suffix.lower() in JSON_LINES:
         return of_json_lines(log)
     return of_npz(log) if log.suffix.lower() == ".npz" else of_mat(log)
-
-
-def _with_time_named(columns: Columns) -> Columns:
-    """Return the columns with a time, if there is one: a first column that increases regularly.
-
-    It is the first column of a matrix of another name than those of readings, inputs and
-    references, if no column is a time.
-    """
-    if has_time([title for title, _ in columns]):
-        return columns
-    known = [f"{name}[0]" for name in (*READINGS, *INPUTS, *REFERENCES)]
-    for k, (title, values) in enumerate(columns):
-        first = title.name.endswith("[0]") and title.name not in known
-        if first and is_regular_time(values):
-            return [*columns[:k], (Title("time", ""), values), *columns[k + 1 :]]
-    return columns
 
 
 def _usable(t: Floats, y: Floats, u: Floats) -> Samples:

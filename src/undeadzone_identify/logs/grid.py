@@ -12,8 +12,12 @@ from undeadzone.logs.samples import Regular, fill_gaps
 from undeadzone.util.arrays import Flags, Floats, Integers
 from undeadzone_identify.logs.log import Log, sample_location
 from undeadzone_identify.models.estimates import CachedMaxima
+from undeadzone_identify.models.likelihood import root_mean_square
 
 JITTER = 0.01  # of a step, by which regular times may differ
+SWAYS, MOST_SWAY = 0.05, 0.25  # of a step: rms, and most, by which they may differ at random
+SELDOM = 0.02  # share of intervals that may be no multiple of the step, and end a record
+BRIDGED = 2.0  # steps between two readings, between which others are interpolated
 LONG = 20  # steps; a longer gap begins a new record, since nobody knows the input in it
 MOST = 100_000  # samples that are used; more would take minutes and say little more
 MOST_SUMMED = 10_000  # of an integrating plant, whose log has a state every few hundred samples
@@ -75,13 +79,12 @@ def to_grid(logs: list[Log], resample: float | None = None) -> Grid:
 
     Args:
         logs: one or more; each begins a record with a state of its own.
-        resample: step [s] to resample to; default: the step of the logs, which must be regular.
+        resample: step [s] to resample to; default: the step of the logs.
 
     Returns:
         The records, one after another.
 
     Raises:
-        FileError: an irregular step.
         InputError: logs with different steps or numbers of inputs.
     """
     pieces = []
@@ -93,8 +96,9 @@ def to_grid(logs: list[Log], resample: float | None = None) -> Grid:
             raise InputError(
                 f"{log.source}: has {log.u.shape[1]} inputs, others have another number"
             )
-        steps.append(find_sample_time(log) if resample is None else resample)
-        on_grid = _fill_regular if resample is None else _resample_log
+        step = find_step(log, remarks) if resample is None else resample
+        steps.append(abs(step))
+        on_grid = _fill_regular if resample is None and step > 0 else _resample_log
         pieces.append(on_grid(log, steps[-1], remarks))
     if max(steps) > min(steps) * (1 + JITTER):
         raise InputError(
@@ -198,8 +202,13 @@ def find_sample_time(log: Log) -> float:
     spacing = np.diff(log.t)
     step = float(np.median(spacing))
     count = np.maximum(np.rint(spacing / step), 1.0)
-    step = float((log.t[-1] - log.t[0]) / count.sum())
+    fits = np.abs(spacing - count * step) <= MOST_SWAY * step
+    near = fits & (count <= LONG)
+    step = float(spacing[near].sum() / max(count[near].sum(), 1.0)) or step
     off = np.abs(spacing - count * step)
+    sways = root_mean_square(off[near]) if near.any() else np.inf
+    if sways <= SWAYS * step and np.mean(~fits) <= SELDOM:
+        return step
     allowed = JITTER * step * np.sqrt(count) + _print_error(log.t)
     bad = np.flatnonzero(off > allowed)
     if bad.size:
@@ -227,8 +236,10 @@ def _print_error(t: Floats) -> float:
 
 def _fill_regular(log: Log, step: float, remarks: list[str]) -> _Piece:
     """Return a log on multiples of a step; short gaps are filled, long gaps start a record."""
-    steps = np.maximum(np.rint(np.diff(log.t, prepend=log.t[0] - step) / step), 1.0)
-    breaks = steps > LONG
+    spacing = np.diff(log.t, prepend=log.t[0] - step)
+    steps = np.maximum(np.rint(spacing / step), 1.0)
+    off = np.abs(spacing - steps * step)
+    breaks = (steps > LONG) | (off > MOST_SWAY * step + _print_error(log.t))
     steps[breaks] = 1.0
     start = np.flatnonzero(breaks)
     place = np.cumsum(steps).astype(int) - 1
@@ -241,30 +252,57 @@ def _fill_regular(log: Log, step: float, remarks: list[str]) -> _Piece:
         )
     if start.size:
         remarks.append(
-            f"{start.size} gaps of {log.source} are longer than {LONG} steps; a new record"
-            " begins after each"
+            f"{start.size} gaps of {log.source} are longer than {LONG} steps or no multiple of one;"
+            " a new record begins after each"
         )
     return _Piece(whole.t, whole.u[last], whole.y[:, 0], np.append(0, place[start]))
 
 
+def find_step(log: Log, remarks: list[str]) -> float:
+    """Return the sample time of a log [s]; the negative of its median where steps are irregular."""
+    try:
+        return find_sample_time(log)
+    except FileError:
+        if log.t.size < 3:
+            raise
+    step = float(np.median(np.diff(log.t)))
+    remarks.append(f"{log.source}: irregular steps. --resample STEP sets another than {step:.4g} s")
+    return -step
+
+
 def _resample_log(log: Log, step: float, remarks: list[str]) -> _Piece:
-    """Return a log on a new grid: inputs held, readings kept only near grid points."""
+    """Return a log on a new grid: inputs held, readings between near ones, gaps not bridged."""
     if not 0 < step < (log.t[-1] - log.t[0]) / 10:
         raise InputError(f"resample: a step of {step:g} s does not fit {log.t[-1] - log.t[0]:g} s")
-    size = int(np.floor((log.t[-1] - log.t[0]) / step)) + 1
-    if size > 20 * log.t.size:
+    spacing = np.diff(log.t)
+    usual = max(step, float(np.median(spacing)))
+    ends = np.append(np.flatnonzero(spacing > LONG * usual), log.t.size - 1)
+    firsts = np.append(0, ends[:-1] + 1)
+    sizes = np.floor((log.t[ends] - log.t[firsts]) / step * (1 + EXACT)).astype(int) + 1
+    if sizes.sum() > 20 * log.t.size:
         raise InputError(f"resample: a step of {step:g} s is far below the spacing of the log")
-    t = log.t[0] + step * np.arange(size)
-    before = np.clip(np.searchsorted(log.t, t + 1e-6 * step, side="right") - 1, 0, None)
-    after = np.minimum(before + 1, log.t.size - 1)
-    nearer = np.abs(log.t[after] - t) < np.abs(log.t[before] - t)
-    near = np.where(nearer, after, before)
-    y = np.where(np.abs(log.t[near] - t) <= 0.1 * step, log.y[near, 0], np.nan)
+    start = np.cumsum(sizes) - sizes
+    t = np.repeat(log.t[firsts] - start * step, sizes) + step * np.arange(sizes.sum())
+    before = np.searchsorted(log.t, t + 1e-6 * step, side="right") - 1
+    known = np.isfinite(log.y[:, 0])
+    times, y = log.t[known], log.y[known, 0]
+    last = np.clip(np.searchsorted(times, t + 1e-6 * step, side="right") - 1, 0, times.size - 1)
+    following = np.minimum(last + 1, times.size - 1)
+    share = np.clip((t - times[last]) / np.fmax(times[following] - times[last], step * EXACT), 0, 1)
+    share[np.abs(t - times[last]) < 1e-6 * step] = 0.0
+    silent = (y[last] == 0) | (y[following] == 0)  # between 0 and a reading lies none
+    part = np.where(silent, np.rint(share), share)
+    new = y[last] + part * (y[following] - y[last])
+    quantum = find_quantum(y)
+    new = np.rint(new / quantum) * quantum if quantum else new
+    is_near = (share == 0) | (times[following] - times[last] <= BRIDGED * usual * (1 + JITTER))
+    inside = is_near & (np.abs(t - times[last]) <= BRIDGED * usual)
     remarks.append(
-        f"resampled to {step:g} s: {int(np.isfinite(y).sum())} of {log.t.size} readings lie within"
-        " a tenth of a step of the grid and are kept"
+        f"resampled to {step:.4g} s: {int(inside.sum())} readings from {times.size}, on lines between"
+        f" readings at most {BRIDGED:g} steps apart; {start.size} records"
     )
-    return _Piece(t, np.hstack([log.u, log.r])[before], y, np.zeros(1, int))
+    driving = np.hstack([log.u, log.r])[before]
+    return _Piece(t, driving, np.where(inside, new, np.nan), start)
 
 
 def find_quantum(y: Floats) -> float:

@@ -15,9 +15,11 @@ import msgspec
 import numpy as np
 
 from undeadzone.errors import FileError, InputError
-from undeadzone.logs.names import Layout, Title, layout_of_titles, numbers, parse_columns
+from undeadzone.logs.kinds import Title, kind_of
+from undeadzone.logs.names import Layout, layout_of_titles, numbers, parse_columns
 from undeadzone.logs.samples import (
     MOST_UNREADABLE,
+    REPEATED,
     LogReader,
     Samples,
     count_in_words,
@@ -32,6 +34,7 @@ T = TypeVar("T", int, float)
 
 MOST_POLES = 8
 MOST_LATE = 1000  # samples
+SESSIONS = 1000.0  # usual steps that are put between two sessions of one file
 AT_ONCE = "-1"  # delay of a recording whose readings answer to the input of their own row
 
 
@@ -187,6 +190,7 @@ class Log(NamedTuple):
         counted: whether the times count samples, so that no rate in seconds is known.
         r: the reference (N x 1), NaN if it is missing; (N x 0) where none was recorded.
         remarks: on omissions, for the user.
+        has_clock: whether the times were recorded; else rows are counted, as those of a table.
     """
 
     t: Floats
@@ -201,6 +205,17 @@ class Log(NamedTuple):
     counted: bool
     r: Floats
     remarks: tuple[str, ...] = ()
+    has_clock: bool = True
+
+    @property
+    def input_kinds(self) -> tuple[str, ...]:
+        """Return what the inputs hold, by their names and unit, as `kind_of` has it (m)."""
+        return tuple(kind_of(name, self.input_unit) for name in self.inputs)
+
+    @property
+    def output_kinds(self) -> tuple[str, ...]:
+        """Return what the readings hold, by their names and units, as `kind_of` has it (p)."""
+        return tuple(map(kind_of, self.outputs, self.output_units))
 
     def select_output(self, k: int) -> Log:
         """Return the log with a single output."""
@@ -211,13 +226,15 @@ class Log(NamedTuple):
         )
 
 
-def log_from_samples(samples: Samples, layout: Layout, source: str) -> Log:
+def log_from_samples(samples: Samples, layout: Layout, source: str, strict: bool = True) -> Log:
     """Build a log from samples, valid for identification.
 
     Args:
         samples: times, readings, inputs with the reference behind them.
         layout: where they came from, with units.
         source: the log, for messages.
+        strict: whether a wrong time or a missing input is an error; else the sample is left out,
+            the input held, and a session whose time begins again is a record.
 
     Returns:
         The log; times that count samples have 1 s between two of them.
@@ -226,6 +243,11 @@ def log_from_samples(samples: Samples, layout: Layout, source: str) -> Log:
         FileError: times that do not increase, a missing input, readings that are all missing.
     """
     samples, repeated = without_repeats(samples)
+    mended: list[str] = []
+    if layout.time is None:
+        samples = samples._replace(t=np.arange(samples.t.size, dtype=float))
+    if not strict:
+        samples = _mend_times(_hold_inputs(samples, mended), mended)
     t = samples.t
     lines = samples.lines
     outputs = tuple(title.name for title in layout.reading_titles)
@@ -241,8 +263,9 @@ def log_from_samples(samples: Samples, layout: Layout, source: str) -> Log:
             raise FileError(f"{source}: {name} holds numbers beyond {LARGEST:g}")
     driving = layout.input_titles[: 1 if layout.has_current else None]
     units = {title.unit or "1" for title in driving}
-    needs_remark = layout.reference is not None or layout.of_the_trade
-    remarks = [f"{source}: {layout.columns_text}"] if needs_remark else []
+    remarks = [f"{source}: {remark}" for remark in mended]
+    if layout.reference is not None or not layout.is_certain:
+        remarks.insert(0, f"{source}: {layout.columns_text}; {layout.option}")
     if repeated:
         remarks.append(
             f"{source}: {repeated} samples have the time of the one before, and are left out"
@@ -259,10 +282,63 @@ def log_from_samples(samples: Samples, layout: Layout, source: str) -> Log:
         tuple(title.unit or "1" for title in layout.reading_titles),
         source,
         lines,
-        layout.seconds is None,
+        layout.seconds is None or layout.time is None,
         np.where(np.isfinite(r), r, np.nan),
         tuple(remarks),
+        layout.time is not None,
     )
+
+
+def _hold_inputs(samples: Samples, remarks: list[str]) -> Samples:
+    """Return samples whose missing inputs are those before, from the first known ones on."""
+    known = np.isfinite(samples.u) & (np.abs(samples.u) <= LARGEST)
+    rows = np.arange(len(known))[:, None]
+    last = np.maximum.accumulate(np.where(known, rows, -1), axis=0)
+    missing = int((~known).any(axis=1).sum())
+    if not 0 < missing < len(known) or known.any(axis=0).min() < 1:
+        return samples
+    remarks.append(f"{missing} inputs are missing, and count as held")
+    held = samples._replace(u=np.take_along_axis(samples.u, np.maximum(last, 0), axis=0))
+    return held.select_rows(last.min(axis=1) >= 0)
+
+
+def _mend_times(samples: Samples, remarks: list[str]) -> Samples:
+    """Return samples without single wrong times, sessions one after another, equal times spread.
+
+    Too many wrong times stay as they are, and are refused.
+    """
+    known = np.isfinite(samples.t)
+    t = samples.t[known]
+    back = np.flatnonzero(np.diff(t) < 0)
+    is_late = np.append(t, np.inf)[back + 2] > t[back]
+    is_early = ~is_late & (t[back + 1] > np.append(-np.inf, t)[back])
+    wrong = np.concatenate([back[is_late] + 1, back[is_early]])
+    rows = np.delete(np.flatnonzero(known), wrong)
+    between = np.diff(samples.t[rows])
+    again = between < 0
+    left_out = samples.t.size - rows.size
+    if max(left_out, again.sum() * 10) > REPEATED * samples.t.size or not (between > 0).any():
+        return samples
+    if left_out:
+        remarks.append(f"{count_in_words(left_out)} with a missing or wrong time left out")
+    usual = float(np.median(between[between > 0]))
+    if again.any():
+        remarks.append(f"time begins anew {again.sum()} times: each session is a record")
+        between[again] = SESSIONS * usual
+    t = samples.t[rows[0]] + np.append(0.0, np.cumsum(between))
+    return samples.select_rows(rows)._replace(t=_spread(t, usual, remarks))
+
+
+def _spread(t: Floats, usual: float, remarks: list[str]) -> Floats:
+    """Return times (N) [s] that do not repeat: equal ones are spread up to the next time."""
+    first = np.flatnonzero(np.diff(t, prepend=-np.inf))
+    if first.size == t.size:
+        return t
+    count = np.diff(np.append(first, t.size))
+    width = np.minimum(np.diff(t[first], append=np.inf), usual)
+    place = np.arange(t.size) - np.repeat(first, count)
+    remarks.append(f"{t.size - first.size} times repeat the one before: they are spread evenly")
+    return t + place * np.repeat(width / count, count)
 
 
 def sample_location(source: str, lines: Any, index: int) -> str:
@@ -331,11 +407,7 @@ def read_log(source: Any, columns: str | None = None, strict: bool = False) -> L
             samples, layout = samples_of(path, None, None, chosen, name)
         else:
             samples, layout = _read_csv_samples(path, chosen, strict, remarks)
-    if layout.time is None:
-        raise FileError(
-            f"{name}: no name says which column holds the times. Name it by --columns t=NAME"
-        )
-    log = log_from_samples(samples, layout, name)
+    log = log_from_samples(samples, layout, name, strict)
     return log._replace(remarks=(*log.remarks, *remarks))
 
 

@@ -20,7 +20,7 @@ from undeadzone.logs.names import (
 from undeadzone.logs.samples import (
     LogReader,
     Samples,
-    is_regular_time,
+
     place_on_steps,
     samples_of_text,
 )

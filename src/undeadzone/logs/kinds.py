@@ -1,0 +1,217 @@
+"""What a column may hold, by the words and the unit of its name: one table for all that ask.
+
+A name opens candidates: `names` compares them by what their columns do.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from undeadzone.util.arrays import Floats
+
+# Length of a unit of time [s]. A time that counts samples has no length of its own.
+SECONDS: Final = {
+    **dict.fromkeys(("", "s", "sec", "secs", "seconds", "sekunden", "secondes"), 1.0),
+    **dict.fromkeys(("ms", "msec", "millis", "milliseconds"), 1e-3),
+    **dict.fromkeys(("us", "µs", "μs", "usec", "micros", "microseconds"), 1e-6),
+    **dict.fromkeys(("ns", "nsec", "nanos", "nanoseconds"), 1e-9),
+    **dict.fromkeys(("min", "mins", "minute", "minutes"), 60.0),
+    **dict.fromkeys(("h", "hr", "hours"), 3600.0),
+}
+COUNTS: Final = ("sample", "samples", "step", "steps", "index", "row", "frame")
+# Times by name alone, best first, and words that begin or end the name of one.
+TIMES: Final = (
+    *("t", "time", "times", "zeit", "temps", "tiempo", "timestamp", "seconds", "sec"),
+    *("date time", "datetime", "zeitstempel", "clock", "uhrzeit", "heure", "hora"),
+    *("date", "datum", "fecha", "ms", "us", "ns", "msec", "millis", "micros", "nanos", "minutes"),
+    *("milliseconds", "microseconds", "nanoseconds", "mins", "minute", "hours", "usec", "nsec"),
+)
+CLOCKS: Final = frozenset(("time", "timestamp", "stamp", "zeit", "temps", "elapsed", "clock"))
+# A unit at the end of a name: `motor_deg`, `force_N`. Letters that often mean something else are
+# none.
+_WITH_UNIT: Final = re.compile(
+    r"(.*[^\W_])[_ ](N|Nm|V|A|K|W|(?i:deg|rad|mrad|arcsec|arcmin|mm|cm|um|inch|us|ms|ns|px|counts"
+    r"|pct|percent|mv|ma|volts?|amps?|newtons?|pa|kpa|bar|psi|degc|celsius|kelvin|kg|rpm|lpm))"
+)
+_WORDS: Final = re.compile(r"[A-Z]+(?![a-zµμ])|[A-ZÀ-Þ]?[^\W\d_A-Z]+|[A-Z]+|\d+|[°%]")
+
+EXACT: Final = 20.0  # rank of names without doubt
+REFERENCE: Final = 10.0  # rank of what a loop follows, which drives no plant by itself
+# Rows of a pattern, the kind that it shows ("" if it shows none) and a rank: the largest drives,
+# the least is read. The first row that fits a name decides.
+_TABLE: Final = tuple(
+    (re.compile(pattern), kind, rank)
+    for pattern, kind, rank in (
+        (r"^(u|input|in|control)( \d+)?$", "", EXACT),
+        (r"^(y|output|out)( \d+)?$", "", -EXACT),
+        (r"^(op|co|mv|controller output|stellgr(ö|oe)(ß|ss)e)$|\w op$", "op", 19.0),
+        (r"\bpv$|^process (value|variable)$", "pv", -19.0),
+        (r"^(command|cmd)$", "goal", 18.0),
+        (r"^(reading|measured|measurement|istwert|mesure)$", "", -18.0),
+        (r"battery|supply|\bbus\b|\bvcc\b|\berror\b|\bwanted time\b", "other", 0.0),
+        (r"\bsp$", "sp", REFERENCE),
+        (r"^(r|ref|reference|set ?point|sollwert|consigne|consigna)$", "goal", REFERENCE),
+        (r"\bdec ?(guide|pulse)", "drive", 16.5),
+        (r"\b(motor|pwm|volt\w*|torque|force|valve|duty|throttle) (command|cmd)\b", "drive", 16.0),
+        (
+            r"\b(goal|target\w*|desired|set ?point|ref(erence)?|wanted|demand(ed)?|command(ed)?|cmd"
+            r"|set|sp|actions?|des|requested|ziel)\b|\bsoll|consigne|consigna|vorgabe",
+            *("goal", 12.0),
+        ),
+        (
+            r"torque|\btau|\bcurrent\b(?! (pos|angle|speed|vel|temp|val))|effort|moment\b|strom\b"
+            r"|courant|couple\b|\bamps?\b|ampere|\biq\b|\[(m?a|nm)\]",
+            *("torque", 8.0),
+        ),
+        (
+            r"measured|sensor|\badc|feedback|\bfb\b|reading|\bhx\b|response|\bist\b|\braw\b(?! dis)|"
+            r"\bcode\b|observ|mesur|gemessen",
+            "",
+            -12.0,
+        ),
+        (
+            r"pwm|volt|spannung|tension|duty|throttle|joystick|pulse|guide distance|valve|ventil"
+            r"|vanne|heater|heiz|chauff|pump|\bfan\b|\bdac\b|stick\b|drive\b|\[(m?v|volts?)\]",
+            *("drive", 14.0),
+        ),
+        (r"dec( raw|$)", "position", -9.0),
+        (
+            r"speed|veloc|\bvel\b|\brpm\b|drehzahl|geschw|vitesse|omega|\bd ?d?q\b|\bqd\b|gyro|"
+            r"tach|\bupm\b|\[(k?rpm|upm|[^]]*/s)\]",
+            *("speed", -8.1),
+        ),
+        (
+            r"accel|beschl|flow|level|pressure|\btemp|durchfl|druck|stand\b|niveau|débit|pression|"
+            r"volume|power|leistung|weight|gewicht|poids",
+            "",
+            -8.0,
+        ),
+        (r"displacement|\bhub\b|\bweg\b|course|plunger", "position", 6.0),
+        (
+            r"load (pos|ang|enc)\w*|joint|\blink|\baxis|\bstar\b|camera|\bdial|\bscale\b|wheel",
+            "position",
+            -10.0,
+        ),
+        (
+            r"force|kraft|\bload\b|last\b|newton|applied|stimulus|\[(k?n|kip|lbf?|kg)\]",
+            "force",
+            4.0,
+        ),
+        (r"\bmot(or)?\b|\btheta m\b", "position", 6.0),
+        (
+            r"\bpos|position|angle|winkel|encoder|\benc\b|theta|\bphi\b|^q( \d+)?$|distance|height|"
+            r"tilt|lage\b|stellung|auslenk|pitch|roll\b|yaw|ticks|state|"
+            r"\[(deg|rad|mrad|°|mm|cm|m|in|um|µm|px|ticks|counts|arcsec|arcmin)\]",
+            *("position", -8.0),
+        ),
+        (r"\[(%|pct|percent)\]", "drive", 5.0),
+    )
+)
+
+
+class Title(NamedTuple):
+    """Title of a column in a header: its name, its unit ("" if none)."""
+
+    name: str
+    unit: str
+
+
+def split_unit(text: str) -> Title:
+    """Name and unit of a header: `speed [rad/s]` or `speed (rad/s)`.
+
+    An index is no unit: `u[0]`, `pos (1)`. `[1]` after a space is: `u[0] [1]` has no dimension.
+    """
+    title = text.strip().strip("\"'").strip()
+    for opening, closing in (("[", "]"), ("(", ")")):
+        start = title.rfind(opening)
+        if start <= 0 or not title.endswith(closing):
+            continue
+        inside = title[start + 1 : -1].strip()
+        of_no_dimension = inside == "1" and opening == "[" and title[start - 1] == " "
+        if of_no_dimension or not inside.isdigit():
+            return Title(title[:start].strip(), inside)
+    return Title(title, "")
+
+
+def add_unit(title: Title) -> Title:
+    """Return a title with the unit at the end of its name, unless it has another."""
+    found = _WITH_UNIT.fullmatch(title.name)
+    return Title(title.name, found[2]) if found and not title.unit else title
+
+
+def split_words(name: str) -> str:
+    """Return a name in small letters, with blanks between its words and no unit at their end."""
+    found = _WITH_UNIT.fullmatch(name)
+    return " ".join(_WORDS.findall(found[1] if found else name)).lower()
+
+
+def kind_of(name: str, unit: str = "") -> str:
+    """Return what a column may hold, of the kinds in the table, or "other".
+
+    The kinds are goal, position, speed, torque, drive, op, pv, sp and force.
+
+    Args:
+        name: of the column.
+        unit: of the column; "" or "1" if it has none.
+    """
+    kinds = [kind for _, kind, _ in _rows_of(Title(name, unit)) if kind]
+    is_read = rank_of(Title(name, unit)) in (-12.0, -18.0)
+    return next((kind for kind in kinds if not (is_read and kind in ("drive", "goal"))), "other")
+
+
+def rank_of(title: Title) -> float:
+    """Return how likely a column drives (> 0) or is read (< 0) by its name; 0: nothing is known."""
+    return next((rank for _, _, rank in _rows_of(title)), 0.0)
+
+
+def _rows_of(title: Title) -> list[tuple[re.Pattern[str], str, float]]:
+    """Return the rows of the table that fit a title."""
+    title = add_unit(title)
+    words = split_words(title.name)
+    texts = (words, f"{words} [{title.unit.lower()}]")
+    return [row for row in _TABLE if any(map(row[0].search, texts))]
+
+
+def time_rank(title: Title) -> int:
+    """Return the rank of a name among those of times, 0 the best; -1: it is that of no time."""
+    words = split_words(title.name).split(" ")
+    whole = " ".join(words)
+    if whole in TIMES:
+        return TIMES.index(whole)
+    in_a_unit = len(words) == 2 and words[0] in TIMES and words[1] in SECONDS
+    is_clock = bool(CLOCKS & {words[0], words[-1]}) and title.unit.lower() in SECONDS
+    return len(TIMES) if in_a_unit or is_clock else -1
+
+
+def has_time(titles: list[Title]) -> bool:
+    """Return whether a name is that of a column of times.
+
+    Args:
+        titles: of the columns.
+    """
+    return any(time_rank(title) >= 0 for title in titles)
+
+
+def increases_evenly(values: Floats) -> bool:
+    """Return whether values increase all along by about equal steps, as times and indices do.
+
+    Args:
+        values: of a column (N).
+    """
+    between = np.diff(values)
+    if values.size < 3 or not np.mean(between > 0) > 0.98:
+        return False
+    return bool(np.quantile(between, 0.9) <= 1.5 * np.median(between))
+
+
+def is_regular_time(values: Floats) -> bool:
+    """Return whether values increase regularly, and do not just count from 0 or 1.
+
+    Args:
+        values: of a column (N).
+    """
+    counts = bool((np.diff(values) == 1).all()) and values[0] in (0, 1)
+    return increases_evenly(values) and not counts
