@@ -218,8 +218,8 @@ def at_rest(result: IdentifiedAtRest) -> Figure:
     Args:
         result: of a log whose map at rest gave the answer.
     """
-    figure, (axes,) = create_panels(1, 3.2)
-    map_at_rest(axes, result)
+    figure, panels = create_panels([["map"]], "Map at rest", height=3.2)
+    map_at_rest(panels["map"], result)
     return figure
 
 
@@ -231,7 +231,7 @@ def map_at_rest(axes: Axes, result: IdentifiedAtRest) -> None:
         result: of a log.
     """
     log = result.log
-    _plot_dots(axes, log.u[:, 0], log.y[:, 0], ink.MUTED, "readings")
+    _plot_dots(axes, log.u[:, 0], log.y[:, 0], ink.READING, "readings")
     seen = result.looks.at_rest
     if seen is not None:
         axes.plot(seen.x, seen.predict(seen.x), color=ink.ESTIMATE, label="map at rest")
@@ -245,8 +245,11 @@ def map_at_rest(axes: Axes, result: IdentifiedAtRest) -> None:
         for one in ends:
             axes.axvspan(one.low, one.high, color=ink.ESTIMATE, alpha=0.3, lw=0)
         axes.set_xlim(limits)
-    finish_panel(axes, label_with_unit(log.outputs[0], log.output_units[0]))
-    axes.set_xlabel(label_with_unit(log.inputs[0], log.input_unit))
+    labels = (
+        label_with_unit(log.outputs[0], log.output_units[0]),
+        label_with_unit(log.inputs[0], log.input_unit),
+    )
+    finish_panel(axes, "Readings over commands", *labels)
 
 
 def _shade_held_out(axes: Axes, found_log: Identified) -> None:

@@ -192,8 +192,8 @@ def write_identified_motion(
         FileError: a file cannot be written.
     """
     text = partial(_build_motion_page, found, source=source, origin=origin)
-    draw = lost_motion if isinstance(found, IdentifiedMotion) else at_rest
-    return html.write_page({"overview": draw(found)}, folder, text)
+    figure = lost_motion(found) if isinstance(found, IdentifiedMotion) else at_rest(found)
+    return html.write_page({"overview": figure}, folder, text)
 
 
 def _build_motion_page(

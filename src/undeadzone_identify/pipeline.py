@@ -65,14 +65,11 @@ from undeadzone_identify.selection.alternatives import (
     Findings,
     add_named_element,
     add_play,
-    add_play_ahead,
     add_play_gap,
     add_valve,
-    build_input_element,
     deny_shaped_zone_without_width,
     has_a_model,
     has_hidden_readings,
-    has_play_ahead,
     holds_more,
     may_have_shaped_zone,
     may_lie_at_input,
@@ -606,16 +603,6 @@ def _add_remainder(case: Case, found: Findings) -> Findings:
     return found._replace(verdict=withdraw_zone_with_offset(found.verdict, case.chosen.pairs))
 
 
-def _has_actuator_zone(case: Case, found: Findings) -> bool:
-    """Return whether the verdict contains a zone of the actuator."""
-    return found.verdict.word in ("input_zone", "two_zones")
-
-
-def _add_actuator_zone(case: Case, found: Findings) -> Findings:
-    """Add the widths of the actuator's zone, of the sensor's if present, and the plant."""
-    return found._replace(element=build_input_element(case, found))
-
-
 HYPOTHESES = (
     Hypothesis("friction, or a zone of the input", _needs_zone_location, _add_zone_locations),
     Hypothesis("a play, or a play and a dead zone", _has_no_jump, add_play),
@@ -629,9 +616,7 @@ HYPOTHESES = (
     Hypothesis("the widths of a play", _has_play_verdict, add_play_gap),
     Hypothesis("noise that falls silent in the zone", _has_zone_with_zeros, _add_kalman_fit),
     Hypothesis("a spring that bends, or an offset", _needs_remainder_test, _add_remainder),
-    Hypothesis("a dead zone of the actuator", _has_actuator_zone, _add_actuator_zone),
     Hypothesis("what the likeliest model leaves", has_a_model, with_adequacy),
     Hypothesis("readings stored on change", has_hidden_readings, withhold_hidden_readings),
-    Hypothesis("the play of an actuator", has_play_ahead, add_play_ahead),
     Hypothesis("the numbers of what is named", needs_an_element, add_named_element),
 )

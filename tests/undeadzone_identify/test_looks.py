@@ -1,4 +1,4 @@
-"""Direct looks: rows at rest, the map of any shape, the map of a rate, and the witness of stillness."""
+"""Looks: rows at rest, the map of any shape, the map of a rate, and the witness of stillness."""
 
 from __future__ import annotations
 
@@ -118,7 +118,11 @@ def test_the_order_of_a_table_changes_nothing() -> None:
 def test_sides_that_were_never_tried_are_quiet_and_met_counts_the_others() -> None:
     u = np.linspace(0, 10, 51)
     rest = found(u, np.maximum(u - 3.3, 0))
-    assert (rest.flats[0].kind, rest.quiet, rest.met) == ("low end", ("left",), {"right": 34, "left": 0})
+    assert (rest.flats[0].kind, rest.quiet, rest.met) == (
+        "low end",
+        ("left",),
+        {"right": 34, "left": 0},
+    )
     falling = found(u, np.maximum(6.7 - u, 0))
     assert (falling.flats[0].kind, falling.quiet) == ("low end", ("right",))
     limited = found(u, np.minimum(u, 7))
@@ -256,7 +260,7 @@ def test_stillness_is_the_travel_of_the_command_in_a_band() -> None:
     assert still is not None
     assert 0.4 < still.travel <= 0.51
     assert still.level == pytest.approx(0, abs=1e-3)
-    assert still.count >= 4
+    assert still.stretches >= 4
     assert longest_stillness(t, u, u) is None
 
 

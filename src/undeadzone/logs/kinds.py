@@ -67,8 +67,8 @@ _TABLE: Final = tuple(
             *("torque", 8.0),
         ),
         (
-            r"measured|sensor|\badc|feedback|\bfb\b|reading|\bhx\b|response|\bist\b|\braw\b(?! dis)|"
-            r"\bcode\b|observ|mesur|gemessen",
+            r"measured|sensor|\badc|feedback|\bfb\b|reading|\bhx\b|response|\bist\b|"
+            r"\braw\b(?! dis)|\bcode\b|observ|mesur|gemessen",
             "",
             -12.0,
         ),

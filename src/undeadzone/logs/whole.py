@@ -17,8 +17,8 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from undeadzone.errors import FileError, InputError
-from undeadzone.logs.matlab73 import NUMERIC, is_matlab_73, load_matlab_73, unpacked_size
 from undeadzone.logs.kinds import Title, has_time, is_regular_time, split_unit
+from undeadzone.logs.matlab73 import NUMERIC, is_matlab_73, load_matlab_73, unpacked_size
 from undeadzone.logs.names import Layout, layout_of_titles, numbers
 from undeadzone.logs.samples import Samples, oldest_first
 from undeadzone.logs.stamps import since_1970, stamps_of

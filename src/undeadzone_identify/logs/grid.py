@@ -298,8 +298,8 @@ def _resample_log(log: Log, step: float, remarks: list[str]) -> _Piece:
     is_near = (share == 0) | (times[following] - times[last] <= BRIDGED * usual * (1 + JITTER))
     inside = is_near & (np.abs(t - times[last]) <= BRIDGED * usual)
     remarks.append(
-        f"resampled to {step:.4g} s: {int(inside.sum())} readings from {times.size}, on lines between"
-        f" readings at most {BRIDGED:g} steps apart; {start.size} records"
+        f"resampled to {step:.4g} s: {int(inside.sum())} readings from {times.size}, on lines"
+        f" between readings at most {BRIDGED:g} steps apart; {start.size} records"
     )
     driving = np.hstack([log.u, log.r])[before]
     return _Piece(t, driving, np.where(inside, new, np.nan), start)

@@ -5,14 +5,14 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+
+from undeadzone.logs.kinds import kind_of
+from undeadzone_identify.logs.log import Log
 from undeadzone_identify.looks.map import RestMap, map_at_rest, map_of_rate
 from undeadzone_identify.looks.pushes import FrictionLevel, friction_level
 from undeadzone_identify.looks.rests import FreePlay, free_play_between_rests
 from undeadzone_identify.looks.stillness import Stillness, longest_stillness
-from undeadzone_identify.looks.valley import Valley, gap_of_valleys
-
-def kind_of(*a): return "other"
-from undeadzone_identify.logs.log import Log
+from undeadzone_identify.looks.valley import Valley, gap_between_valleys
 
 
 class Looks(NamedTuple):
@@ -59,5 +59,5 @@ def look_at(log: Log) -> Looks:
         None if at_rest is not None else map_of_rate(t, u, y),
         longest_stillness(t, u, y),
         free_play_between_rests(t, u, y) if kind == "goal" else None,
-        gap_of_valleys(t, u, y),
+        gap_between_valleys(u, y),
     )

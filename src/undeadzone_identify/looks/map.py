@@ -159,8 +159,9 @@ def read_map(rows: Rows) -> RestMap | None:
     levels = _without_outliers(_medians(rows.u, rows.y))
     if levels.x.size < LEVELS or np.ptp(levels.v) == 0:
         return None
-    base, height = np.array([levels.x[0], levels.v.min()]), np.array(
-        [np.ptp(levels.x), np.ptp(levels.v)]
+    base, height = (
+        np.array([levels.x[0], levels.v.min()]),
+        np.array([np.ptp(levels.x), np.ptp(levels.v)]),
     )
     u, y = (rows.u - base[0]) / height[0], (rows.y - base[1]) / height[1]
     unit = Levels((levels.x - base[0]) / height[0], (levels.v - base[1]) / height[1], levels.w)
@@ -359,7 +360,9 @@ def _fit_part(levels: Levels, run: tuple[int, int], legs: list[Levels]) -> FlatP
     views = (levels.mirror(), levels)
     for share in (0.5, 0.0):
         runs = ((n - end, n - first), (first, end))
-        sides = [_fit_outwards(*view, *bounds, share) for view, bounds in zip(views, runs, strict=True)]
+        sides = [
+            _fit_outwards(*view, *bounds, share) for view, bounds in zip(views, runs, strict=True)
+        ]
         left, right = sides
         low = x[0] if left is None else -left.x
         high = x[-1] if right is None else right.x
@@ -370,9 +373,9 @@ def _fit_part(levels: Levels, run: tuple[int, int], legs: list[Levels]) -> FlatP
             return None
     level = float(np.average(v[inside], weights=w[inside] ** 2))
     residual = np.where(inside, v - level, 0.0)
-    for view, (_, outer), side in zip((residual[::-1], residual), runs, sides, strict=True):
+    for part, (_, outer), side in zip((residual[::-1], residual), runs, sides, strict=True):
         if side is not None:
-            view[outer : outer + side.outer.size] = side.outer
+            part[outer : outer + side.outer.size] = side.outer
     fits = [side for side in sides if side is not None]
     view = views[first == 0]
     if is_short and (len(fits) > 1 or not _bends_at_once(view.x, view.v, end - first)):
@@ -429,12 +432,12 @@ def _bends_at_once(x: Floats, v: Floats, inner: int) -> bool:
     """Return whether the line bends at an edge behind one or two levels, and hardly after it."""
     slope = np.diff(v)[inner - 1 : inner + 4] / np.diff(x)[inner - 1 : inner + 4]
     bend = np.abs(np.diff(slope))
-    return slope.size > 3 and bool(abs(slope[1]) > abs(slope[0]) and bend[0] > BENT * bend[1:].max())
+    return slope.size > 3 and bool(
+        abs(slope[1]) > abs(slope[0]) and bend[0] > BENT * bend[1:].max()
+    )
 
 
-def _edge(
-    view: Levels, side: Side, first: int, end: int, level: float, legs: list[Levels]
-) -> Edge:
+def _edge(view: Levels, side: Side, first: int, end: int, level: float, legs: list[Levels]) -> Edge:
     """Return an edge with its interval, widened by each sweep's own edge."""
     x, v, w = (part[first:] for part in view)
     still, moves = float(view.x[end - 1]), float(view.x[end])
@@ -446,9 +449,11 @@ def _edge(
         blur = min(near / max(abs(side.slope), 1e-9), 4 * cell)
         found = Interval((still + moves) / 2, still - blur, moves)
     else:
-        found = Interval.from_half_width(side.x, jackknife(x, v, w, end - first, side) + max(cell, rounding))
-    own = [_edge_of_leg(leg, level, len(side.bends)) for leg in legs]
-    own = [at for at in own if at is not None]
+        found = Interval.from_half_width(
+            side.x, jackknife(x, v, w, end - first, side) + max(cell, rounding)
+        )
+    each = [_edge_of_leg(leg, level, len(side.bends)) for leg in legs]
+    own = [at for at in each if at is not None]
     if own:
         low, high = np.quantile(own, [0.05, 0.95]).tolist()
         found = Interval(found.value, min(found.low, low), max(found.high, high))
@@ -527,7 +532,7 @@ def _up_down(u: Floats, y: Floats, came: Floats, line: Floats) -> Interval | Non
 
 
 def _ripples(levels: Levels, parts: list[FlatPart]) -> bool:
-    """Return whether the map waves about a bent line with a period, or has flat parts like stairs."""
+    """Return whether the map waves about a bent line with a period, or has parts like stairs."""
     bands = [_ends(part) for part in parts if part.kind == "band"]
     apart = np.diff(np.mean(bands, axis=1)) if len(bands) > 2 else np.array([1.0, -1.0])
     if np.std(apart) < EVEN * np.mean(apart):

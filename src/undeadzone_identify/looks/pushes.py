@@ -152,4 +152,5 @@ class _Fit:
             return None
         level = found[-1]._replace(low=low, high=high)
         rest = float(self.numbers(full, self.every)[1])
-        return FrictionLevel(level, *halves, rest, explained, gain, self.torque.size)
+        at_slow, at_fast = halves
+        return FrictionLevel(level, at_slow, at_fast, rest, explained, gain, self.torque.size)

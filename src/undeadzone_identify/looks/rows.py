@@ -1,8 +1,9 @@
-"""Rows at rest: commands with the reading that stands for each, from a table, holds, or a slow sweep."""
+"""Rows at rest: commands with the reading for each, from a table, holds, or a slow sweep."""
 
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -28,7 +29,7 @@ class Rows(NamedTuple):
         u: commands (R).
         y: readings (R).
         came: sign of the last change of the command, 0 for none (R).
-        count: number of readings behind each row (R).
+        counts: number of readings behind each row (R).
         spread: standard deviation of these readings, 0 for a single one (R) [y].
         how: "table", "holds" or "sweep".
     """
@@ -36,14 +37,12 @@ class Rows(NamedTuple):
     u: Floats
     y: Floats
     came: Floats
-    count: Integers
+    rows: Integers
     spread: Floats
     how: str
 
 
-def rows_at_rest(
-    t: Floats | None, u: Floats, y: Floats, levels: int = LEVELS
-) -> Rows | None:
+def rows_at_rest(t: Floats | None, u: Floats, y: Floats, levels: int = LEVELS) -> Rows | None:
     """Return the rows at rest of a log; None where readings move by themselves.
 
     Args:
@@ -108,9 +107,7 @@ def noise_of(y: Floats) -> float:
     return math.hypot(white, find_quantum(y) / math.sqrt(12))
 
 
-def _settled_rows(
-    u: Floats, y: Floats, came: Floats, cut: Integers, levels: int
-) -> Rows | None:
+def _settled_rows(u: Floats, y: Floats, came: Floats, cut: Integers, levels: int) -> Rows | None:
     """Return a row of each hold that comes to rest.
 
     The last quarter of such a hold reads what the quarter before it read. If few holds do, those
@@ -118,7 +115,7 @@ def _settled_rows(
     """
     noise, still = noise_of(y), SETTLED * float(np.std(y))
     rows, coming = [], []
-    held = [(a, b) for a, b in zip(cut[:-1], cut[1:], strict=True) if b - a >= HOLD]
+    held = [(a, b) for a, b in pairwise(cut) if b - a >= HOLD]
     for a, b in held:
         quarter = (b - a) // 4 + 1
         first, before, late = (

@@ -8,8 +8,6 @@ friction at a measured velocity.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -18,9 +16,7 @@ import numpy as np
 
 from undeadzone.compile import lanes
 from undeadzone.util.arrays import Floats, Integers
-from undeadzone_identify.models.elements import MapModel, dead_zone_map, identity_map
 from undeadzone_identify.models.estimates import (
-    best_maximum,
     cache_latest,
     central_differences,
     perturb_each,
@@ -30,12 +26,9 @@ from undeadzone_identify.models.estimates import (
 from undeadzone_identify.models.least_squares import FittedModel, LeastSquares
 from undeadzone_identify.models.likelihood import dead_zone, root_mean_square
 from undeadzone_identify.models.plant import PlantSimulator, RecordData
-from undeadzone_identify.models.zone import Kind, ZoneObjective
 from undeadzone_identify.models.zone_fit import (
     ZoneFit,
     fit_linear,
-    refit_likelihood,
-    refit_longest_record,
 )
 
 WIDTH = 32
@@ -229,6 +222,11 @@ class PlaceModel:
     def pass_input(self, u: Floats, theta: Floats) -> Floats:
         """Return the input u (N) after its dead zone (N)."""
         return dead_zone(u, *self.part_numbers(theta, "input"))
+
+    def driven_plant(self, theta: Floats) -> PlantSimulator:
+        """Return the linear plant driven by the input after its dead zone."""
+        data = self.simulator.data
+        return self.simulator.simulator_along(data._replace(u=self.pass_input(data.u, theta)))
 
     def output(self, theta: Floats) -> Floats:
         """Return z, the output of the plant (N)."""
@@ -433,112 +431,3 @@ class PlaceStarts:
             element[PARTS["sensor"]] = np.maximum(sensor_share * self.widths, 0.05)
             starts.append(theta)
         return starts
-
-
-# --- A zone of the input, and perhaps one of the sensor, measured
-
-# Start points between two zones: factor of the gain of a linear fit, factor of the widths.
-LOUDER = ((1.8, 1.0), (1.4, 0.5), (2.5, 1.3))
-ZonedTarget = ZoneObjective | LeastSquares[MapModel]
-
-
-class InputZoneFit(NamedTuple):
-    """Fit of a plant between a zone of its input and perhaps a zone of the sensor.
-
-    Attributes:
-        fit: model of least squares, to simulate the plant.
-        stages: objective and maximum of two stages of the fit. The first one has simulation errors,
-            or the likelihood of single samples; the second one has prediction errors, or the
-            likelihood of pairs if noise enters ahead of the sensor's zone.
-    """
-
-    fit: FittedModel[MapModel]
-    stages: Sequence[tuple[ZonedTarget, Floats]]
-
-
-def fit_input_zone(fits: Sequence[ZoneFit]) -> InputZoneFit | None:
-    """Fit plants behind a zone of the input; return the fit of least BIC.
-
-    Args:
-        fits: fits with a zone of the sensor, one per order, which give the start points.
-
-    Returns:
-        The fit; None if no start point is admissible.
-    """
-    candidates = []
-    for zone_fit in fits:
-        starts = PlaceStarts(refit_longest_record(zone_fit))
-        simulator = PlantSimulator(starts.simulator.data, starts.n, zoned=True)
-        squares = LeastSquares(MapModel(simulator, "input_zone", identity_map))
-        points = [np.append(*start) for start in starts.input_levels()]
-        candidates.append(squares.fit_from_starts(points))
-    best = min(filter(None, candidates), key=lambda fit: fit.bic, default=None)
-    if best is None:
-        return None
-    last_stage = best.squares.minimise_prediction_errors(best.theta)
-    stages = [(best.squares, best.theta), last_stage]
-    return InputZoneFit(best._replace(theta=last_stage[1]), stages)
-
-
-def fit_input_and_sensor(fits: Sequence[ZoneFit], two_zones: PlaceFit) -> InputZoneFit | None:
-    """Fit plants between zones of input and sensor; return the fit of least BIC.
-
-    Args:
-        fits: fits with a zone of the sensor alone, one per order.
-        two_zones: least-squares fit with both zones, of one order, which gives the start points.
-
-    Returns:
-        The fit; None if no start point is admissible.
-    """
-    candidates = []
-    for zone_fit in fits:
-        old = zone_fit.objective
-        simulator = PlantSimulator(old.data, old.layout.n, zoned=True)
-        kind: Kind = "behind" if old.kind == "behind" else "singles"
-        objective = ZoneObjective(simulator, kind, old.limits)
-        starts = _starts_between_zones(fit_linear(old.simulator), objective, two_zones)
-        maximum = best_maximum(objective, starts, 10, 60)
-        if maximum is not None:
-            candidates.append(ZoneFit(objective, *maximum))
-    if not candidates:
-        return None
-    best = min(candidates, key=lambda fit: fit.bic)
-    squares = LeastSquares(MapModel(best.objective.simulator, "two_zones", dead_zone_map))
-    last_stage: tuple[ZonedTarget, Floats] = squares.minimise_prediction_errors(
-        best.theta[: squares.model.base + 2]
-    )
-    if best.objective.kind != "behind":
-        pairs = refit_likelihood(best, "pairs")
-        # The likelihood of single samples has kinks at the edges, which stop a maximisation early.
-        best = refit_likelihood(pairs, "singles")
-        last_stage = pairs.objective, pairs.theta
-    theta = last_stage[1][: squares.model.base + 2]
-    fit = FittedModel(squares, theta, squares.autoregressive_density(theta))
-    return InputZoneFit(fit, [(best.objective, best.theta), last_stage])
-
-
-def _starts_between_zones(
-    linear: ZoneFit, objective: ZoneObjective, two_zones: PlaceFit
-) -> list[Floats]:
-    """Return start points for a plant between a zone of its input and one of its sensor (P each).
-
-    Both zones make the gain of a linear fit too small, so the gain is raised.
-
-    Args:
-        linear: fit of a linear plant.
-        objective: the likelihood that will be maximised.
-        two_zones: earlier fit with both zones, whose widths are scaled.
-    """
-    layout = objective.layout
-    starts = list[Floats]()
-    for gain_factor, width_factor in LOUDER:
-        theta = np.zeros(layout.parameter_count)
-        theta[layout.denominator] = linear.theta[layout.denominator]
-        theta[layout.numerators] = gain_factor * linear.theta[layout.numerators]
-        input_widths = two_zones.model.part_numbers(two_zones.theta, "input")
-        theta[layout.input_widths] = width_factor * input_widths
-        sensor = width_factor * two_zones.model.part_numbers(two_zones.theta, "sensor")
-        # d_r, d_l, and the logarithm of the rms of the noise
-        theta[layout.right : layout.right + 3] = *sensor, math.log(max(two_zones.density.rms, 1e-3))
-        starts.append(theta)
-    return starts

@@ -39,7 +39,7 @@ class WidthLimits(NamedTuple):
 
 
 class ZoneObjective:
-    """Log likelihood of theta = [a, b, x0, input's zone, d_r, d_l, log s, atanh rho].
+    """Log likelihood of theta = [a, b, x0, d_r, d_l, log s, atanh rho].
 
     Args:
         simulator: linear plant with its data.
@@ -129,7 +129,6 @@ class ZoneObjective:
         """Restrict the widths of a trial to their limits."""
         widths = slice(self.layout.right, self.layout.right + 2)
         theta[widths] = self.limits.clip_widths(*theta[widths])
-        theta[self.layout.input_widths] = np.maximum(theta[self.layout.input_widths], 0.0)
         return theta
 
     def sample_scores(self, theta: Floats) -> tuple[Floats, Floats, Floats]:
@@ -227,15 +226,15 @@ class ZoneObjective:
         """Return minus the Hessian of the log likelihood, made positive definite (F x F).
 
         It consists of central differences of the score over 0.01 standard deviations. The score is
-        discontinuous at the edges if noise enters behind the zone, or if the input has a zone. Then
-        the Gauss-Newton matrix is returned.
+        discontinuous at the edges if noise enters behind the zone. Then the Gauss-Newton matrix is
+        returned.
 
         Args:
             theta: parameters (P).
         """
         _, _, approximate = self.quadratic_model(theta)
         approximate = approximate + 1e-12 * np.eye(self.free.size)
-        if self.kind == "behind" or self.layout.zoned:
+        if self.kind == "behind":
             return approximate
         scale = 1 / np.sqrt(np.diag(approximate))
         rows = np.empty_like(approximate)

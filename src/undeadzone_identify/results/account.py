@@ -71,9 +71,7 @@ EFFECTS = {
         "add half of the gap to the reading, against the direction of motion",
         False,
     ),
-    "output range": Effect(
-        "the reading ends at limits", "discard readings at the limits", False
-    ),
+    "output range": Effect("the reading ends at limits", "discard readings at the limits", False),
     "output shape": Effect("the reading follows a curve", "invert the curve", False),
     "loss": Effect(
         "the reading rests over a band of the command, at which end cannot be decided here",
@@ -100,9 +98,7 @@ EFFECTS = {
         "look upstream for another loop of this period",
         False,
     ),
-    "tuning": Effect(
-        "the loop is tuned too tightly", "divide the gain of the controller", False
-    ),
+    "tuning": Effect("the loop is tuned too tightly", "divide the gain of the controller", False),
     "storage": Effect(
         "only changes of the reading are stored",
         "record every sample: set the dead band of the recorder to 0",
@@ -194,7 +190,9 @@ class Account(NamedTuple):
         texts = []
         for effect, numbers in effects.items():
             suffix = unit_suffix(self.unit_of(effect))
-            known = ", ".join(f"{name} {describe_interval(one, suffix)}" for name, one in numbers.items())
+            known = ", ".join(
+                f"{name} {describe_interval(one, suffix)}" for name, one in numbers.items()
+            )
             texts.append(": ".join(filter(None, [EFFECTS[effect].words, known])))
         return texts
 

@@ -36,25 +36,26 @@ def account_of_looks(log: Log, looks: Looks) -> Account | None:
     if seen is not None:
         hull = seen.level
         small = hull.high - hull.low < hull.value / 2
-        grade = MEASURED if seen.share > CLOSE and small else INDICATED
+        grade = MEASURED if seen.explained > CLOSE and small else INDICATED
         return Account(grade, {"friction": {"level": hull}}, "torque along the motion", units)
     if looks.rests is not None:
         one = looks.rests
         sure = one.flips >= FLIPS and one.is_sharp
-        effects = {"free play": {"gap": one.gap}}
+        effects = {"free play": {"gap": one.play}}
         return Account(MEASURED if sure else INDICATED, effects, "rests at one goal", units)
     if looks.valley is not None and looks.valley.gap.low > 0:
         grade = MEASURED if looks.valley.sweeps >= SWEEPS else INDICATED
         effects = {"input reversal": {"gap": looks.valley.gap}}
         return Account(grade, effects, "least readings of sweeps up and down", units)
-    for one, by in ((looks.at_rest, "map at rest"), (looks.of_rate, "map of the rate at rest")):
-        if one is not None:
-            return _account_of_map(one, by, units)
+    if looks.at_rest is not None:
+        return _account_of_map(looks.at_rest, "map at rest", units)
+    if looks.of_rate is not None:
+        return _account_of_map(looks.of_rate, "map of the rate at rest", units)
     return None
 
 
-def _account_of_map(seen: RestMap, by: str, units: tuple[str, str]) -> Account | None:
-    """Return the account of a map at rest; None where it has neither a part nor a bound."""
+def _account_of_map(seen: RestMap, by: str, units: tuple[str, str]) -> Account:
+    """Return the account of a map at rest: its parts, else a bound."""
     by = f"{by} ({seen.x.size} levels of the command)"
     parts = [_effect_of_part(part) for part in seen.flats]
     effects: dict[str, Numbers] = {}
@@ -62,15 +63,15 @@ def _account_of_map(seen: RestMap, by: str, units: tuple[str, str]) -> Account |
         effects.setdefault(effect, numbers)
     unmet = tuple(side for side, rows in seen.met.items() if not rows and "loss" in effects)
     if effects:
-        edges = [edge for part in seen.flats for edge in (part.left, part.right) if edge is not None]
+        edges = [
+            edge for part in seen.flats for edge in (part.left, part.right) if edge is not None
+        ]
         grade = MEASURED if min(edge.rows for edge in edges) >= ENOUGH else INDICATED
         level = f"the reading rests at {seen.flats[0].level:.4g}"
         return Account(grade, effects, f"{by}; {level}", units, unmet=unmet)
     if seen.fold is not None:
         edge = Interval(seen.fold, seen.fold, seen.fold)
         return Account(INDICATED, {"fold": {"edge": edge}}, by, units)
-    if seen.bound is None:
-        return None
     return Account(BOUNDED, {}, by, units, limits={"loss": seen.bound})
 
 

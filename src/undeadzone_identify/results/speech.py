@@ -79,8 +79,8 @@ def account_of_answer(answer: Answer) -> Account:
     units = (grid.input_unit, grid.output_unit)
     word = answer.verdict
     if word in WITHHELD:
-        return _account_of_fits(answer, units) if answer.found.valve is None else _open(
-            answer, units
+        return (
+            _account_of_fits(answer, units) if answer.found.valve is None else _open(answer, units)
         )
     if word == "operating_point":
         return _open(answer, units)
@@ -129,7 +129,7 @@ def _named_numbers(answer: Answer) -> Numbers:
     names = ("right", "left", "width")
     there = {name: getattr(answer, name) for name in names if getattr(answer, name) is not None}
     if answer.verdict in ("play", "both", "input_play", "stiction"):
-        there = {"gap": one for name, one in there.items() if name == "width"}
+        there = {"gap": there["width"]} if "width" in there else {}
     valve = answer.found.valve
     return there | ({"jump": valve.jump} if answer.verdict == "stiction" and valve else {})
 
@@ -194,9 +194,8 @@ def _numbers_of_word(answer: Answer, word: str, fit: FittedModel[Any]) -> Number
     if word in MEMORY or word == "input_play":
         return {"gap": known["width"]}
     unmet = _unmet_sides(answer, word, known)
-    return {
-        name: one for name, one in known.items() if name not in unmet and (name != "width" or not unmet)
-    }
+    unknown = unmet | ({"width"} if unmet else set())
+    return {name: one for name, one in known.items() if name not in unknown}
 
 
 def _unmet_sides(answer: Answer, word: str, widths: Numbers) -> set[str]:
@@ -251,9 +250,7 @@ def _account_of_fits(answer: Answer, units: tuple[str, str]) -> Account:
             others.setdefault(effect, one.numbers)
     buys = first.compare_to(line, test, answer.scale)
     effects = {EFFECT_OF[first.word]: first.numbers}
-    return Account(
-        INDICATED, effects, DYNAMICS, units, buys, others, tuple(answer.reasons)
-    )
+    return Account(INDICATED, effects, DYNAMICS, units, buys, others, tuple(answer.reasons))
 
 
 def _is_worth(one: Compared, line: Compared) -> bool:
@@ -283,7 +280,8 @@ def _find_limits(answer: Answer) -> dict[str, float]:
         if fit is None:
             continue
         numbers = _numbers_of_word(answer, word, fit)
-        top = max((one.high for name, one in numbers.items() if name in ("width", "gap")), default=0)
+        widest = numbers.get("width", numbers.get("gap"))
+        top = 0.0 if widest is None else widest.high
         if 0 < top < math.inf:
             limits[EFFECT_OF[word]] = float(top)
     return limits

@@ -131,7 +131,7 @@ def _follows(log: Log) -> bool:
     u, y = log.u[:, 0], log.y[:, 0]
     there = np.isfinite(u) & np.isfinite(y)
     spread = np.std(u[there]), np.std(y[there])
-    return min(spread) > 0 and float(np.corrcoef(u[there], y[there])[0, 1]) ** 2 > SHARE
+    return bool(min(spread) > 0 and np.corrcoef(u[there], y[there])[0, 1] ** 2 > SHARE)
 
 
 def _has_grid(log: Log) -> bool:

@@ -20,7 +20,6 @@ from undeadzone.logs.names import (
 from undeadzone.logs.samples import (
     LogReader,
     Samples,
-
     place_on_steps,
     samples_of_text,
 )
