@@ -34,7 +34,7 @@ SMOOTHED = 24  # levels in a row, from which noise is smoothed
 STEEPER = 0.35  # of the slope beside it: the largest inside a candidate
 FLAT = 0.1  # of the slope beside it: the largest inside a flat part
 HIDES, LEAST = 8.0, 0.008  # residuals and share of the range, that a flat part hides at least
-FOUND = 5.0  # residuals by which a band lies beside a straight line, all rows together
+LARGEST = 3.0  # standard deviations of a hidden band's amplitude
 EXPLAINED = 0.98  # of the variance beside a flat part
 NEAREST = 5  # moving levels that count for an edge behind one or two levels
 BENT = 4.0  # times the bends after it: the bend at an edge behind one or two levels
@@ -44,7 +44,7 @@ FEW = 0.05  # of the rows of one way that may contradict the others
 RARELY = 0.2  # of the rows between both thresholds, at which the state may change
 FOLDED = 0.03  # of the range, by which a reading must come back
 TURN = 0.3  # of the commands' range, from which the way back is a sweep of its own
-PERIODS, EVEN, RIPPLES = 4, 0.25, 0.5  # least number, spread of distances, share of the variance
+PERIODS, EVEN, RIPPLES = 5, 0.25, 0.5  # least number, spread of distances, share of the variance
 STAYS = 0.1  # of the commands' range, by which a command moves that stays
 RATE_EXPLAINED = 0.8  # of the variance of rates, by the command
 
@@ -217,13 +217,12 @@ def _medians(u: Floats, y: Floats) -> Levels:
     if x.size > MOST:
         x = np.quantile(u, np.linspace(0, 1, MOST + 1)[:-1])
     x = x[np.unique(np.floor((x - x[0]) / (CLOSE * np.ptp(x))), return_index=True)[1]]
-    level = np.searchsorted(x, u, side="right") - 1
+    level = np.searchsorted(x, u, side="right")
     order = np.lexsort((y, level))
-    first = np.searchsorted(level[order], np.arange(x.size + 1))
-    count = np.diff(first)
+    first, count = np.unique(level[order], return_index=True, return_counts=True)[1:]
     readings, commands = y[order], np.sort(u)
-    high = first[:-1] + count // 2
-    low = first[:-1] + (count - 1) // 2 if x.size < MOST else high  # no mean across an edge
+    high = first + count // 2
+    low = first + (count - 1) // 2 if x.size < MOST else high  # no mean across an edge
     w = np.sqrt(np.minimum(count, 30))
     medians = (readings[low] + readings[high]) / 2
     return Levels((commands[low] + commands[high]) / 2, medians, w / w.mean())
@@ -533,7 +532,7 @@ def _ripples(levels: Levels, parts: list[FlatPart]) -> bool:
     if np.std(apart) < EVEN * np.mean(apart):
         return True
     size = levels.x.size
-    if size < 6 * PERIODS:
+    if size < 4 * PERIODS:
         return False
     x = np.linspace(0, 1, size)
     v = np.interp(x, levels.x, levels.v)
@@ -565,19 +564,18 @@ def _bound(nodes: Floats, levels: Levels, noise: float, is_line: bool) -> float:
 
 
 def _bound_beside_line(levels: Levels) -> float:
-    """Return the largest dead band that a straight line could hide, wherever it lies."""
+    """Return the largest dead band, wherever it lies, that what a straight line leaves allows."""
     x, v = levels.x, levels.v
-    line = np.column_stack([np.ones(x.size), x])
-    basis = np.linalg.qr(line)[0]
+    basis = np.linalg.qr(np.column_stack([np.ones(x.size), x]))[0]
     off = v - basis @ (basis.T @ v)
     noise = max(float(np.sqrt(off @ off / (x.size - 2))), KNOWN)
-    slope = abs(float(np.linalg.lstsq(line, v)[0][1]))
-    widths, places = np.linspace(0.01, 1, 100)[:, None, None], np.linspace(0, 1, 41)[:, None]
-    inner = (places >= widths / 2) & (places <= 1 - widths / 2)
-    band = (x - places) - np.clip(x - places, -widths / 2, widths / 2)
-    bent = slope * (band - (band @ basis) @ basis.T)
-    seen = np.sqrt(np.sum(bent**2, axis=-1, keepdims=True)) > FOUND * noise
-    return float(widths[np.argmax((seen | ~inner).all(axis=1)[:, 0])][0, 0])
+    widths, places = np.linspace(0, 1, 101)[1:, None, None], np.linspace(0, 1, 41)[:, None]
+    band = np.clip(x - places, -widths / 2, widths / 2)
+    band = np.polyfit(x, v, 1)[0] * ((band @ basis) @ basis.T - band)
+    size = np.sqrt(np.sum(band**2, axis=-1))
+    allowed = band @ off + LARGEST * noise * size > size**2
+    allowed &= np.abs(places[:, 0] - 0.5) < 0.5 - widths[:, 0] / 2
+    return float(widths[np.argmin(allowed.any(axis=1)), 0, 0])
 
 
 def _unvisited(levels: Levels, height: Floats) -> tuple[float, float] | None:

@@ -48,7 +48,8 @@ def longest_stillness(t: Floats | None, u: Floats, y: Floats) -> Stillness | Non
         u: commands (N).
         y: readings, some may be missing (N).
     """
-    u, y = (signal[:: -(-signal.size // MOST)] for signal in known_samples(t, u, y)[1:] if u.size)
+    _, u, y = known_samples(t, u, y)
+    u, y = (signal[:: 1 + u.size // MOST] for signal in (u, y))
     if u.size < 4 * SHORTEST:
         return None
     blur = max(BLUR * noise_of(y), 1.01 * find_quantum(y), 1e-9 * float(np.ptp(y)))
