@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.interpolate import UnivariateSpline
+from scipy.linalg import solveh_banded
 from scipy.stats import t as student
 
 from undeadzone.util.arrays import Flags, Floats, bounds_of_runs
@@ -276,10 +276,27 @@ def _nodes(levels: Levels, parts: list[FlatPart]) -> Floats:
     for first, last in zip(*bounds_of_runs(~inside), strict=True):
         run = slice(first, last + 1)
         if last - first >= SMOOTHED:
-            noise = max(noise_of(v[run]), KNOWN)
-            v[run] = UnivariateSpline(x[run], v[run], levels.w[run] / noise)(x[run])
+            v[run] = _smooth(x[run], v[run])
     nodes = np.vstack([np.column_stack([x, v]), *points])
     return nodes[np.argsort(nodes[:, 0], kind="stable")].T
+
+
+def _smooth(x: Floats, v: Floats) -> Floats:
+    """Return the smoothest readings that differ from these by their noise (n)."""
+    inverse = 1 / np.diff(x)
+    bends = np.zeros((x.size - 2, x.size))
+    for k, column in enumerate((inverse[:-1], -inverse[:-1] - inverse[1:], inverse[1:])):
+        np.fill_diagonal(bends[:, k:], column)
+    squares = bends.T @ bends
+    bands = np.zeros((3, x.size))
+    for k in range(3):
+        bands[2 - k, k:] = np.diag(squares, k)
+    most = max(noise_of(v), KNOWN)
+    for stiffness in 10.0 ** np.arange(0, -10, -0.5):
+        smooth = solveh_banded(stiffness * bands + [[0], [0], [1]], v)
+        if np.std(v - smooth) < most:
+            return smooth
+    return v
 
 
 # --- Flat parts
@@ -384,6 +401,8 @@ def _fit_part(levels: Levels, run: tuple[int, int], legs: list[Levels]) -> FlatP
         for ahead, (view, side, bounds) in enumerate(zip(views, sides, runs, strict=True))
     ]
     kind = "band"
+    if all(edges) and -edges[0].interval.low > edges[1].interval.low:
+        return None
     if len(fits) == 1:
         kind = "low end" if level < np.median(v[~inside]) else "high end"
     return FlatPart(kind, level, edges[0] and _mirror(edges[0]), edges[1], end - first)
