@@ -283,7 +283,7 @@ def _nodes(levels: Levels, parts: list[FlatPart]) -> Floats:
 
 def _smooth(x: Floats, v: Floats) -> Floats:
     """Return the smoothest readings that differ from these by their noise (n)."""
-    inverse = 1 / np.diff(x)
+    inverse = 1 / np.maximum(np.diff(x), 0.25 / x.size)
     bends = np.zeros((x.size - 2, x.size))
     for k, column in enumerate((inverse[:-1], -inverse[:-1] - inverse[1:], inverse[1:])):
         np.fill_diagonal(bends[:, k:], column)
@@ -551,7 +551,7 @@ def _ripples(levels: Levels, parts: list[FlatPart]) -> bool:
     if np.std(apart) < EVEN * np.mean(apart):
         return True
     size = levels.x.size
-    if size < 4 * PERIODS:
+    if size < 5 * PERIODS:
         return False
     x = np.linspace(0, 1, size)
     v = np.interp(x, levels.x, levels.v)
