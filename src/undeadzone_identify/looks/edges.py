@@ -95,14 +95,15 @@ def fit_side(x: Floats, v: Floats, w: Floats, inner: int, bends: int | None = No
             k = int(np.argmin(losses))
             numbers = 3 + len(places) + steps
             price = n * np.log(losses[k] / n + KNOWN**2) + numbers * np.log(n)
-            best[steps] = min(best.get(steps, (np.inf,)), (float(price), places, float(edges[k])))
+            best[steps] = min(best.get(steps, (np.inf, (), 0.0)), (float(price), places, float(edges[k])))
     if True in best and best[True][0] < best[False][0] + MILD * np.log(n):
         side = _finish(x, v, w, inner, best[True][2], best[True][1], True)
         least = max(LEAP, SURE * float(np.std(side.outer)))
         ahead = side.step * np.sign(side.slope or side.step)
         if ahead > least:
             return side
-    return _finish(x, v, w, inner, best[False][2], best[False][1], False)
+    price, *at = best[False]
+    return _finish(x, v, w, inner, at[1], at[0], False) if np.isfinite(price) else None
 
 
 def jackknife(x: Floats, v: Floats, w: Floats, inner: int, side: Side) -> float:
