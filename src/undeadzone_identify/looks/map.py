@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import solveh_banded
+from scipy.ndimage import median_filter
 from scipy.stats import t as student
 
 from undeadzone.util.arrays import Flags, Floats, bounds_of_runs
@@ -159,8 +160,9 @@ def read_map(rows: Rows) -> RestMap | None:
     levels = _without_outliers(_medians(rows.u, rows.y))
     if levels.x.size < LEVELS or np.ptp(levels.v) == 0:
         return None
-    base, height = np.array([levels.x[0], levels.v.min()]), np.array(
-        [np.ptp(levels.x), np.ptp(levels.v)]
+    base, height = (
+        np.array([levels.x[0], levels.v.min()]),
+        np.array([np.ptp(levels.x), np.ptp(levels.v)]),
     )
     u, y = (rows.u - base[0]) / height[0], (rows.y - base[1]) / height[1]
     unit = Levels((levels.x - base[0]) / height[0], (levels.v - base[1]) / height[1], levels.w)
@@ -229,22 +231,14 @@ def _medians(u: Floats, y: Floats) -> Levels:
 
 
 def _without_outliers(levels: Levels) -> Levels:
-    """Return the levels without readings that no line through their neighbours comes near."""
-    x, v = levels.x, levels.v
-    if x.size <= LEVELS:
+    """Return the levels without single readings far from both neighbours on either side."""
+    v = levels.v
+    if v.size < SMOOTHED:
         return levels
-    far = np.full(x.size, np.inf)
-    places = np.arange(x.size)
-    edge = 0 if x.size >= SMOOTHED else 2
-    far[:edge] = far[x.size - edge :] = 0
-    for a, b in ((-2, -1), (-1, 1), (1, 2)):
-        known = (places + a >= 0) & (places + b < x.size)
-        k = places[known]
-        slope = (v[k + b] - v[k + a]) / (x[k + b] - x[k + a])
-        far[k] = np.minimum(far[k], np.abs(v[k + a] + slope * (x[k] - x[k + a]) - v[k]))
-    usual = np.quantile(v, 0.9) - np.quantile(v, 0.1)
-    is_far = far > max(10 * noise_of(v), 0.1 * float(usual))
-    return levels.select(~is_far) if is_far.sum() <= max(1, x.size // 50) else levels
+    far = np.abs(v - median_filter(v, 5, mode="nearest"))
+    usual = float(np.quantile(v, 0.9) - np.quantile(v, 0.1))
+    is_far = far > max(10 * noise_of(v), 0.1 * usual)
+    return levels.select(~is_far) if is_far.sum() <= max(1, v.size // 50) else levels
 
 
 def _one_way(u: Floats, came: Floats) -> Flags:
@@ -307,7 +301,7 @@ def _flat_parts(levels: Levels, legs: list[Levels], plays: bool) -> list[FlatPar
     x, v = levels.x, levels.v
     n = x.size
     fine = float(np.clip(4 * noise_of(v), FINE, APART))
-    runs = [run for near in (fine, WIDE) for run in find_runs(v, near, 3)]
+    runs = find_runs(v, fine, 3) + find_runs(v, WIDE, 3)
     runs = [run for run in runs if _is_steeper_beside(levels, *run)]
     runs.sort(key=lambda run: run[0] - run[1])
     short = [] if plays or n >= SMOOTHED else [(0, 2), (n - 2, n), (0, 1), (n - 1, n)]
@@ -375,7 +369,9 @@ def _fit_part(levels: Levels, run: tuple[int, int], legs: list[Levels]) -> FlatP
     views = (levels.mirror(), levels)
     for share in (0.5, 0.0):
         runs = ((n - end, n - first), (first, end))
-        sides = [_fit_outwards(*view, *bounds, share) for view, bounds in zip(views, runs, strict=True)]
+        sides = [
+            _fit_outwards(*view, *bounds, share) for view, bounds in zip(views, runs, strict=True)
+        ]
         left, right = sides
         low = x[0] if left is None else -left.x
         high = x[-1] if right is None else right.x
@@ -386,9 +382,9 @@ def _fit_part(levels: Levels, run: tuple[int, int], legs: list[Levels]) -> FlatP
             return None
     level = float(np.average(v[inside], weights=w[inside] ** 2))
     residual = np.where(inside, v - level, 0.0)
-    for view, (_, outer), side in zip((residual[::-1], residual), runs, sides, strict=True):
+    for outwards, (_, moves), side in zip((residual[::-1], residual), runs, sides, strict=True):
         if side is not None:
-            view[outer : outer + side.outer.size] = side.outer
+            outwards[moves : moves + side.outer.size] = side.outer
     fits = [side for side in sides if side is not None]
     view = views[first == 0]
     if is_short and (len(fits) > 1 or not _bends_at_once(view.x, view.v, end - first)):
@@ -396,16 +392,17 @@ def _fit_part(levels: Levels, run: tuple[int, int], legs: list[Levels]) -> FlatP
     if not _is_flat(levels, inside, fits, residual):
         return None
     runs = ((n - end, n - first), (first, end))
-    edges = [
-        side and _edge(view, side, *bounds, level, [leg if ahead else leg.mirror() for leg in legs])
-        for ahead, (view, side, bounds) in enumerate(zip(views, sides, runs, strict=True))
-    ]
+    others = ([leg.mirror() for leg in legs], legs)
+    edges: list[Edge | None] = []
+    for view, side, bounds, own in zip(views, sides, runs, others, strict=True):
+        edges.append(None if side is None else _edge(view, side, *bounds, level, own))
+    before, after = edges[0] and _mirror(edges[0]), edges[1]
     kind = "band"
-    if all(edges) and -edges[0].interval.low > edges[1].interval.low:
-        return None
-    if len(fits) == 1:
+    if before is None or after is None:
         kind = "low end" if level < np.median(v[~inside]) else "high end"
-    return FlatPart(kind, level, edges[0] and _mirror(edges[0]), edges[1], end - first)
+    elif before.interval.high > after.interval.low:
+        return None
+    return FlatPart(kind, level, before, after, end - first)
 
 
 def _fit_outwards(
@@ -447,12 +444,12 @@ def _bends_at_once(x: Floats, v: Floats, inner: int) -> bool:
     """Return whether the line bends at an edge behind one or two levels, and hardly after it."""
     slope = np.diff(v)[inner - 1 : inner + 4] / np.diff(x)[inner - 1 : inner + 4]
     bend = np.abs(np.diff(slope))
-    return slope.size > 3 and bool(abs(slope[1]) > abs(slope[0]) and bend[0] > BENT * bend[1:].max())
+    return slope.size > 3 and bool(
+        abs(slope[1]) > abs(slope[0]) and bend[0] > BENT * bend[1:].max()
+    )
 
 
-def _edge(
-    view: Levels, side: Side, first: int, end: int, level: float, legs: list[Levels]
-) -> Edge:
+def _edge(view: Levels, side: Side, first: int, end: int, level: float, legs: list[Levels]) -> Edge:
     """Return an edge with its interval, widened by each sweep's own edge."""
     x, v, w = (part[first:] for part in view)
     still, moves = float(view.x[end - 1]), float(view.x[end])
@@ -464,11 +461,12 @@ def _edge(
         blur = min(near / max(abs(side.slope), 1e-9), 4 * cell)
         found = Interval((still + moves) / 2, still - blur, moves)
     else:
-        found = Interval.from_half_width(side.x, jackknife(x, v, w, end - first, side) + max(cell, rounding))
-    own = [_edge_of_leg(leg, level, len(side.bends)) for leg in legs]
-    own = [at for at in own if at is not None]
+        found = Interval.from_half_width(
+            side.x, jackknife(x, v, w, end - first, side) + max(cell, rounding)
+        )
+    own = list(filter(None, (_fit_leg(leg, level, len(side.bends)) for leg in legs)))
     if own:
-        low, high = np.quantile(own, [0.05, 0.95]).tolist()
+        low, high = np.quantile([leg.x for leg in own], [0.05, 0.95]).tolist()
         found = Interval(found.value, min(found.low, low), max(found.high, high))
     if end - first < 3:
         found = Interval(*np.clip(found, still, moves).tolist())
@@ -477,8 +475,8 @@ def _edge(
     return Edge(found, still, moves, bool(side.step), rows)
 
 
-def _edge_of_leg(leg: Levels, level: float, bends: int) -> float | None:
-    """Return the edge of a single sweep; None where it does not rest and move."""
+def _fit_leg(leg: Levels, level: float, bends: int) -> Side | None:
+    """Return the fit of the edge of a single sweep; None where it does not rest and move."""
     starts, ends = bounds_of_runs(np.abs(leg.v - level) < WIDE)
     if not starts.size:
         return None
@@ -486,8 +484,7 @@ def _edge_of_leg(leg: Levels, level: float, bends: int) -> float | None:
     first, end = int(starts[longest]), int(ends[longest]) + 1
     if end - first < 3 or leg.x.size - end < 3:
         return None
-    side = fit_side(leg.x[first:], leg.v[first:], leg.w[first:], end - first, bends)
-    return None if side is None else side.x
+    return fit_side(leg.x[first:], leg.v[first:], leg.w[first:], end - first, bends)
 
 
 def _mirror(edge: Edge) -> Edge:
@@ -545,7 +542,7 @@ def _up_down(u: Floats, y: Floats, came: Floats, line: Floats) -> Interval | Non
 
 
 def _ripples(levels: Levels, parts: list[FlatPart]) -> bool:
-    """Return whether the map waves about a bent line with a period, or has flat parts like stairs."""
+    """Return whether the map waves with a period, or has flat parts like stairs."""
     bands = [_ends(part) for part in parts if part.kind == "band"]
     apart = np.diff(np.mean(bands, axis=1)) if len(bands) > 2 else np.array([1.0, -1.0])
     if np.std(apart) < EVEN * np.mean(apart):

@@ -1,7 +1,8 @@
-"""Rows at rest: commands with the reading that stands for each, from a table, holds, or a slow sweep."""
+"""Rows at rest: commands with their readings, from a table, from holds, or from a slow sweep."""
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import NamedTuple
 
@@ -36,7 +37,7 @@ class Rows(NamedTuple):
     u: Floats
     y: Floats
     came: Floats
-    count: Integers
+    count: Integers  # type: ignore[assignment]  # of the readings, in place of the tuple's
     spread: Floats
     how: str
 
@@ -113,7 +114,7 @@ def _settled_rows(u: Floats, y: Floats, came: Floats, cut: Integers) -> Rows | N
     """
     noise, still = noise_of(y), SETTLED * float(np.std(y))
     rows, coming = [], []
-    held = [(a, b) for a, b in zip(cut[:-1], cut[1:], strict=True) if b - a >= HOLD]
+    held = [(a, b) for a, b in itertools.pairwise(cut) if b - a >= HOLD]
     for a, b in held:
         quarter = (b - a) // 4 + 1
         first, before, late = (

@@ -1,7 +1,7 @@
 """The witness of stillness: how far the command travelled while the reading stood still.
 
-A stretch counts if the reading enters and leaves it in one direction. No limit of a dead band and no
-null may be below its travel, whatever a model says.
+A stretch counts if the reading enters and leaves it in one direction. No limit of a dead band
+and no null may be below its travel, whatever a model says.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ class Stillness(NamedTuple):
         edges: commands at both ends of the stretch [u].
         level: reading at rest [y].
         lag: of the reading behind the command, which is taken off the stretch [samples].
-        count: number of such stretches.
+        stretches: number of such rests.
     """
 
     travel: float
     edges: tuple[float, float]
     level: float
     lag: int
-    count: int
+    stretches: int
 
 
 def longest_stillness(t: Floats | None, u: Floats, y: Floats) -> Stillness | None:
@@ -70,7 +70,7 @@ def longest_stillness(t: Floats | None, u: Floats, y: Floats) -> Stillness | Non
             travel -= largest * (largest > STEP * travel)
             found.append(Stillness(travel, (float(asked[0]), float(asked[-1])), level, lag, 0))
     longest = max(found, default=None)
-    return longest and longest._replace(count=len(found))
+    return longest and longest._replace(stretches=len(found))
 
 
 def _find_lag(u: Floats, y: Floats) -> int:
