@@ -182,7 +182,7 @@ def _solve(
 
 
 def find_runs(v: Floats, tolerance: float, least: int) -> list[tuple[int, int]]:
-    """Return the runs of neighbours that read one level, the longest first, none over another.
+    """Return the disjoint runs of neighbours with a common level, the longest first.
 
     Args:
         v: readings (n).

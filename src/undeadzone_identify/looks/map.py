@@ -37,7 +37,7 @@ FLAT = 0.1  # of the slope beside it: the largest inside a flat part
 HIDES, LEAST = 8.0, 0.008  # residuals and share of the range, that a flat part hides at least
 LARGEST = 3.0  # standard deviations of a hidden band's amplitude
 EXPLAINED = 0.98  # of the variance beside a flat part
-NEAREST = 5  # moving levels that count for an edge behind one or two levels
+NEAREST, FARTHER = 5, 4  # moving levels that count for an edge, and more for each level at rest
 BENT = 4.0  # times the bends after it: the bend at an edge behind one or two levels
 UNVISITED = 0.2  # of the commands' range, from which a gap is said
 APART = 0.05  # of the range: readings that contradict, and both sides of a gap
@@ -315,7 +315,7 @@ def _flat_parts(levels: Levels, legs: list[Levels], plays: bool) -> list[FlatPar
 
 
 def _hysteresis(u: Floats, y: Floats) -> FlatPart | None:
-    """Return rest that ends at one command and begins at another one; None if it does not.
+    """Return a rest whose motion starts and stops at different commands, None without hysteresis.
 
     The edge is between the command that stops the motion, `moves`, and that which starts it,
     `still`. Between both the state before stays, which no flat part explains otherwise.
@@ -410,9 +410,9 @@ def _fit_outwards(
 ) -> Side | None:
     """Return the fit of the edge behind a run, of whose rows a share is left out ahead.
 
-    Behind one or two rows, few rows count.
+    The fewer rows are at rest, the fewer moving ones count.
     """
-    last = end + NEAREST if end - first < 3 else x.size
+    last = end + NEAREST + (FARTHER * (end - first) if end - first > 2 else 0)
     first += int(share * (end - first))
     return fit_side(x[first:last], v[first:last], w[first:last], end - first)
 
@@ -422,7 +422,7 @@ def _is_flat(levels: Levels, inside: Flags, fits: list[Side], residual: Floats) 
     x, v, w = levels
     n = int(inside.sum())
     middle, width = float(x[inside].mean()), max(float(np.ptp(x[inside])), 1e-9)
-    reach = max(1.5 * width, float(np.sort(np.abs(x - middle))[min(n + 3, x.size - 1)]))
+    reach = max(1.5 * width, float(np.sort(np.abs(x - middle))[min(n + NEAREST, x.size - 1)]))
     near = np.abs(x - middle) <= reach
     slope = min(abs(side.slope) + abs(side.step) / width for side in fits)
     hidden = slope * width if n > 1 else abs(float(v[inside][0] - fits[0].ahead))
@@ -441,7 +441,7 @@ def _is_flat(levels: Levels, inside: Flags, fits: list[Side], residual: Floats) 
 
 
 def _bends_at_once(x: Floats, v: Floats, inner: int) -> bool:
-    """Return whether the line bends at an edge behind one or two levels, and hardly after it."""
+    """Return whether the line bends at an edge behind few levels, and hardly further out."""
     slope = np.diff(v)[inner - 1 : inner + 4] / np.diff(x)[inner - 1 : inner + 4]
     bend = np.abs(np.diff(slope))
     return slope.size > 3 and bool(
@@ -559,7 +559,7 @@ def _ripples(levels: Levels, parts: list[FlatPart]) -> bool:
 
 
 def _fold(nodes: Floats, noise: float) -> float | None:
-    """Return the command at which the reading turns back; None if it stands for one command."""
+    """Return the command at which the reading turns back, None for a monotone map."""
     x, v = nodes
     for way in (v, -v):
         top = int(np.argmax(way))
@@ -580,7 +580,7 @@ def _bound(nodes: Floats, levels: Levels, noise: float, is_line: bool) -> float:
 
 
 def _bound_beside_line(levels: Levels) -> float:
-    """Return the largest dead band, wherever it lies, that what a straight line leaves allows."""
+    """Return the largest dead band at any place that a line's residual allows."""
     x, v = levels.x, levels.v
     basis = np.linalg.qr(np.column_stack([np.ones(x.size), x]))[0]
     off = v - basis @ (basis.T @ v)

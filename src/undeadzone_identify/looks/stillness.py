@@ -74,7 +74,7 @@ def longest_stillness(t: Floats | None, u: Floats, y: Floats) -> Stillness | Non
 
 
 def _find_lag(u: Floats, y: Floats) -> int:
-    """Return the lag at which changes of the reading follow those of the command best [samples]."""
+    """Return the lag of the reading's changes behind the command's [samples]."""
     ahead, behind = (np.diff(signal) - np.mean(np.diff(signal)) for signal in (u, y))
     most = min(LATEST, u.size // 8)
     return int(np.argmax([abs(ahead[: ahead.size - k] @ behind[k:]) for k in range(most)]))
