@@ -152,7 +152,9 @@ def map_of_rate(t: Floats | None, u: Floats, y: Floats) -> RestMap | None:
             if rows is not None and _neighbours_agree(rows) > explained:
                 best, explained, late = rows, _neighbours_agree(rows), lag
     found = None if best is None else read_map(best)
-    return None if found is None else found._replace(lag=late)
+    if found is None or found.share < RATE_EXPLAINED:
+        return None
+    return found._replace(lag=late)
 
 
 def read_map(rows: Rows) -> RestMap | None:
