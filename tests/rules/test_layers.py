@@ -75,7 +75,7 @@ FLOORS = {
     undeadzone_identify: (
         ("models",),
         ("logs",),
-        ("servo",),
+        ("looks", "servo"),
         ("selection",),
         ("results",),
         ("chain", "figures", "pipeline"),

@@ -95,22 +95,24 @@ def fit_side(x: Floats, v: Floats, w: Floats, inner: int, bends: int | None = No
             k = int(np.argmin(losses))
             numbers = 3 + len(places) + steps
             price = n * np.log(losses[k] / n + KNOWN**2) + numbers * np.log(n)
-            found = (float(price), places, float(edges[k]))
-            best[steps] = min(best.get(steps, found), found)
-    if True in best and best[True][0] < best[False][0] + MILD * np.log(n):
+            best[steps] = min(
+                best.get(steps, (np.inf, (), 0.0)), (float(price), places, float(edges[k]))
+            )
+    price, places, at = best[False]
+    if True in best and best[True][0] < price + MILD * np.log(n):
         side = _finish(x, v, w, inner, best[True][2], best[True][1], True)
         least = max(LEAP, SURE * float(np.std(side.outer)))
         ahead = side.step * np.sign(side.slope or side.step)
         if ahead > least:
             return side
-    return _finish(x, v, w, inner, best[False][2], best[False][1], False)
+    return _finish(x, v, w, inner, at, places, False) if np.isfinite(price) else None
 
 
 def jackknife(x: Floats, v: Floats, w: Floats, inner: int, side: Side) -> float:
     """Return the half width of the 95 % interval of an edge, by leaving tenths of the rows out."""
     groups = np.arange(x.size) % min(TENTHS, max(3, x.size // 3))
-    at = int(np.searchsorted(x, side.x))
-    near = x[at] - x[max(at - 1, 0)]
+    place = int(np.searchsorted(x, side.x))
+    near = x[place] - x[max(place - 1, 0)]
     if inner < 3:
         groups[:inner] = -1
     reach = max(near, 0.3 * (side.x - x[0]))
@@ -180,7 +182,7 @@ def _solve(
 
 
 def find_runs(v: Floats, tolerance: float, least: int) -> list[tuple[int, int]]:
-    """Return the runs of neighbours that read one level, the longest first, none over another.
+    """Return the disjoint runs of neighbours with a common level, the longest first.
 
     Args:
         v: readings (n).

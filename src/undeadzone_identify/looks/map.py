@@ -10,7 +10,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.interpolate import UnivariateSpline
+from scipy.linalg import solveh_banded
+from scipy.ndimage import median_filter
 from scipy.stats import t as student
 
 from undeadzone.util.arrays import Flags, Floats, bounds_of_runs
@@ -34,9 +35,9 @@ SMOOTHED = 24  # levels in a row, from which noise is smoothed
 STEEPER = 0.35  # of the slope beside it: the largest inside a candidate
 FLAT = 0.1  # of the slope beside it: the largest inside a flat part
 HIDES, LEAST = 8.0, 0.008  # residuals and share of the range, that a flat part hides at least
-FOUND = 5.0  # residuals by which a band lies beside a straight line, all rows together
+LARGEST = 3.0  # standard deviations of a hidden band's amplitude
 EXPLAINED = 0.98  # of the variance beside a flat part
-NEAREST = 5  # moving levels that count for an edge behind one or two levels
+NEAREST, FARTHER = 5, 4  # moving levels that count for an edge, and more for each level at rest
 BENT = 4.0  # times the bends after it: the bend at an edge behind one or two levels
 UNVISITED = 0.2  # of the commands' range, from which a gap is said
 APART = 0.05  # of the range: readings that contradict, and both sides of a gap
@@ -44,7 +45,7 @@ FEW = 0.05  # of the rows of one way that may contradict the others
 RARELY = 0.2  # of the rows between both thresholds, at which the state may change
 FOLDED = 0.03  # of the range, by which a reading must come back
 TURN = 0.3  # of the commands' range, from which the way back is a sweep of its own
-PERIODS, EVEN, RIPPLES = 4, 0.25, 0.5  # least number, spread of distances, share of the variance
+PERIODS, EVEN, RIPPLES = 5, 0.25, 0.5  # least number, spread of distances, share of the variance
 STAYS = 0.1  # of the commands' range, by which a command moves that stays
 RATE_EXPLAINED = 0.8  # of the variance of rates, by the command
 
@@ -151,7 +152,9 @@ def map_of_rate(t: Floats | None, u: Floats, y: Floats) -> RestMap | None:
             if rows is not None and _neighbours_agree(rows) > explained:
                 best, explained, late = rows, _neighbours_agree(rows), lag
     found = None if best is None else read_map(best)
-    return None if found is None else found._replace(lag=late)
+    if found is None or found.share < RATE_EXPLAINED:
+        return None
+    return found._replace(lag=late)
 
 
 def read_map(rows: Rows) -> RestMap | None:
@@ -218,35 +221,26 @@ def _medians(u: Floats, y: Floats) -> Levels:
     if x.size > MOST:
         x = np.quantile(u, np.linspace(0, 1, MOST + 1)[:-1])
     x = x[np.unique(np.floor((x - x[0]) / (CLOSE * np.ptp(x))), return_index=True)[1]]
-    level = np.searchsorted(x, u, side="right") - 1
+    level = np.searchsorted(x, u, side="right")
     order = np.lexsort((y, level))
-    first = np.searchsorted(level[order], np.arange(x.size + 1))
-    count = np.diff(first)
+    first, count = np.unique(level[order], return_index=True, return_counts=True)[1:]
     readings, commands = y[order], np.sort(u)
-    high = first[:-1] + count // 2
-    low = first[:-1] + (count - 1) // 2 if x.size < MOST else high  # no mean across an edge
+    high = first + count // 2
+    low = first + (count - 1) // 2 if x.size < MOST else high  # no mean across an edge
     w = np.sqrt(np.minimum(count, 30))
     medians = (readings[low] + readings[high]) / 2
     return Levels((commands[low] + commands[high]) / 2, medians, w / w.mean())
 
 
 def _without_outliers(levels: Levels) -> Levels:
-    """Return the levels without readings that no line through their neighbours comes near."""
-    x, v = levels.x, levels.v
-    if x.size <= LEVELS:
+    """Return the levels without single readings far from both neighbours on either side."""
+    v = levels.v
+    if v.size < SMOOTHED:
         return levels
-    far = np.full(x.size, np.inf)
-    places = np.arange(x.size)
-    edge = 0 if x.size >= SMOOTHED else 2
-    far[:edge] = far[x.size - edge :] = 0
-    for a, b in ((-2, -1), (-1, 1), (1, 2)):
-        known = (places + a >= 0) & (places + b < x.size)
-        k = places[known]
-        slope = (v[k + b] - v[k + a]) / (x[k + b] - x[k + a])
-        far[k] = np.minimum(far[k], np.abs(v[k + a] + slope * (x[k] - x[k + a]) - v[k]))
-    usual = np.quantile(v, 0.9) - np.quantile(v, 0.1)
-    is_far = far > max(10 * noise_of(v), 0.1 * float(usual))
-    return levels.select(~is_far) if is_far.sum() <= max(1, x.size // 50) else levels
+    far = np.abs(v - median_filter(v, 5, mode="nearest"))
+    usual = float(np.quantile(v, 0.9) - np.quantile(v, 0.1))
+    is_far = far > max(10 * noise_of(v), 0.1 * usual)
+    return levels.select(~is_far) if is_far.sum() <= max(1, v.size // 50) else levels
 
 
 def _one_way(u: Floats, came: Floats) -> Flags:
@@ -278,10 +272,27 @@ def _nodes(levels: Levels, parts: list[FlatPart]) -> Floats:
     for first, last in zip(*bounds_of_runs(~inside), strict=True):
         run = slice(first, last + 1)
         if last - first >= SMOOTHED:
-            noise = max(noise_of(v[run]), KNOWN)
-            v[run] = UnivariateSpline(x[run], v[run], levels.w[run] / noise)(x[run])
+            v[run] = _smooth(x[run], v[run])
     nodes = np.vstack([np.column_stack([x, v]), *points])
     return nodes[np.argsort(nodes[:, 0], kind="stable")].T
+
+
+def _smooth(x: Floats, v: Floats) -> Floats:
+    """Return the smoothest readings that differ from these by their noise (n)."""
+    inverse = 1 / np.maximum(np.diff(x), 0.25 / x.size)
+    bends = np.zeros((x.size - 2, x.size))
+    for k, column in enumerate((inverse[:-1], -inverse[:-1] - inverse[1:], inverse[1:])):
+        np.fill_diagonal(bends[:, k:], column)
+    squares = bends.T @ bends
+    bands = np.zeros((3, x.size))
+    for k in range(3):
+        bands[2 - k, k:] = np.diag(squares, k)
+    most = max(noise_of(v), KNOWN)
+    for stiffness in 10.0 ** np.arange(0, -10, -0.5):
+        smooth = solveh_banded(stiffness * bands + [[0], [0], [1]], v)
+        if np.std(v - smooth) < most:
+            return smooth
+    return v
 
 
 # --- Flat parts
@@ -292,7 +303,7 @@ def _flat_parts(levels: Levels, legs: list[Levels], plays: bool) -> list[FlatPar
     x, v = levels.x, levels.v
     n = x.size
     fine = float(np.clip(4 * noise_of(v), FINE, APART))
-    runs = [run for near in (fine, WIDE) for run in find_runs(v, near, 3)]
+    runs = find_runs(v, fine, 3) + find_runs(v, WIDE, 3)
     runs = [run for run in runs if _is_steeper_beside(levels, *run)]
     runs.sort(key=lambda run: run[0] - run[1])
     short = [] if plays or n >= SMOOTHED else [(0, 2), (n - 2, n), (0, 1), (n - 1, n)]
@@ -306,7 +317,7 @@ def _flat_parts(levels: Levels, legs: list[Levels], plays: bool) -> list[FlatPar
 
 
 def _hysteresis(u: Floats, y: Floats) -> FlatPart | None:
-    """Return rest that ends at one command and begins at another one; None if it does not.
+    """Return a rest whose motion starts and stops at different commands, None without hysteresis.
 
     The edge is between the command that stops the motion, `moves`, and that which starts it,
     `still`. Between both the state before stays, which no flat part explains otherwise.
@@ -373,9 +384,9 @@ def _fit_part(levels: Levels, run: tuple[int, int], legs: list[Levels]) -> FlatP
             return None
     level = float(np.average(v[inside], weights=w[inside] ** 2))
     residual = np.where(inside, v - level, 0.0)
-    for part, (_, outer), side in zip((residual[::-1], residual), runs, sides, strict=True):
+    for outwards, (_, moves), side in zip((residual[::-1], residual), runs, sides, strict=True):
         if side is not None:
-            part[outer : outer + side.outer.size] = side.outer
+            outwards[moves : moves + side.outer.size] = side.outer
     fits = [side for side in sides if side is not None]
     view = views[first == 0]
     if is_short and (len(fits) > 1 or not _bends_at_once(view.x, view.v, end - first)):
@@ -383,14 +394,17 @@ def _fit_part(levels: Levels, run: tuple[int, int], legs: list[Levels]) -> FlatP
     if not _is_flat(levels, inside, fits, residual):
         return None
     runs = ((n - end, n - first), (first, end))
-    edges = [
-        side and _edge(view, side, *bounds, level, [leg if ahead else leg.mirror() for leg in legs])
-        for ahead, (view, side, bounds) in enumerate(zip(views, sides, runs, strict=True))
-    ]
+    others = ([leg.mirror() for leg in legs], legs)
+    edges: list[Edge | None] = []
+    for view, side, bounds, own in zip(views, sides, runs, others, strict=True):
+        edges.append(None if side is None else _edge(view, side, *bounds, level, own))
+    before, after = edges[0] and _mirror(edges[0]), edges[1]
     kind = "band"
-    if len(fits) == 1:
+    if before is None or after is None:
         kind = "low end" if level < np.median(v[~inside]) else "high end"
-    return FlatPart(kind, level, edges[0] and _mirror(edges[0]), edges[1], end - first)
+    elif before.interval.high > after.interval.low:
+        return None
+    return FlatPart(kind, level, before, after, end - first)
 
 
 def _fit_outwards(
@@ -398,9 +412,9 @@ def _fit_outwards(
 ) -> Side | None:
     """Return the fit of the edge behind a run, of whose rows a share is left out ahead.
 
-    Behind one or two rows, few rows count.
+    The fewer rows are at rest, the fewer moving ones count.
     """
-    last = end + NEAREST if end - first < 3 else x.size
+    last = end + NEAREST + (FARTHER * (end - first) if end - first > 2 else 0)
     first += int(share * (end - first))
     return fit_side(x[first:last], v[first:last], w[first:last], end - first)
 
@@ -410,7 +424,7 @@ def _is_flat(levels: Levels, inside: Flags, fits: list[Side], residual: Floats) 
     x, v, w = levels
     n = int(inside.sum())
     middle, width = float(x[inside].mean()), max(float(np.ptp(x[inside])), 1e-9)
-    reach = max(1.5 * width, float(np.sort(np.abs(x - middle))[min(n + 3, x.size - 1)]))
+    reach = max(1.5 * width, float(np.sort(np.abs(x - middle))[min(n + NEAREST, x.size - 1)]))
     near = np.abs(x - middle) <= reach
     slope = min(abs(side.slope) + abs(side.step) / width for side in fits)
     hidden = slope * width if n > 1 else abs(float(v[inside][0] - fits[0].ahead))
@@ -429,7 +443,7 @@ def _is_flat(levels: Levels, inside: Flags, fits: list[Side], residual: Floats) 
 
 
 def _bends_at_once(x: Floats, v: Floats, inner: int) -> bool:
-    """Return whether the line bends at an edge behind one or two levels, and hardly after it."""
+    """Return whether the line bends at an edge behind few levels, and hardly further out."""
     slope = np.diff(v)[inner - 1 : inner + 4] / np.diff(x)[inner - 1 : inner + 4]
     bend = np.abs(np.diff(slope))
     return slope.size > 3 and bool(
@@ -452,10 +466,9 @@ def _edge(view: Levels, side: Side, first: int, end: int, level: float, legs: li
         found = Interval.from_half_width(
             side.x, jackknife(x, v, w, end - first, side) + max(cell, rounding)
         )
-    each = [_edge_of_leg(leg, level, len(side.bends)) for leg in legs]
-    own = [at for at in each if at is not None]
+    own = list(filter(None, (_fit_leg(leg, level, len(side.bends)) for leg in legs)))
     if own:
-        low, high = np.quantile(own, [0.05, 0.95]).tolist()
+        low, high = np.quantile([leg.x for leg in own], [0.05, 0.95]).tolist()
         found = Interval(found.value, min(found.low, low), max(found.high, high))
     if end - first < 3:
         found = Interval(*np.clip(found, still, moves).tolist())
@@ -464,8 +477,8 @@ def _edge(view: Levels, side: Side, first: int, end: int, level: float, legs: li
     return Edge(found, still, moves, bool(side.step), rows)
 
 
-def _edge_of_leg(leg: Levels, level: float, bends: int) -> float | None:
-    """Return the edge of a single sweep; None where it does not rest and move."""
+def _fit_leg(leg: Levels, level: float, bends: int) -> Side | None:
+    """Return the fit of the edge of a single sweep; None where it does not rest and move."""
     starts, ends = bounds_of_runs(np.abs(leg.v - level) < WIDE)
     if not starts.size:
         return None
@@ -473,8 +486,7 @@ def _edge_of_leg(leg: Levels, level: float, bends: int) -> float | None:
     first, end = int(starts[longest]), int(ends[longest]) + 1
     if end - first < 3 or leg.x.size - end < 3:
         return None
-    side = fit_side(leg.x[first:], leg.v[first:], leg.w[first:], end - first, bends)
-    return None if side is None else side.x
+    return fit_side(leg.x[first:], leg.v[first:], leg.w[first:], end - first, bends)
 
 
 def _mirror(edge: Edge) -> Edge:
@@ -532,13 +544,13 @@ def _up_down(u: Floats, y: Floats, came: Floats, line: Floats) -> Interval | Non
 
 
 def _ripples(levels: Levels, parts: list[FlatPart]) -> bool:
-    """Return whether the map waves about a bent line with a period, or has parts like stairs."""
+    """Return whether the map waves with a period, or has flat parts like stairs."""
     bands = [_ends(part) for part in parts if part.kind == "band"]
     apart = np.diff(np.mean(bands, axis=1)) if len(bands) > 2 else np.array([1.0, -1.0])
     if np.std(apart) < EVEN * np.mean(apart):
         return True
     size = levels.x.size
-    if size < 6 * PERIODS:
+    if size < 5 * PERIODS:
         return False
     x = np.linspace(0, 1, size)
     v = np.interp(x, levels.x, levels.v)
@@ -549,7 +561,7 @@ def _ripples(levels: Levels, parts: list[FlatPart]) -> bool:
 
 
 def _fold(nodes: Floats, noise: float) -> float | None:
-    """Return the command at which the reading turns back; None if it stands for one command."""
+    """Return the command at which the reading turns back, None for a monotone map."""
     x, v = nodes
     for way in (v, -v):
         top = int(np.argmax(way))
@@ -570,19 +582,18 @@ def _bound(nodes: Floats, levels: Levels, noise: float, is_line: bool) -> float:
 
 
 def _bound_beside_line(levels: Levels) -> float:
-    """Return the largest dead band that a straight line could hide, wherever it lies."""
+    """Return the largest dead band at any place that a line's residual allows."""
     x, v = levels.x, levels.v
-    line = np.column_stack([np.ones(x.size), x])
-    basis = np.linalg.qr(line)[0]
+    basis = np.linalg.qr(np.column_stack([np.ones(x.size), x]))[0]
     off = v - basis @ (basis.T @ v)
     noise = max(float(np.sqrt(off @ off / (x.size - 2))), KNOWN)
-    slope = abs(float(np.linalg.lstsq(line, v)[0][1]))
-    widths, places = np.linspace(0.01, 1, 100)[:, None, None], np.linspace(0, 1, 41)[:, None]
-    inner = (places >= widths / 2) & (places <= 1 - widths / 2)
-    band = (x - places) - np.clip(x - places, -widths / 2, widths / 2)
-    bent = slope * (band - (band @ basis) @ basis.T)
-    seen = np.sqrt(np.sum(bent**2, axis=-1, keepdims=True)) > FOUND * noise
-    return float(widths[np.argmax((seen | ~inner).all(axis=1)[:, 0])][0, 0])
+    widths, places = np.linspace(0, 1, 101)[1:, None, None], np.linspace(0, 1, 41)[:, None]
+    band = np.clip(x - places, -widths / 2, widths / 2)
+    band = np.polyfit(x, v, 1)[0] * ((band @ basis) @ basis.T - band)
+    size = np.sqrt(np.sum(band**2, axis=-1))
+    allowed = band @ off + LARGEST * noise * size > size**2
+    allowed &= np.abs(places[:, 0] - 0.5) < 0.5 - widths[:, 0] / 2
+    return float(widths[np.argmin(allowed.any(axis=1)), 0, 0])
 
 
 def _unvisited(levels: Levels, height: Floats) -> tuple[float, float] | None:

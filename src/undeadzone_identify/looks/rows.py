@@ -1,7 +1,8 @@
-"""Rows at rest: commands with the reading for each, from a table, holds, or a slow sweep."""
+"""Rows at rest: commands with their readings, from a table, from holds, or from a slow sweep."""
 
 from __future__ import annotations
 
+import itertools
 import math
 from itertools import pairwise
 from typing import NamedTuple
@@ -37,7 +38,7 @@ class Rows(NamedTuple):
     u: Floats
     y: Floats
     came: Floats
-    rows: Integers
+    count: Integers  # type: ignore[assignment]  # of the readings, in place of the tuple's
     spread: Floats
     how: str
 
@@ -115,7 +116,7 @@ def _settled_rows(u: Floats, y: Floats, came: Floats, cut: Integers, levels: int
     """
     noise, still = noise_of(y), SETTLED * float(np.std(y))
     rows, coming = [], []
-    held = [(a, b) for a, b in pairwise(cut) if b - a >= HOLD]
+    held = [(a, b) for a, b in itertools.pairwise(cut) if b - a >= HOLD]
     for a, b in held:
         quarter = (b - a) // 4 + 1
         first, before, late = (
@@ -140,11 +141,25 @@ def _settled_rows(u: Floats, y: Floats, came: Floats, cut: Integers, levels: int
 
 
 def _sweep_rows(u: Floats, y: Floats, came: Floats) -> Rows | None:
-    """Return all samples if the readings at one command differ little, whenever they were taken."""
+    """Return all samples if the readings at one command differ little, whenever they were taken.
+
+    The way up may lie beside the way down.
+    """
     order = np.argsort(u, kind="stable")
-    size = max(8, u.size // 60)
-    parts = y[order][: u.size // size * size].reshape(-1, size)
-    spread = parts.std(axis=1) / max(float(np.ptp(np.median(parts, axis=1))), 1e-300)
-    if np.median(spread) > SLOW or np.quantile(spread, 0.9) > SELDOM * SLOW:
-        return None
-    return Rows(u, y, came, np.ones(u.size, int), np.zeros(u.size), "sweep")
+    ways = [order[came[order] >= 0], order[came[order] < 0]]
+    for some in ([order], ways):
+        spread = np.concatenate([_spread_at_commands(y[one]) for one in some]) / _range(y[order])
+        if np.median(spread) < SLOW and np.quantile(spread, 0.9) < SELDOM * SLOW:
+            return Rows(u, y, came, np.ones(u.size, int), np.zeros(u.size), "sweep")
+    return None
+
+
+def _spread_at_commands(y: Floats) -> Floats:
+    """Return the standard deviations of neighbours among readings in the order of the command."""
+    size = max(8, y.size // 60)
+    return np.asarray(y[: y.size // size * size].reshape(-1, size).std(axis=1))
+
+
+def _range(y: Floats) -> float:
+    """Return the range of readings in the order of the command, without outliers."""
+    return float(np.ptp(np.median(y[: y.size // 8 * 8].reshape(-1, 8), axis=1))) or np.inf

@@ -30,7 +30,7 @@ class Stillness(NamedTuple):
         edges: commands at both ends of the stretch [u].
         level: reading at rest [y].
         lag: of the reading behind the command, which is taken off the stretch [samples].
-        stretches: number of such stretches.
+        stretches: number of such rests.
     """
 
     travel: float
@@ -48,7 +48,8 @@ def longest_stillness(t: Floats | None, u: Floats, y: Floats) -> Stillness | Non
         u: commands (N).
         y: readings, some may be missing (N).
     """
-    u, y = (signal[:: -(-signal.size // MOST)] for signal in known_samples(t, u, y)[1:] if u.size)
+    _, u, y = known_samples(t, u, y)
+    u, y = (signal[:: 1 + u.size // MOST] for signal in (u, y))
     if u.size < 4 * SHORTEST:
         return None
     blur = max(BLUR * noise_of(y), 1.01 * find_quantum(y), 1e-9 * float(np.ptp(y)))
@@ -73,7 +74,7 @@ def longest_stillness(t: Floats | None, u: Floats, y: Floats) -> Stillness | Non
 
 
 def _find_lag(u: Floats, y: Floats) -> int:
-    """Return the lag at which changes of the reading follow those of the command best [samples]."""
+    """Return the lag of the reading's changes behind the command's [samples]."""
     ahead, behind = (np.diff(signal) - np.mean(np.diff(signal)) for signal in (u, y))
     most = min(LATEST, u.size // 8)
     return int(np.argmax([abs(ahead[: ahead.size - k] @ behind[k:]) for k in range(most)]))
