@@ -131,9 +131,9 @@ class IdentifiedMotion:
         of_input = unit_suffix(one.log.input_unit)
         of_output = unit_suffix(one.log.output_units[0])
         names = f"{one.log.inputs[0]}{_bracketed(one.log.input_unit)}, {one.log.outputs[0]}"
-        steps = np.diff(one.data.t)
+        steps = np.diff(one.log.t)
         lines: dict[str, Any] = {
-            "record": f"{one.data.t.size} samples, {np.median(steps):.4g} s"
+            "record": f"{one.log.t.size} samples, {np.median(steps):.4g} s"
             f" ({steps.min():.4g} to {steps.max():.4g}), {names}"
             f"{_bracketed(one.log.output_units[0])}",
             "found": self.headline(),

@@ -1,8 +1,10 @@
 """Motion lost between two positions: whether, how much, and its cause.
 
 Asked before any plant is fitted, at the times of the readings. The answer stands if names or units
-say that both columns are positions, or that one is a goal or pulses. All else is left to plants
-with dynamics.
+say that both columns are positions, or that one is a goal or pulses, or if play alone, without
+dynamics, leaves noise. All else is left to plants with dynamics. A goal that is held says nothing
+while the axis is on its way: only the readings at rest are fitted. Fewer than `TURNS` reversals
+give no number.
 """
 
 from __future__ import annotations
@@ -17,11 +19,13 @@ from undeadzone.errors import FileError
 from undeadzone.util.arrays import Flags, Floats
 from undeadzone_identify.logs.grid import find_sample_time, printed_step
 from undeadzone_identify.logs.log import Log, Options
+from undeadzone_identify.looks.rows import rows_at_rest
 from undeadzone_identify.models.estimates import Interval, student_quantile, variance_along
 from undeadzone_identify.models.free_load import fit_free_load
 from undeadzone_identify.models.least_squares import Density
 from undeadzone_identify.models.lost_motion import (
     FEWEST_LATE,
+    HELD,
     LostMotion,
     MotionFit,
     Positions,
@@ -36,7 +40,8 @@ from undeadzone_identify.selection.odds import Family, model_probabilities
 
 FEWEST = 12  # samples that are fitted
 MOST = 20_000  # samples that are fitted; of a longer log the first ones
-LEAST_TURNS = 1  # reversals, below which both flanks were not seen
+TURNS = 3  # reversals, below which a lag, a zone and a gap look alike
+HOLD = 6  # samples at one goal, from which it is held
 SMALL = 0.1  # of a gap, that the rms of coloured residuals may have
 SHARE = 0.9  # of y, that a fit must explain
 ASSUMED = 0.015  # of a gap behind lags, in whose place a servo has an inertia and sticks
@@ -80,6 +85,7 @@ class LostMotionAnswer(NamedTuple):
         is_goal: whether u is a goal, so that friction of a servo counts in.
         is_summed: whether u is the sum of pulses.
         are_positions: whether names or units say that both signals are positions.
+        is_at_rest: whether only the readings at rest are fitted.
         parts: gap and friction, where a current tells them apart.
         reversals: of u.
         gain_error: standard deviation of the gain [y/u].
@@ -97,6 +103,7 @@ class LostMotionAnswer(NamedTuple):
     is_goal: bool
     is_summed: bool
     are_positions: bool
+    is_at_rest: bool
     parts: Share | None
     reversals: int
     gain_error: float
@@ -113,7 +120,16 @@ def needs_motion_test(log: Log) -> bool:
     Args:
         log: with one output.
     """
-    return _is_alike(log) or _has_goal(log) or _is_summed(log) or not _has_grid(log)
+    named = _is_alike(log) or _has_goal(log) or _is_summed(log) or not _has_grid(log)
+    return named or _follows(log)
+
+
+def _follows(log: Log) -> bool:
+    """Return whether the output of a log is nearly a straight line of its input, at once."""
+    u, y = log.u[:, 0], log.y[:, 0]
+    there = np.isfinite(u) & np.isfinite(y)
+    spread = np.std(u[there]), np.std(y[there])
+    return min(spread) > 0 and float(np.corrcoef(u[there], y[there])[0, 1]) ** 2 > SHARE
 
 
 def _has_grid(log: Log) -> bool:
@@ -139,21 +155,23 @@ def find_lost_motion(log: Log, options: Options) -> tuple[LostMotionAnswer | Non
     if data is None:
         return None, False
     quantum = data.quantum
+    is_goal, alike = _has_goal(log), _is_alike(log)
+    moving, data = data, _at_rest(data) if is_goal else data
+    is_at_rest = data is not moving
     late = data.t.size >= FEWEST_LATE
-    at_rest = np.zeros(1)
+    no_gap = np.zeros(1)
     straight, bent = (kinds[: 1 + late] for kinds in (STRAIGHT, BENT))
     fit, found = best_structure(data, straight)
-    flat, curved = (best_structure(data, kinds, at_rest)[1] for kinds in (straight, bent))
+    flat, curved = (best_structure(data, kinds, no_gap)[1] for kinds in (straight, bent))
     if curved.bic() < found.bic():
         bent_fit, bent_found = best_structure(data, bent)
         if bent_found.bic() < curved.bic():
             fit, found = bent_fit, bent_found
-    is_goal, alike = _has_goal(log), _is_alike(log)
-    white = is_white(found, quantum)
+    white = _is_noise(data, found)
     others = [found]
     if not white and late and (alike or is_goal):
         fit, found, others = _add_lags(data, (fit, found))
-        flat = min((MotionFit(data, found.structure).fit(at_rest), flat), key=LostMotion.bic)
+        flat = min((MotionFit(data, found.structure).fit(no_gap), flat), key=LostMotion.bic)
     gap = _widest(fit, found, others)
     family = _family(found, flat, curved, quantum)
     free = fit_free_load(data) if _may_float(log, is_goal or is_summed, white) else None
@@ -171,9 +189,13 @@ def find_lost_motion(log: Log, options: Options) -> tuple[LostMotionAnswer | Non
     small = found.rms < SMALL * abs(found.gain) * found.gap
     white = white or free is not None  # whose motion in the gap is its own
     fits = explained > SHARE and (white or small)
+    reversals = int(reversal_blocks(data.u, found.gap)[-1])
+    if reversals < TURNS:
+        fits, gap = False, Interval(0.0, 0.0, float(np.ptp(data.u)))
     is_gap = odds["play"] > LIKELY and gap.low > 0
     word = "play" if is_gap else "none"
-    vanishes = word == "none" and abs(found.gain) * gap.high < max(found.rms, quantum)
+    least = max(found.rms, quantum)
+    vanishes = word == "none" and abs(found.gain) * gap.high < least + 1e-6 * quantum
     if vanishes:  # where there is one it does not matter
         odds = {"none": 1 - odds["other"], "other": odds["other"]}
     sure = odds[word] > LIKELY
@@ -181,7 +203,8 @@ def find_lost_motion(log: Log, options: Options) -> tuple[LostMotionAnswer | Non
         word = "unclear"
         odds = odds if fits else {}
     positions = alike or is_goal or is_summed
-    stands = word != "unclear" and (positions or (is_gap and white and not _has_grid(log)))
+    alone = is_gap and white and (found.structure == Structure() or not _has_grid(log))
+    stands = word != "unclear" and (positions or alone)
     answer = LostMotionAnswer(
         verdict=word,
         gap=gap if is_gap else gap._replace(value=0.0, low=0.0),
@@ -190,8 +213,9 @@ def find_lost_motion(log: Log, options: Options) -> tuple[LostMotionAnswer | Non
         is_goal=is_goal,
         is_summed=is_summed,
         are_positions=positions,
+        is_at_rest=is_at_rest,
         parts=None,
-        reversals=int(reversal_blocks(data.u, found.gap)[-1]),
+        reversals=reversals,
         gain_error=_gain_error(fit, found),
         log=log,
         data=data,
@@ -202,6 +226,24 @@ def find_lost_motion(log: Log, options: Options) -> tuple[LostMotionAnswer | Non
     if free is not None:
         answer.remarks.append(FLOATS.format(100 * free.contact))
     return _described(_split(answer), explained, white), stands
+
+
+def _at_rest(data: Positions) -> Positions:
+    """Return the readings at rest where a goal is held, in order; all where it never rests."""
+    change = np.flatnonzero(np.diff(data.u, prepend=np.nan, append=np.nan))
+    held = np.repeat(np.diff(change) >= HOLD, np.diff(change))
+    rows = rows_at_rest(data.t[held], data.u[held], data.y[held])
+    if rows is None or rows.how != "holds":
+        return data
+    times = np.linspace(data.t[0], data.t[-1], rows.u.size)
+    return data._replace(t=times, u=rows.u, y=rows.y)
+
+
+def _is_noise(data: Positions, found: LostMotion) -> bool:
+    """Return whether a fit leaves noise, also while u is still: moves hide what depends on rest."""
+    still = np.diff(data.u, prepend=np.nan) == 0
+    quiet = found._replace(residual=found.residual[still])
+    return is_white(found, data.quantum) and (still.mean() < HELD or is_white(quiet, data.quantum))
 
 
 def positions_of(log: Log, options: Options) -> tuple[Positions | None, bool]:
@@ -352,7 +394,7 @@ def _split(answer: LostMotionAnswer) -> LostMotionAnswer:
     s the way. The current alone has noise that matters, so least squares of it has no bias.
     """
     drive = drive_of(answer.log)
-    if drive is None or not answer.is_goal or answer.verdict != "play":
+    if drive is None or answer.is_at_rest or not answer.is_goal or answer.verdict != "play":
         return answer
     there = np.isin(answer.log.t, answer.data.t)
     i, found = drive[there], answer.found
@@ -394,7 +436,14 @@ def _described(answer: LostMotionAnswer, explained: float, white: bool) -> LostM
     """Return the answer with its reasons and remarks."""
     found, reasons, remarks = answer.found, [], list(answer.remarks)
     about = f"{100 * explained:.4g} % of y by one position, {answer.reversals} reversals"
-    if answer.verdict == "play":
+    if answer.is_at_rest:
+        about += f", by the {answer.data.t.size} readings at rest"
+    if answer.reversals < TURNS:
+        reasons.append(
+            f"the log turns round {answer.reversals} times: lost motion, a lag and a zone look alike"
+            f" below {TURNS} reversals"
+        )
+    elif answer.verdict == "play":
         reasons.append(f"what turns round loses motion: {about}")
         if answer.parts is not None:
             reasons.append("gap and friction are told apart by the current of a proportional loop")
@@ -413,8 +462,6 @@ def _described(answer: LostMotionAnswer, explained: float, white: bool) -> LostM
             f"lost motion explains {100 * max(explained, 0.0):.3g} % of y, and what it leaves"
             f" {'is noise' if white else 'depends on the past'}: nothing is named"
         )
-    if answer.reversals <= LEAST_TURNS:
-        remarks.append("the log turns round once or never: record more reversals")
     if found.structure.bent:
         remarks.append("the scale is not straight: a curve between both positions was fitted too")
     if found.structure.lags:
