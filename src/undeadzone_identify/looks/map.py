@@ -159,9 +159,8 @@ def read_map(rows: Rows) -> RestMap | None:
     levels = _without_outliers(_medians(rows.u, rows.y))
     if levels.x.size < LEVELS or np.ptp(levels.v) == 0:
         return None
-    base, height = (
-        np.array([levels.x[0], levels.v.min()]),
-        np.array([np.ptp(levels.x), np.ptp(levels.v)]),
+    base, height = np.array([levels.x[0], levels.v.min()]), np.array(
+        [np.ptp(levels.x), np.ptp(levels.v)]
     )
     u, y = (rows.u - base[0]) / height[0], (rows.y - base[1]) / height[1]
     unit = Levels((levels.x - base[0]) / height[0], (levels.v - base[1]) / height[1], levels.w)
@@ -376,9 +375,7 @@ def _fit_part(levels: Levels, run: tuple[int, int], legs: list[Levels]) -> FlatP
     views = (levels.mirror(), levels)
     for share in (0.5, 0.0):
         runs = ((n - end, n - first), (first, end))
-        sides = [
-            _fit_outwards(*view, *bounds, share) for view, bounds in zip(views, runs, strict=True)
-        ]
+        sides = [_fit_outwards(*view, *bounds, share) for view, bounds in zip(views, runs, strict=True)]
         left, right = sides
         low = x[0] if left is None else -left.x
         high = x[-1] if right is None else right.x
@@ -450,12 +447,12 @@ def _bends_at_once(x: Floats, v: Floats, inner: int) -> bool:
     """Return whether the line bends at an edge behind one or two levels, and hardly after it."""
     slope = np.diff(v)[inner - 1 : inner + 4] / np.diff(x)[inner - 1 : inner + 4]
     bend = np.abs(np.diff(slope))
-    return slope.size > 3 and bool(
-        abs(slope[1]) > abs(slope[0]) and bend[0] > BENT * bend[1:].max()
-    )
+    return slope.size > 3 and bool(abs(slope[1]) > abs(slope[0]) and bend[0] > BENT * bend[1:].max())
 
 
-def _edge(view: Levels, side: Side, first: int, end: int, level: float, legs: list[Levels]) -> Edge:
+def _edge(
+    view: Levels, side: Side, first: int, end: int, level: float, legs: list[Levels]
+) -> Edge:
     """Return an edge with its interval, widened by each sweep's own edge."""
     x, v, w = (part[first:] for part in view)
     still, moves = float(view.x[end - 1]), float(view.x[end])
