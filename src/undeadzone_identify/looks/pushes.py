@@ -1,8 +1,9 @@
 """Friction level of a joint, by the torque that moves it and the way in which it moves.
 
-    torque = F sign(v) + B v + J a + g + s sin q + c cos q
+    torque = F sign(v) + g + B v + J a + s sin q + c cos q
 
 v and a are slopes of lines through few samples at their own times, so no regular step is needed.
+Models without J, s and c count as well if they fit alike: the interval is the hull of all.
 """
 
 from __future__ import annotations
@@ -14,8 +15,8 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
 from undeadzone.util.arrays import Flags, Floats
-from undeadzone_identify.looks.jackknife import leave_groups_out
-from undeadzone_identify.models.estimates import Interval
+from undeadzone_identify.looks.rows import known_samples, noise_of
+from undeadzone_identify.models.estimates import Interval, student_quantile
 
 NEAR = 4  # samples before and after one, through which a line is fitted
 FEWEST = 200  # samples
@@ -23,11 +24,12 @@ MOVING = 100  # samples that move
 ONE_WAY = 0.1  # share of the moving samples that go either way, at least
 SLOW = 0.02  # of fast motion, up to which a joint stands still
 FAST = 0.95  # quantile of the speed that is fast motion
-TURN = 20.0  # range of a position in radians, beyond which it is not an angle that a weight feels
+TURN = 20.0  # range of a position [rad], beyond which it is no angle at which a weight pulls
+MODELS = ([0, 1, 2], [0, 1, 2, 3], [0, 1, 2, 4, 5], [0, 1, 2, 3, 4, 5])  # parts of each
 ROUNDS = 6  # of the robust fit
 HUBER = 2.0  # residual, from which a sample counts less [rms]
 BLOCKS = 12  # of the jackknife
-LIKE = 1.1  # rms of the best fit, up to which one with fewer parts may be the true one
+LIKE = 1.1  # variance of the largest model's residual, up to which another one fits alike
 EXPLAINED = 0.5  # of the torque, that the fit explains at least
 PAYS = 0.15  # of what is left without the sign, that the sign explains at least
 SURE = 0.75  # of the torque, from which a level is measured
@@ -38,9 +40,9 @@ class FrictionLevel(NamedTuple):
     """Torque that friction takes, whichever way a joint moves.
 
     Attributes:
-        level: with the interval over blocks, slow and fast motion, and models alike [torque].
+        level: with the hull of its intervals by models, and of slow and fast motion [torque].
         slow, fast: level of the slower and of the faster half of the motion [torque].
-        rest: level of torque between both ways [torque].
+        rest: g, half way between the levels of both ways [torque].
         explained: share of the torque that the fit explains.
         gain: share of what is left without sign(v), that it explains.
         samples: that move.
@@ -57,7 +59,7 @@ class FrictionLevel(NamedTuple):
     @property
     def is_measured(self) -> bool:
         """Return whether fit and interval suffice for a number without doubt."""
-        return self.explained > SURE and self.level.half_width < NARROW / 2 * self.level.value
+        return self.explained > SURE and 2 * self.level.half_width < NARROW * self.level.value
 
 
 def friction_level(t: Floats, torque: Floats, y: Floats, y_is_speed: bool) -> FrictionLevel | None:
@@ -66,83 +68,88 @@ def friction_level(t: Floats, torque: Floats, y: Floats, y_is_speed: bool) -> Fr
     Args:
         t: times (N).
         torque: or current (N).
-        y: position or speed (N).
+        y: position [rad] or speed, some may be missing (N).
         y_is_speed: which of them.
     """
-    there = np.isfinite(t) & np.isfinite(torque) & np.isfinite(y)
-    there &= np.diff(np.maximum.accumulate(t), prepend=-np.inf) > 0
-    t, torque, y = t[there], torque[there], y[there]
+    t, torque, y = known_samples(t, torque, y)
+    new = np.diff(t, prepend=-np.inf) > 0
+    t, torque, y = t[new], torque[new], y[new]
     if t.size < FEWEST:
         return None
     v = y if y_is_speed else local_slopes(t, y)
     q = cumulative_trapezoid(v, t, initial=0) if y_is_speed else y
-    parts = np.column_stack(
-        [np.sign(v), v, np.ones(t.size), local_slopes(t, v), np.sin(q), np.cos(q)]
-    )
-    noise = float(np.median(np.abs(np.diff(v, 2)))) / 0.6745 / math.sqrt(6)
-    moves = np.abs(v) > 3 * noise + SLOW * np.quantile(np.abs(v), FAST)
-    ahead = float(np.mean(v[moves] > 0)) if moves.any() else 0.0
-    if moves.sum() < MOVING or not ONE_WAY <= ahead <= 1 - ONE_WAY:
+    moves = np.abs(v) > 3 * noise_of(v) + SLOW * np.quantile(np.abs(v), FAST)
+    ahead = np.mean(v[moves] > 0) if moves.sum() >= MOVING else 0.0
+    if not ONE_WAY <= ahead <= 1 - ONE_WAY:
         return None
-    turns = np.ptp(q) < TURN
-    kinds = [[0, 1, 2], [0, 1, 2, 3], *([[0, 1, 2, 4, 5], [0, 1, 2, 3, 4, 5]] if turns else [])]
-    return _level_of(parts[moves], torque[moves], np.abs(v[moves]), kinds)
+    parts = [np.sign(v), np.ones(t.size), v, local_slopes(t, v), np.sin(q), np.cos(q)]
+    models = MODELS if np.ptp(q) < TURN else MODELS[:2]
+    return _Fit(np.column_stack(parts)[moves], torque[moves]).level(np.abs(v[moves]), models)
 
 
 def local_slopes(t: Floats, x: Floats) -> Floats:
     """Return the slope of the line through each sample and its neighbours (N) [x/t]."""
-    places = np.arange(t.size)[:, None] + np.arange(-NEAR, NEAR + 1)
-    near = np.clip(places, 0, t.size - 1)
+    near = np.arange(t.size)[:, None] + np.arange(-NEAR, NEAR + 1)
+    near = np.clip(near, 0, t.size - 1)
     times = t[near] - t[near].mean(axis=1, keepdims=True)
     return np.asarray((times * x[near]).sum(axis=1) / (times**2).sum(axis=1))
 
 
-def _level_of(
-    parts: Floats, torque: Floats, speed: Floats, kinds: list[list[int]]
-) -> FrictionLevel | None:
-    """Return the level by the best of several models, and the hull of all that fit alike.
+class _Fit:
+    """Robust least squares of torque on parts of a model.
 
     Args:
-        parts: sign of v, and what else takes torque (N x 6).
+        parts: what takes torque, scaled (N x 6).
         torque: (N).
-        speed: |v| (N).
-        kinds: columns of each model; the last has all of them.
     """
-    size = torque.size
-    columns = parts / np.maximum(np.sqrt(np.mean(parts**2, axis=0)), 1e-300)
-    weights = _robust_weights(columns[:, kinds[-1]], torque)
 
-    def fit(kind: list[int], use: Flags) -> Floats:
-        rows = columns[use][:, kind] * weights[use, None]
-        return np.linalg.lstsq(rows, torque[use] * weights[use], rcond=1e-9)[0]
+    def __init__(self, parts: Floats, torque: Floats) -> None:
+        self.parts = parts / np.maximum(np.sqrt(np.mean(parts**2, axis=0)), 1e-300)
+        self.torque = torque
+        self.every = np.ones(torque.size, bool)
+        self.weights = np.ones(torque.size)
+        for _ in range(ROUNDS):
+            e = np.abs(self.residual(MODELS[-1]))
+            large = HUBER * np.median(e) / 0.6745
+            self.weights = np.sqrt(np.minimum(1, large / np.maximum(e, 1e-300)))
 
-    def left(kind: list[int]) -> float:
-        return float(np.var(weights * (torque - columns[:, kind] @ fit(kind, every))))
+    def numbers(self, model: list[int], use: Flags) -> Floats:
+        """Return the torque that each part of a model takes, by the samples that are flagged."""
+        weights = self.weights[use]
+        rows = self.parts[use][:, model] * weights[:, None]
+        return np.asarray(np.linalg.lstsq(rows, self.torque[use] * weights, rcond=1e-9)[0])
 
-    every = np.ones(size, bool)
-    full = kinds[-1]
-    rest = left(full)
-    explained = 1 - rest / max(float(np.var(weights * torque)), 1e-300)
-    gain = 1 - rest / max(left(full[1:]), 1e-300)
-    blocks = np.arange(size) * BLOCKS // size
-    alike = [kind for kind in kinds if left(kind) <= LIKE**2 * rest]
-    levels = [leave_groups_out(lambda use, k=kind: fit(k, use)[0], blocks) for kind in alike]
-    fast = speed > np.median(speed)
-    halves = [float(fit(full, use)[0]) for use in (~fast, fast)]
-    low = min(*halves, *(one.low for one in levels))
-    high = max(*halves, *(one.high for one in levels))
-    if explained < EXPLAINED or gain < PAYS or low <= 0:
-        return None
-    level = Interval(levels[-1].value, low, high)
-    return FrictionLevel(level, *halves, float(fit(full, every)[2]), explained, gain, size)
+    def residual(self, model: list[int]) -> Floats:
+        """Return the torque that a model leaves (N)."""
+        return np.asarray(self.torque - self.parts[:, model] @ self.numbers(model, self.every))
 
+    def interval(self, model: list[int]) -> Interval:
+        """Return the level with its 95 % interval, by leaving out blocks of time."""
+        block = np.arange(self.torque.size) * BLOCKS // self.torque.size
+        levels = [self.numbers(model, block != k)[0] for k in range(BLOCKS)]
+        half = student_quantile(BLOCKS - 1) * math.sqrt((BLOCKS - 1) * np.var(levels))
+        return Interval.from_half_width(float(self.numbers(model, self.every)[0]), half)
 
-def _robust_weights(columns: Floats, torque: Floats) -> Floats:
-    """Return the root weights of Huber's fit of torque on columns (N)."""
-    weights = np.ones(torque.size)
-    for _ in range(ROUNDS):
-        rows = columns * weights[:, None]
-        e = torque - columns @ np.linalg.lstsq(rows, torque * weights, rcond=1e-9)[0]
-        rms = float(np.median(np.abs(e))) / 0.6745
-        weights = np.sqrt(np.minimum(1, HUBER * rms / np.maximum(np.abs(e), 1e-300)))
-    return weights
+    def level(self, speed: Floats, models: tuple[list[int], ...]) -> FrictionLevel | None:
+        """Return the level by the largest model, and the hull of all; None if the sign buys little.
+
+        Args:
+            speed: |v| (N).
+            models: parts of each; the last one has all.
+        """
+        full = models[-1]
+        fast = speed > np.median(speed)
+        halves = [float(self.numbers(full, half)[0]) for half in (~fast, fast)]
+        signless = self.residual(full[1:])
+        left = [float(np.var(self.weights * self.residual(model))) for model in models]
+        before = [float(np.var(self.weights * one)) for one in (self.torque, signless)]
+        explained, gain = (1 - left[-1] / max(one, 1e-300) for one in before)
+        alike = [model for model, one in zip(models, left, strict=True) if one <= LIKE * left[-1]]
+        found = [self.interval(model) for model in alike]
+        low = min(*halves, *(one.low for one in found))
+        high = max(*halves, *(one.high for one in found))
+        if min(explained - EXPLAINED, gain - PAYS, low) <= 0:
+            return None
+        level = found[-1]._replace(low=low, high=high)
+        rest = float(self.numbers(full, self.every)[1])
+        return FrictionLevel(level, *halves, rest, explained, gain, self.torque.size)

@@ -10,8 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undeadzone.util.arrays import Flags, Floats
+from undeadzone.util.arrays import Floats, Integers
 from undeadzone_identify.logs.grid import printed_step
+from undeadzone_identify.looks.rows import known_samples, noise_of
 from undeadzone_identify.models.estimates import Interval, student_quantile
 from undeadzone_identify.models.lost_motion import HELD
 
@@ -25,7 +26,7 @@ APART = 3.2  # distance of the rests, at least [rms of their noise]
 STEPS = 3.0  # distance of the rests, at least [steps of the reading]
 EDGE = 0.1  # share of the samples at either rest, at least
 BETWEEN = 0.1  # share of the samples between the rests, at most
-MIDDLE = 0.4  # part of the way from one rest to the other, where "between" begins
+MIDDLE = 0.1  # of the distance of the rests, up to which from its middle is "between"
 TAIL = 0.1  # share of a rest's samples beyond its outermost readings
 WIDE = 4.0  # width of a rest without its tails, up to which it is noise [rms]
 
@@ -57,65 +58,52 @@ def free_play_between_rests(t: Floats, u: Floats, y: Floats) -> FreePlay | None:
     """Return the free play of a position that rests in two places at one goal, else None.
 
     Args:
-        t: times (N), increasing.
+        t: times (N).
         u: goal (N).
-        y: position (N).
+        y: position, some may be missing (N).
     """
-    there = np.isfinite(t) & np.isfinite(u) & np.isfinite(y)
-    t, u, y = t[there], u[there], y[there]
+    t, u, y = known_samples(t, u, y)
     if y.size < FEWEST or np.mean(np.diff(u) == 0) < HELD:
         return None
-    step = printed_step(y)
-    curvature = np.median(np.abs(np.diff(y, 2)))
-    noise = math.hypot(float(curvature) / 0.6745 / math.sqrt(6), step / math.sqrt(12))
-    still = _still_samples(t, u, y, QUIET * noise)
+    noise = noise_of(y)
+    near = np.diff(t) < PAUSE * np.median(np.diff(t))
+    rests = near & (np.diff(u) == 0) & (np.abs(np.diff(y)) <= QUIET * noise)
+    still = np.append(False, rests) & np.append(rests, False)
+    hold = np.cumsum(np.diff(u, prepend=u[0]) != 0)
     goals, counts = np.unique(u[still], return_counts=True)
-    enough = goals[counts >= FEWEST]
-    holds = np.cumsum(np.diff(u, prepend=u[0]) != 0)
-    found = [_two_rests(goal, y, holds, still & (u == goal), (noise, step)) for goal in enough]
+    found = []
+    for goal in goals[counts >= FEWEST]:
+        here = still & (u == goal)
+        found.append(_two_rests(float(goal), y[here], hold[here], noise))
     return max(filter(None, found), key=lambda one: one.flips, default=None)
 
 
-def _still_samples(t: Floats, u: Floats, y: Floats, most: float) -> Flags:
-    """Return the samples that neither goal nor position enters or leaves by a move (N)."""
-    near = np.diff(t) < PAUSE * np.median(np.diff(t))
-    rests = near & (np.diff(u) == 0) & (np.abs(np.diff(y)) <= most)
-    return np.append(False, rests) & np.append(rests, False)
-
-
-def _two_rests(
-    goal: float, y: Floats, holds: Floats, here: Flags, resolution: tuple[float, float]
-) -> FreePlay | None:
+def _two_rests(goal: float, y: Floats, hold: Integers, noise: float) -> FreePlay | None:
     """Return the free play at one goal, None if its still samples are not two clusters.
 
     Args:
         goal: the goal [u].
-        y: position (N).
-        holds: number of the hold of each sample (N).
-        here: still samples at the goal (N).
-        resolution: rms of the noise, and step of the reading [y].
+        y: still samples at it (N).
+        hold: number of the hold of each (N).
+        noise: rms of the reading's noise and rounding [y].
     """
-    noise, step = resolution
-    ordered = np.sort(y[here])
-    few = max(LEAST, math.ceil(EDGE * ordered.size))
-    inner = np.diff(ordered)[few - 1 : -(few - 1)]
-    cut = few + int(np.argmax(inner))
-    low, high = ordered[:cut], ordered[cut:]
-    rests = np.array([np.median(low), np.median(high)])
-    apart = float(np.ptp(rests))
-    spread = max(float(low.std()), float(high.std()), noise)
-    border = rests.mean()
-    side = y[here] > border
-    flips = int(np.sum((np.diff(side) != 0) & (np.diff(holds[here]) == 0)))
-    between = float(np.mean(np.abs(ordered - border) < (0.5 - MIDDLE) * apart))
+    step = printed_step(y)
+    ordered = np.sort(y)
+    few = max(LEAST, math.ceil(EDGE * y.size))
+    cut = few + int(np.argmax(np.diff(ordered)[few - 1 : -(few - 1)]))
+    both = ordered[:cut], ordered[cut:]
+    low, high = (float(np.median(one)) for one in both)
+    apart = high - low
+    spread = max(noise, *(float(one.std()) for one in both))
+    part = (y - low) / max(apart, 1e-300)
+    flips = int(np.sum((np.diff(part > 0.5) != 0) & (np.diff(hold) == 0)))
+    between = np.mean(np.abs(part - 0.5) < MIDDLE)
     if flips < FLIPS or apart <= max(APART * spread, STEPS * step) or between > BETWEEN:
         return None
-    outer = float(np.quantile(high, 1 - TAIL) - np.quantile(low, TAIL))
-    widths = [float(np.quantile(one, 1 - TAIL) - np.quantile(one, TAIL)) for one in (low, high)]
-    is_sharp = max(widths) <= WIDE * noise
-    error = math.hypot(math.sqrt(2 / (flips + 1)) * spread, step / math.sqrt(6))
+    ends = np.array([np.quantile(one, (TAIL, 1 - TAIL)) for one in both])
+    is_sharp = bool(np.ptp(ends, axis=1).max() <= WIDE * noise)
+    error = math.hypot(spread * math.sqrt(2 / (flips + 1)), step / math.sqrt(6))
     half = student_quantile(flips - 1.0) * error
-    top = apart if is_sharp else max(apart, outer)
-    return FreePlay(
-        Interval(apart, apart - half, top + half), flips, is_sharp, float(goal), ordered.size
-    )
+    widest = apart if is_sharp else float(np.ptp(ends))
+    play = Interval(apart, apart - half, widest + half)
+    return FreePlay(play, flips, is_sharp, goal, y.size)

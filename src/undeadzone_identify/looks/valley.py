@@ -8,9 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.util.arrays import Floats
+from undeadzone_identify.looks.rows import known_samples, turns
 from undeadzone_identify.models.estimates import Interval, student_quantile
-from undeadzone_identify.models.lost_motion import reversal_blocks
 
+TURN = 0.3  # of the range of u, from which a reversal begins a sweep
 TAKEN_UP = 0.25  # first part of a sweep, in which the gap is taken up, to begin with
 PASSES = 3  # refinements of that part by the gap that was found
 SPARE = 1.2  # that part [gaps]
@@ -47,35 +48,32 @@ def gap_between_valleys(u: Floats, y: Floats) -> Valley | None:
         u: commanded place (N).
         y: a reading above 0, as the size of a star (N).
     """
-    there = np.isfinite(u) & np.isfinite(y)
-    u, y = u[there], y[there]
-    if y.size < SWEEPS * FEWEST or y.min() <= 0 or np.ptp(u) == 0 or np.ptp(y) == 0:
+    _, u, y = known_samples(None, u, y)
+    if y.size < SWEEPS * FEWEST or min(y.min(), np.ptp(u), np.ptp(y)) <= 0:
         return None
     if abs(np.corrcoef(u, y)[0, 1]) > SLOPING:
         return None
-    strokes = reversal_blocks(u, 0.0)
-    sweeps = [(u[strokes == k], y[strokes == k] ** 2) for k in range(strokes[-1] + 1)]
+    cuts = turns(u, TURN * float(np.ptp(u)))
+    sweeps = list(zip(np.split(u, cuts), np.split(y, cuts), strict=True))
     found, gap = None, 0.0
     for _ in range(PASSES):
-        rows = [valley for one in sweeps if (valley := _least_reading(*one, SPARE * gap))]
+        rows = [row for one in sweeps if (row := _least_reading(*one, SPARE * gap))]
         found = _difference(np.array(rows).reshape(-1, 2))
-        if found is None:
-            break
-        gap = max(found.gap.value, 0.0)
+        gap = found.gap.value if found else 0.0
     return found
 
 
-def _least_reading(place: Floats, squares: Floats, skipped: float) -> tuple[float, float] | None:
+def _least_reading(place: Floats, y: Floats, skipped: float) -> tuple[float, float] | None:
     """Return place of the least reading and way of a sweep; None if it has no parabola.
 
     Args:
         place: commanded (N) [u].
-        squares: of the readings (N).
+        y: readings (N).
         skipped: way after a reversal, in which the gap is taken up [u].
     """
     way, length = float(np.sign(place[-1] - place[0])), float(np.ptp(place))
     taken = np.abs(place - place[0]) >= max(skipped, TAKEN_UP * length)
-    x, z = place[taken], squares[taken]
+    x, z = place[taken], y[taken] ** 2
     if np.unique(x).size < FEWEST:
         return None
     middle, length = float(x.mean()), float(np.ptp(x))
