@@ -41,22 +41,25 @@ class Rows(NamedTuple):
     how: str
 
 
-def rows_at_rest(t: Floats | None, u: Floats, y: Floats) -> Rows | None:
+def rows_at_rest(
+    t: Floats | None, u: Floats, y: Floats, levels: int = LEVELS
+) -> Rows | None:
     """Return the rows at rest of a log; None where readings move by themselves.
 
     Args:
         t: times, in any order (N); None for rows in the order of their record.
         u: commands (N).
         y: readings, some may be missing (N).
+        levels: least number of different commands.
     """
     u, y = known_samples(t, u, y)[1:]
-    if np.unique(u).size < LEVELS or np.ptp(y) == 0:
+    if np.unique(u).size < levels or np.ptp(y) == 0:
         return None
     cut = np.flatnonzero(np.diff(u, prepend=np.nan, append=np.nan))
     length = np.diff(cut)
     came = last_changes(u)
     if length[length >= HOLD].sum() >= u.size / 2:
-        return _settled_rows(u, y, came, cut) or _sweep_rows(u, y, came)
+        return _settled_rows(u, y, came, cut, levels) or _sweep_rows(u, y, came)
     if u.size < TABLE:
         return Rows(u, y, came, np.ones(u.size, int), np.zeros(u.size), "table")
     return _sweep_rows(u, y, came)
@@ -105,7 +108,9 @@ def noise_of(y: Floats) -> float:
     return math.hypot(white, find_quantum(y) / math.sqrt(12))
 
 
-def _settled_rows(u: Floats, y: Floats, came: Floats, cut: Integers) -> Rows | None:
+def _settled_rows(
+    u: Floats, y: Floats, came: Floats, cut: Integers, levels: int
+) -> Rows | None:
     """Return a row of each hold that comes to rest.
 
     The last quarter of such a hold reads what the quarter before it read. If few holds do, those
@@ -132,7 +137,7 @@ def _settled_rows(u: Floats, y: Floats, came: Floats, cut: Integers) -> Rows | N
     if len(rows) < max(LEVELS, len(held) / 2):
         return None
     u, y, came, count, spread = np.array(rows).T
-    if np.unique(u).size < LEVELS or np.ptp(y) == 0:
+    if np.unique(u).size < levels or np.ptp(y) == 0:
         return None
     return Rows(u, y, came, count.astype(int), spread, "holds")
 

@@ -42,6 +42,8 @@ FEWEST = 12  # samples that are fitted
 MOST = 20_000  # samples that are fitted; of a longer log the first ones
 TURNS = 3  # reversals, below which a lag, a zone and a gap look alike
 HOLD = 6  # samples at one goal, from which it is held
+ROWS = 8  # readings at rest that are fitted
+PLACES = 3  # different goals at which they are
 SMALL = 0.1  # of a gap, that the rms of coloured residuals may have
 SHARE = 0.9  # of y, that a fit must explain
 ASSUMED = 0.015  # of a gap behind lags, in whose place a servo has an inertia and sticks
@@ -232,8 +234,8 @@ def _at_rest(data: Positions) -> Positions:
     """Return the readings at rest where a goal is held, in order; all where it never rests."""
     change = np.flatnonzero(np.diff(data.u, prepend=np.nan, append=np.nan))
     held = np.repeat(np.diff(change) >= HOLD, np.diff(change))
-    rows = rows_at_rest(data.t[held], data.u[held], data.y[held])
-    if rows is None or rows.how != "holds":
+    rows = rows_at_rest(data.t[held], data.u[held], data.y[held], PLACES)
+    if rows is None or rows.how != "holds" or rows.u.size < ROWS:
         return data
     times = np.linspace(data.t[0], data.t[-1], rows.u.size)
     return data._replace(t=times, u=rows.u, y=rows.y)
@@ -440,8 +442,8 @@ def _described(answer: LostMotionAnswer, explained: float, white: bool) -> LostM
         about += f", by the {answer.data.t.size} readings at rest"
     if answer.reversals < TURNS:
         reasons.append(
-            f"the log turns round {answer.reversals} times: lost motion, a lag and a zone look alike"
-            f" below {TURNS} reversals"
+            f"the log turns round {answer.reversals} times: below {TURNS} reversals lost motion, a"
+            " lag and a zone look alike"
         )
     elif answer.verdict == "play":
         reasons.append(f"what turns round loses motion: {about}")
