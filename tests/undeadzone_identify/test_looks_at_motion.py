@@ -1,4 +1,4 @@
-"""What rests, what turns and what pushes: numbers ahead of dynamics, none without evidence."""
+"""Looks at rest, reversals and torque: numbers ahead of dynamics, none without evidence."""
 
 from __future__ import annotations
 
@@ -188,7 +188,7 @@ def test_a_zone_on_a_ramp_that_hardly_turns_is_no_play(back: bool) -> None:
         {"t": 1.1 * np.arange(u.size), "motorCommand": u, "y": y}, "y=y,u=motorCommand"
     )
     assert (found.verdict, stands) == ("unclear", False)
-    assert found.gap == (0, 0, np.ptp(u))
+    assert list(found.gap) == [0, 0, np.ptp(u)]
     assert any("turns round" in reason for reason in found.reasons)
 
 

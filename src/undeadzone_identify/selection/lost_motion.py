@@ -132,8 +132,9 @@ def _follows(log: Log) -> bool:
     """Return whether the output of a log is nearly a straight line of its input, at once."""
     u, y = log.u[:, 0], log.y[:, 0]
     there = np.isfinite(u) & np.isfinite(y)
-    spread = np.std(u[there]), np.std(y[there])
-    return min(spread) > 0 and float(np.corrcoef(u[there], y[there])[0, 1]) ** 2 > SHARE
+    if min(np.std(u[there]), np.std(y[there])) == 0:
+        return False
+    return float(np.corrcoef(u[there], y[there])[0, 1]) ** 2 > SHARE
 
 
 def _has_grid(log: Log) -> bool:
