@@ -391,7 +391,7 @@ def _gain_error(fit: MotionFit, found: LostMotion) -> float:
 
 
 def moving_samples(y: Floats, quantum: float) -> Flags:
-    """Return the samples about which a position moves one way (N).
+    """Return the samples amid steady motion of a position, forwards or backwards (N).
 
     Args:
         y: the position (N).
