@@ -1,4 +1,4 @@
-"""Friction level of a joint, by the torque that moves it and the way in which it moves.
+"""Friction level of a joint, by its torque and its direction of motion.
 
     torque = F sign(v) + g + B v + J a + s sin q + c cos q
 
@@ -152,5 +152,5 @@ class _Fit:
             return None
         level = found[-1]._replace(low=low, high=high)
         rest = float(self.numbers(full, self.every)[1])
-        at_slow, at_fast = halves
-        return FrictionLevel(level, at_slow, at_fast, rest, explained, gain, self.torque.size)
+        slow, quick = halves
+        return FrictionLevel(level, slow, quick, rest, explained, gain, self.torque.size)

@@ -1,4 +1,4 @@
-"""Free play under a load that flips: one goal, at which a position rests in two places.
+"""Free play under a load that flips: a position that rests in two places at the same goal.
 
 No command cures it, since the load and not the goal decides at which flank the axis rests.
 """
@@ -55,7 +55,7 @@ class FreePlay(NamedTuple):
 
 
 def free_play_between_rests(t: Floats, u: Floats, y: Floats) -> FreePlay | None:
-    """Return the free play of a position that rests in two places at one goal, else None.
+    """Return the free play of a position that rests in two places at the same goal, or None.
 
     Args:
         t: times (N).

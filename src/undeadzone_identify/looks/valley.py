@@ -1,4 +1,4 @@
-"""Gap of a drive by V curves: a reading that is least at one place, which sweeps pass both ways."""
+"""Gap of a drive by V curves: sweeps both ways through the place of the least reading."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Valley(NamedTuple):
 
 
 def gap_between_valleys(u: Floats, y: Floats) -> Valley | None:
-    """Return the gap of a drive by sweeps through the least reading up and down, else None.
+    """Return the gap of a drive by sweeps up and down through the least reading, or None.
 
     Args:
         u: commanded place (N).

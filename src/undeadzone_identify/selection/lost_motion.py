@@ -22,7 +22,7 @@ from undeadzone_identify.logs.log import Log, Options
 from undeadzone_identify.looks.rows import rows_at_rest
 from undeadzone_identify.models.estimates import Interval, student_quantile, variance_along
 from undeadzone_identify.models.free_load import fit_free_load
-from undeadzone_identify.models.least_squares import Density
+from undeadzone_identify.models.least_squares import Density, regression_residual
 from undeadzone_identify.models.lost_motion import (
     FEWEST_LATE,
     HELD,
@@ -42,6 +42,8 @@ FEWEST = 12  # samples that are fitted
 MOST = 20_000  # samples that are fitted; of a longer log the first ones
 TURNS = 3  # reversals, below which a lag, a zone and a gap look alike
 HOLD = 6  # samples at one goal, from which it is held
+PASTS = (2, 4, 8)  # samples after which the response of a plant ends that may be taken for play
+CERTAIN = 0.99  # odds of play between signals that no name calls positions
 ROWS = 8  # readings at rest that are fitted
 PLACES = 3  # different goals at which they are
 SMALL = 0.1  # of a gap, that the rms of coloured residuals may have
@@ -130,8 +132,9 @@ def _follows(log: Log) -> bool:
     """Return whether the output of a log is nearly a straight line of its input, at once."""
     u, y = log.u[:, 0], log.y[:, 0]
     there = np.isfinite(u) & np.isfinite(y)
-    spread = np.std(u[there]), np.std(y[there])
-    return bool(min(spread) > 0 and np.corrcoef(u[there], y[there])[0, 1] ** 2 > SHARE)
+    if min(np.std(u[there]), np.std(y[there])) == 0:
+        return False
+    return float(np.corrcoef(u[there], y[there])[0, 1]) ** 2 > SHARE
 
 
 def _has_grid(log: Log) -> bool:
@@ -174,6 +177,10 @@ def find_lost_motion(log: Log, options: Options) -> tuple[LostMotionAnswer | Non
     if not white and late and (alike or is_goal):
         fit, found, others = _add_lags(data, (fit, found))
         flat = min((MotionFit(data, found.structure).fit(no_gap), flat), key=LostMotion.bic)
+    positions = alike or is_goal or is_summed
+    if not positions:  # what no name calls two positions may be any plant
+        plants = [_fit_plant(data, found, past) for past in PASTS]
+        flat = min(flat, *plants, key=LostMotion.bic)
     gap = _widest(fit, found, others)
     family = _family(found, flat, curved, quantum)
     free = fit_free_load(data) if _may_float(log, is_goal or is_summed, white) else None
@@ -204,9 +211,9 @@ def find_lost_motion(log: Log, options: Options) -> tuple[LostMotionAnswer | Non
     if not fits or not sure:
         word = "unclear"
         odds = odds if fits else {}
-    positions = alike or is_goal or is_summed
-    alone = is_gap and white and (found.structure == Structure() or not _has_grid(log))
-    stands = word != "unclear" and (positions or alone)
+    alone = found.structure == Structure() or not _has_grid(log)
+    certain = white and alone and is_gap and odds.get("play", 0.0) > CERTAIN
+    stands = word != "unclear" and (positions or certain)
     answer = LostMotionAnswer(
         verdict=word,
         gap=gap if is_gap else gap._replace(value=0.0, low=0.0),
@@ -228,6 +235,14 @@ def find_lost_motion(log: Log, options: Options) -> tuple[LostMotionAnswer | Non
     if free is not None:
         answer.remarks.append(FLOATS.format(100 * free.contact))
     return _described(_split(answer), explained, white), stands
+
+
+def _fit_plant(data: Positions, found: LostMotion, past: int) -> LostMotion:
+    """Return the fit of any linear plant whose response ends after few samples, without a gap."""
+    step = float(np.median(np.diff(data.t)))
+    before = [np.interp(data.t - k * step, data.t, data.u) for k in range(past)]
+    columns = np.column_stack([np.ones(data.t.size), *before])
+    return found._replace(residual=regression_residual(columns, data.y), numbers=past + 2)
 
 
 def _at_rest(data: Positions) -> Positions:
@@ -376,7 +391,7 @@ def _gain_error(fit: MotionFit, found: LostMotion) -> float:
 
 
 def moving_samples(y: Floats, quantum: float) -> Flags:
-    """Return the samples about which a position moves one way (N).
+    """Return the samples amid steady motion of a position, forwards or backwards (N).
 
     Args:
         y: the position (N).
