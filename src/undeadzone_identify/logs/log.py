@@ -265,7 +265,8 @@ def log_from_samples(samples: Samples, layout: Layout, source: str, strict: bool
     units = {title.unit or "1" for title in driving}
     remarks = [f"{source}: {remark}" for remark in mended]
     if layout.reference is not None or not layout.is_certain:
-        remarks.insert(0, f"{source}: {layout.columns_text}; {layout.option}")
+        rest = f", not {layout.unused}" if layout.unused else ""
+        remarks.insert(0, f"{source}: read as {layout.columns_text}{rest}")
     if repeated:
         remarks.append(
             f"{source}: {repeated} samples have the time of the one before, and are left out"
