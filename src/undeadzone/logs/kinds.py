@@ -31,7 +31,8 @@ _TIMES: Final = tuple(
             r"^(times?|zeit|temps|tiempo)$",
             r"^((zeit)?stempel|time ?stamp|date ?time|clock|uhrzeit|heure|hora|elapsed( time)?)$",
             r"^(date|datum|fecha|secs?|seconds|[mun]s|[mu]sec|(milli|micro|nano)(s|seconds)|minutes)$",
-            r"^(t|times?|timestamp|zeit|elapsed( time)?) ([mun]?s|[mu]?secs?|seconds|min(ute)?s?|h|hours)$",
+            r"^(t|times?|timestamp|zeit|elapsed|elapsed time) "
+            r"([mun]?s|[mu]?secs?|seconds|min(ute)?s?|h|hours)$",
             r"^(time|timestamp|stamp|zeit|temps|elapsed)\b|\b(time|timestamp|stamp|zeit)$",
         ),
     )
@@ -87,7 +88,8 @@ _TABLE: Final = tuple(
             r"|vanne|heater|heiz|chauff|pump|\bfan\b|\bdac\b|stick\b|drive\b|\[(m?v|volts?)\]",
             *("drive", 14.0),
         ),
-        (r"^(dec|ra)( raw|$)", "position", -9.0),
+        (r"^dec( raw|$)", "position", -9.0),
+        (r"^ra( raw|$)", "position", -8.5),
         (
             r"speed|veloc|\bvel\b|\brpm\b|drehzahl|geschw|vitesse|omega|\bd ?d?q\b|\bqd\b|gyro|"
             r"tach|\bupm\b|\[(k?rpm|upm|[^]]*/s)\]",
@@ -198,7 +200,9 @@ def increases_evenly(values: Floats) -> bool:
     """
     between = np.diff(values)
     is_rising = between.size > 1 and np.mean(between > 0) > 0.98
-    return bool(is_rising and np.quantile(between, 0.9) <= 1.5 * np.median(between))
+    return bool(
+        is_rising and np.quantile(between, 0.9, method="higher") <= 1.5 * np.median(between)
+    )
 
 
 def is_regular_time(values: Floats) -> bool:

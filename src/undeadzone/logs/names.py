@@ -40,6 +40,7 @@ LAGS: Final = range(1, 4)  # samples, by which a reading may follow its input
 USUAL: Final = {"y": ("y", "output", "measured"), "u": ("u", "input", "command")}
 INDEXED: Final = re.compile(r"(.*?)[\[_(]?(\d*)[\])]?")
 _PLAIN: Final = re.compile(r"[\w .\[\]()/%°#:+*-]+")  # names that an option may hold as they are
+DIGITS: Final = (*"0123456789", "]", ")")  # how names with an index end
 _PRINTED_NAMES: Final = 12  # names in a message
 
 
@@ -73,7 +74,7 @@ class Layout(NamedTuple):
         inputs: numbers of the columns of the inputs (m).
         seconds: length of a unit of time [s]; None if times count samples.
         reading_titles, input_titles: titles of these columns.
-        columns_text: the option that chooses these columns.
+        columns_text: these columns, as the option --columns has them.
         reference: number of the column of the reference; None: there is none, or it is not needed.
         is_certain: whether names without doubt or the user decided.
         unused: names of other columns, for messages.
@@ -247,7 +248,7 @@ class _Header(NamedTuple):
             _seconds(self.titles[time[0]], self.source) if time else 1.0,
             titles[: len(y)],
             titles[len(y) :],
-            f'--columns "{",".join(parts)}"',
+            ",".join(parts),
             r[0] if r else None,
             certain or bool(_of_signal(self.chosen, "y")),
             _list_columns(left),
@@ -308,10 +309,12 @@ class _Header(NamedTuple):
         rows, columns = (np.isin(every, given[:1]) if given else free for given in (u, y))
         scores[~(rows[:, None] & columns) | np.eye(every.size, dtype=bool)] = -np.inf
         i, j = np.unravel_index(int(np.argmax(scores)), scores.shape)
+        best = scores[i, j]
         for signal, given, k, rivals in (("y", y, j, scores[i]), ("u", u, i, scores[:, j])):
-            is_tie = np.sum(rivals > scores[i, j] - 0.001) > 1 and abs(ranks[k]) < EXACT
-            is_unknown = not self.is_open and (ranks[k] == 0 or is_tie)
-            if not given and (is_unknown or scores[i, j] == -np.inf):
+            is_tie = np.sum(rivals > best - 0.001) > 1 and not self.titles[k].name.endswith(DIGITS)
+            is_alike = not y + u and ranks[i] <= ranks[j]
+            is_unknown = not self.is_open and (ranks[k] == 0 or is_tie or is_alike)
+            if not given and (is_unknown or best == -np.inf):
                 raise self.require_name(signal)
         y = y or self.group("y", int(j), p)
         return y, u or self.group("u", int(i), m)

@@ -205,7 +205,7 @@ def find_sample_time(log: Log) -> float:
     step = float(np.median(spacing))
     count = np.maximum(np.rint(spacing / step), 1.0)
     near = (np.abs(spacing - count * step) <= MOST_SWAY * step) & (count <= LONG)
-    step = float(spacing[near].sum() / count[near].sum())
+    step = float(spacing[near].sum() / max(count[near].sum(), 1)) or step
     off = np.abs(spacing - count * step)
     if np.mean(near) >= 1 - SELDOM and root_mean_square(off[near]) <= SWAYS * step:
         return step

@@ -266,7 +266,7 @@ def log_from_samples(samples: Samples, layout: Layout, source: str, strict: bool
     remarks = [f"{source}: {remark}" for remark in mended]
     if layout.reference is not None or not layout.is_certain:
         rest = f", not {layout.unused}" if layout.unused else ""
-        remarks.insert(0, f"{source}: read as {layout.columns_text}{rest}")
+        remarks.insert(0, f'{source}: read as --columns "{layout.columns_text}"{rest}')
     if repeated:
         remarks.append(
             f"{source}: {repeated} samples have the time of the one before, and are left out"
