@@ -22,14 +22,21 @@ SECONDS: Final = {
     **dict.fromkeys(("h", "hr", "hours"), 3600.0),
 }
 COUNTS: Final = ("sample", "samples", "step", "steps", "index", "row", "frame")
-# Times by name alone, best first, and words that begin or end the name of one.
-TIMES: Final = (
-    *("t", "time", "times", "zeit", "temps", "tiempo", "timestamp", "seconds", "sec"),
-    *("date time", "datetime", "zeitstempel", "clock", "uhrzeit", "heure", "hora"),
-    *("date", "datum", "fecha", "ms", "us", "ns", "msec", "millis", "micros", "nanos", "minutes"),
-    *("milliseconds", "microseconds", "nanoseconds", "mins", "minute", "hours", "usec", "nsec"),
+# Names of times, best first: alone, with a unit, and with words that say of what.
+_TIMES: Final = tuple(
+    map(
+        re.compile,
+        (
+            r"^t$",
+            r"^(times?|zeit|temps|tiempo)$",
+            r"^((zeit)?stempel|time ?stamp|date ?time|clock|uhrzeit|heure|hora|elapsed( time)?)$",
+            r"^(date|datum|fecha|secs?|seconds|[mun]s|[mu]sec|(milli|micro|nano)(s|seconds)|minutes)$",
+            r"^(t|times?|timestamp|zeit|elapsed|elapsed time) "
+            r"([mun]?s|[mu]?secs?|seconds|min(ute)?s?|h|hours)$",
+            r"^(time|timestamp|stamp|zeit|temps|elapsed)\b|\b(time|timestamp|stamp|zeit)$",
+        ),
+    )
 )
-CLOCKS: Final = frozenset(("time", "timestamp", "stamp", "zeit", "temps", "elapsed", "clock"))
 # A unit at the end of a name: `motor_deg`, `force_N`. Letters that often mean something else are
 # none.
 _WITH_UNIT: Final = re.compile(
@@ -51,7 +58,11 @@ _TABLE: Final = tuple(
         (r"\bpv$|^process (value|variable)$", "pv", -19.0),
         (r"^(command|cmd)$", "goal", 18.0),
         (r"^(reading|measured|measurement|istwert|mesure)$", "", -18.0),
-        (r"battery|supply|\bbus\b|\bvcc\b|\berror\b|\bwanted time\b", "other", 0.0),
+        (
+            r"battery|supply|\bmass\b|\bsnr\b|\bbus\b|\bvcc\b|\berror\b|\bwanted time\b",
+            "other",
+            0.0,
+        ),
         (r"\bsp$", "sp", REFERENCE),
         (r"^(r|ref|reference|set ?point|sollwert|consigne|consigna)$", "goal", REFERENCE),
         (r"\bdec ?(guide|pulse)", "drive", 16.5),
@@ -67,8 +78,8 @@ _TABLE: Final = tuple(
             *("torque", 8.0),
         ),
         (
-            r"measured|sensor|\badc|feedback|\bfb\b|reading|\bhx\b|response|\bist\b|"
-            r"\braw\b(?! dis)|\bcode\b|observ|mesur|gemessen",
+            r"measured|sensor|\badc|feedback|\bfb\b|reading|\bhx\b|response|\bist\b|\braw\b(?! d)|"
+            r"\bcode\b|observ|mesur|gemessen",
             "",
             -12.0,
         ),
@@ -77,7 +88,8 @@ _TABLE: Final = tuple(
             r"|vanne|heater|heiz|chauff|pump|\bfan\b|\bdac\b|stick\b|drive\b|\[(m?v|volts?)\]",
             *("drive", 14.0),
         ),
-        (r"dec( raw|$)", "position", -9.0),
+        (r"^dec( raw|$)", "position", -9.0),
+        (r"^ra( raw|$)", "position", -8.5),
         (
             r"speed|veloc|\bvel\b|\brpm\b|drehzahl|geschw|vitesse|omega|\bd ?d?q\b|\bqd\b|gyro|"
             r"tach|\bupm\b|\[(k?rpm|upm|[^]]*/s)\]",
@@ -157,9 +169,8 @@ def kind_of(name: str, unit: str = "") -> str:
         name: of the column.
         unit: of the column; "" or "1" if it has none.
     """
-    kinds = [kind for _, kind, _ in _rows_of(Title(name, unit)) if kind]
-    is_read = rank_of(Title(name, unit)) in (-12.0, -18.0)
-    return next((kind for kind in kinds if not (is_read and kind in ("drive", "goal"))), "other")
+    rows = _rows_of(Title(name, unit))
+    return next((kind for _, kind, _ in rows if kind), "other")
 
 
 def rank_of(title: Title) -> float:
@@ -177,22 +188,8 @@ def _rows_of(title: Title) -> list[tuple[re.Pattern[str], str, float]]:
 
 def time_rank(title: Title) -> int:
     """Return the rank of a name among those of times, 0 the best; -1: it is that of no time."""
-    words = split_words(title.name).split(" ")
-    whole = " ".join(words)
-    if whole in TIMES:
-        return TIMES.index(whole)
-    in_a_unit = len(words) == 2 and words[0] in TIMES and words[1] in SECONDS
-    is_clock = bool(CLOCKS & {words[0], words[-1]}) and title.unit.lower() in SECONDS
-    return len(TIMES) if in_a_unit or is_clock else -1
-
-
-def has_time(titles: list[Title]) -> bool:
-    """Return whether a name is that of a column of times.
-
-    Args:
-        titles: of the columns.
-    """
-    return any(time_rank(title) >= 0 for title in titles)
+    words = " ".join(_WORDS.findall(title.name)).lower()
+    return next((k for k, name in enumerate(_TIMES) if name.search(words)), -1)
 
 
 def increases_evenly(values: Floats) -> bool:
@@ -202,9 +199,10 @@ def increases_evenly(values: Floats) -> bool:
         values: of a column (N).
     """
     between = np.diff(values)
-    if values.size < 3 or not np.mean(between > 0) > 0.98:
-        return False
-    return bool(np.quantile(between, 0.9) <= 1.5 * np.median(between))
+    is_rising = between.size > 1 and np.mean(between > 0) > 0.98
+    return bool(
+        is_rising and np.quantile(between, 0.9, method="higher") <= 1.5 * np.median(between)
+    )
 
 
 def is_regular_time(values: Floats) -> bool:

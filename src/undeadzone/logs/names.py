@@ -5,6 +5,7 @@ of names and by what the columns do.
 from __future__ import annotations
 
 import difflib
+import itertools
 import re
 from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple
@@ -36,8 +37,10 @@ PAIRS: Final = {("goal", "position"): 0.3, ("drive", "speed"): 0.2, ("position",
 # the other, values that last in the input, changes that come first, its place in the file.
 ALIKE, EXPLAINED, LASTING, EARLIER, AHEAD = 1.0, 0.5, 0.4, 0.3, 0.1
 LAGS: Final = range(1, 4)  # samples, by which a reading may follow its input
-INDEXED: Final = re.compile(r"^(.*?)[\[_(]?(\d+)[\])]?$")
+USUAL: Final = {"y": ("y", "output", "measured"), "u": ("u", "input", "command")}
+INDEXED: Final = re.compile(r"(.*?)[\[_(]?(\d*)[\])]?")
 _PLAIN: Final = re.compile(r"[\w .\[\]()/%°#:+*-]+")  # names that an option may hold as they are
+DIGITS: Final = (*"0123456789", "]", ")")  # how names with an index end
 _PRINTED_NAMES: Final = 12  # names in a message
 
 
@@ -71,10 +74,10 @@ class Layout(NamedTuple):
         inputs: numbers of the columns of the inputs (m).
         seconds: length of a unit of time [s]; None if times count samples.
         reading_titles, input_titles: titles of these columns.
-        columns_text: in words, the column of each signal.
+        columns_text: these columns, as the option --columns has them.
         reference: number of the column of the reference; None: there is none, or it is not needed.
         is_certain: whether names without doubt or the user decided.
-        option: how the user sets the columns, and which are not used.
+        unused: names of other columns, for messages.
     """
 
     time: int | None
@@ -87,7 +90,7 @@ class Layout(NamedTuple):
     columns_text: str
     reference: int | None = None
     is_certain: bool = True
-    option: str = ""
+    unused: str = ""
 
     @property
     def has_current(self) -> bool:
@@ -166,11 +169,14 @@ def layout_of_titles(
     _refuse_others(chosen, p, m)
     if values is not None:  # a column without numbers is as good as a constant one
         values = np.where(np.isfinite(values).any(axis=0), values, 0.0)
-    header = _Header(titles, chosen, source, values)
+    header = _Header(titles, chosen, source, values, values is not None and p is m is None)
     time = header.find_time_column()
-    readings, inputs = header.find_signals(time, p, m)
-    layout = header.layout(time, readings, inputs)
-    return layout if m is not None else header.with_reference(layout)
+    y, u = header.find_signals(time, p, m)
+    r = []
+    if m is None:
+        u = u + ([] if _of_signal(chosen, "u") else header.drive_of_servo(y, u))
+        r = header.find_reference([*time, *y, *u], y[0])
+    return header.layout({"t": time, "y": y, "u": u, "r": r})
 
 
 def layout_of_numbers(
@@ -200,44 +206,53 @@ class _Header(NamedTuple):
     """Titles of the columns, and the columns that the user names.
 
     Attributes:
-        titles: of the columns.
+        titles: of the columns (K).
         chosen: columns that the user names; see `parse_columns`.
         source: the log, for messages.
-        values: numbers in the columns (N x K); None: they are not asked.
+        values: numbers in the columns (N x K); None: they are not known.
+        is_open: whether what the columns do decides what names leave open.
     """
 
     titles: Sequence[Title]
     chosen: Mapping[str, str]
     source: str
-    values: Floats | None = None
+    values: Floats | None
+    is_open: bool
 
-    def layout(self, time: int | None, readings: list[int], inputs: list[int]) -> Layout:
-        """Return a layout, once no column is used twice and the unit of time is known."""
-        used = readings + inputs + ([] if time is None else [time])
+    def layout(self, roles: Mapping[str, Sequence[int]]) -> Layout:
+        """Return a layout, once no column is used twice and the unit of time is known.
+
+        Args:
+            roles: columns of t, y, u and r.
+        """
+        used = list(itertools.chain.from_iterable(roles.values()))
         for column in used:
             if used.count(column) > 1:
-                raise self.require_distinct(column)
-        seconds: float | None = 1.0
-        date = None
-        roles = []
-        if time is not None:
-            seconds = _seconds(self.titles[time], self.source)
-            dated = [k for k, title in enumerate(self.titles) if title.name.lower() in DATES]
-            date = next((k for k in dated if k not in used), None)
-            roles.append(f"t from {self.titles[time].name!r}")
-        y, u = ([add_unit(self.titles[k]) for k in columns] for columns in (readings, inputs))
-        for signal, titles in (("y", y), ("u", u)):
-            roles.append(f"{signal} from {', '.join(repr(title.name) for title in titles)}")
-        certain = all(abs(rank_of(title)) == EXACT for title in (*y, *u))
-        is_certain = bool(_of_signal(self.chosen, "y")) or certain
-        keys = [f"y[{i}]" if y[1:] else "y" for i in range(len(y))]
-        keys += [f"u[{i}]" if u[1:] else "u" for i in range(len(u))] + ["t"] * (time is not None)
-        parts = [f"{key}={self.printed_name(k)}" for key, k in zip(keys, used, strict=True)]
-        option = f'--columns "{",".join(parts)}"'
-        text = ", ".join(roles)
+                name = self.titles[column].name
+                raise FileError(f"{self.source}: column {name!r} would be used twice")
+        time, y, u, r = roles.values()
+        dated = [k for k, title in enumerate(self.titles) if title.name.lower() in DATES]
+        titles = [add_unit(self.titles[k]) for k in (*y, *u)]
+        certain = all(abs(rank_of(title)) == EXACT for title in titles)
+        parts = [
+            f"{key}[{i}]={self.printed_name(k)}" if columns[1:] else f"{key}={self.printed_name(k)}"
+            for key, columns in roles.items()
+            for i, k in enumerate(columns)
+        ]
         left = [title for k, title in enumerate(self.titles) if k not in used and title.name]
-        option = f"{option} sets them" + (f". Not used: {_list_columns(left)}" if left else "")
-        return Layout(time, date, readings, inputs, seconds, y, u, text, None, is_certain, option)
+        return Layout(
+            time[0] if time else None,
+            next((k for k in dated if time and k not in used), None),
+            list(y),
+            list(u),
+            _seconds(self.titles[time[0]], self.source) if time else 1.0,
+            titles[: len(y)],
+            titles[len(y) :],
+            ",".join(parts),
+            r[0] if r else None,
+            certain or bool(_of_signal(self.chosen, "y")),
+            _list_columns(left),
+        )
 
     def printed_name(self, k: int) -> str:
         """Return the name of a column as an option may hold it, else its number (from 1)."""
@@ -245,48 +260,34 @@ class _Header(NamedTuple):
         is_plain = _PLAIN.fullmatch(name) and not name.isdigit()
         return name if is_plain and len(self.find_equal_names(name)) == 1 else str(k + 1)
 
-    def with_reference(self, layout: Layout) -> Layout:
-        """Return the layout with the reference: a column that is nothing else. Raises FileError."""
+    def find_reference(self, used: Sequence[int], y: int) -> list[int]:
+        """Return the column of the reference, which is nothing else; none if there is none."""
         if "r" in self.chosen:
-            found = [self.column_of_name("r")]
-            if found[0] in layout.columns:
-                raise self.require_distinct(found[0])
-        else:
-            near = self.likeness()[:, layout.readings[0]]
-            goals = [k for k, title in enumerate(self.titles) if kind_of(*title) in ("sp", "goal")]
-            open_ones = [k for k in goals if k not in layout.columns]
-            found = sorted(open_ones, key=lambda k: near[k] + 5 * (rank_of(self.titles[k]) < 12))
-        if not found:
-            return layout
-        columns_text = f"{layout.columns_text}, r from {self.titles[found[-1]].name!r}"
-        return layout._replace(reference=found[-1], columns_text=columns_text)
+            return [self.column_of_name("r")]
+        kinds = [kind_of(*title) for title in self.titles]
+        goals = [k for k, kind in enumerate(kinds) if kind in ("sp", "goal") and k not in used]
+        near = self.likeness()[:, y]
+        return sorted(goals, key=lambda k: near[k] - rank_of(self.titles[k]))[-1:]
 
-    def require_distinct(self, column: int) -> FileError:
-        """That one column would have two parts."""
-        name = self.titles[column].name
-        return FileError(f"{self.source}: column {name!r} would be used twice")
-
-    def find_time_column(self) -> int | None:
-        """Return the number of the column of times; None if there is none. Raises FileError."""
+    def find_time_column(self) -> list[int]:
+        """Return the column of times; none if there is none. Raises FileError."""
         if "t" in self.chosen:
-            return self.column_of_name("t")
-        ranks = [time_rank(title) for title in self.titles]
-        named = [rank for rank in ranks if rank >= 0]
-        best = [k for k, rank in enumerate(ranks) if named and rank == min(named)]
+            return [self.column_of_name("t")]
+        ranks = np.array([time_rank(title) for title in self.titles])
+        best = np.flatnonzero((ranks >= 0) & (ranks == ranks[ranks >= 0].min(initial=99)))
         if self.values is not None:
-            rising = {k for k, x in enumerate(self.values.T) if np.mean(np.diff(x) >= 0) > 0.9}
-            unknown = [k for k in rising if not rank_of(self.titles[k])]
-            best = [k for k in best if k in rising] or best
-            if not best and len(self.titles) > 2:
-                best = [k for k in unknown if is_regular_time(self.values[:, k])]
-            best = best[:1]
-        if len(best) > 1:
+            rising = np.mean(np.diff(self.values, axis=0) >= 0, axis=0) > 0.9
+            best = best[rising[best]] if rising[best].any() else best[:1]
+            unknown = [k for k, title in enumerate(self.titles) if not rank_of(title)]
+            if not best.size and len(self.titles) > 2:
+                best = np.array([k for k in unknown if is_regular_time(self.values[:, k])], int)
+        if best.size > 1 and not self.is_open:
             many = f"several columns are named {self.titles[best[0]].name!r}"
             raise FileError(f'{self.source}: {many}; columns="t=NUMBER"')
-        return best[0] if best else None
+        return best[:1].tolist()
 
     def find_signals(
-        self, time: int | None, p: int | None, m: int | None
+        self, time: list[int], p: int | None, m: int | None
     ) -> tuple[list[int], list[int]]:
         """Return the numbers of the columns of readings and of inputs. Raises FileError.
 
@@ -295,46 +296,38 @@ class _Header(NamedTuple):
             p, m: numbers of readings and inputs; None: as many as are named.
         """
         y, u = self.columns_named("y", p), self.columns_named("u", m)
-        ranks = self.ranks(y + u, m is not None)
-        used = {*y, *u, time}
-        is_open = np.array([k not in used and time_rank(t) < 0 for k, t in enumerate(self.titles)])
-        if self.values is not None:
-            varies = np.nanmax(self.values, axis=0) > np.nanmin(self.values, axis=0)
-            counts = [increases_evenly(x) for x in self.values.T]
-            for kept in (varies, ~(np.array(counts) & (ranks == 0))):
-                fewer = is_open & (kept | (np.abs(ranks) == EXACT))
-                is_open = fewer if fewer.sum() + bool(y) + bool(u) > 1 else is_open
+        ranks = self.ranks(y + u)
+        used = [*y, *u, *time]
+        free = np.array([k not in used and time_rank(t) < 0 for k, t in enumerate(self.titles)])
+        if self.is_open and self.values is not None:
+            counts = np.array([increases_evenly(x) for x in self.values.T]) & (ranks == 0)
+            for out in (np.ptp(np.nan_to_num(self.values), axis=0) == 0, counts):
+                fewer = free & (~out | (np.abs(ranks) >= EXACT))
+                free = fewer if fewer.sum() + len(y + u) > 1 else free
         scores = ranks[:, None] - ranks + self.likeness() + self.behaviour()
-        for axis, given in enumerate((u, y)):
-            rows = np.isin(np.arange(ranks.size), given[:1]) if given else is_open
-            scores = np.where(rows[:, None] if axis == 0 else rows, scores, -np.inf)
-        np.fill_diagonal(scores, -np.inf)
+        every = np.arange(ranks.size)
+        rows, columns = (np.isin(every, given[:1]) if given else free for given in (u, y))
+        scores[~(rows[:, None] & columns) | np.eye(every.size, dtype=bool)] = -np.inf
         i, j = np.unravel_index(int(np.argmax(scores)), scores.shape)
         best = scores[i, j]
-        is_unknown = self.values is None or best == -np.inf
-        for signal, given, k, count, usual in (("y", y, j, p, "output"), ("u", u, i, m, "input")):
-            rivals = np.delete(scores[i] if signal == "y" else scores[:, j], k)
-            tie = rivals.max(initial=-np.inf) > best - 1e-3 and not self.group(int(k), count)
-            if not given and is_unknown and (tie or best == -np.inf or ranks[k] == 0):
-                raise self.require_names(signal, usual)
-        if not y:
-            y = self.group(int(j), p) or [int(j)]
-        if not u:
-            u = self.group(int(i), m) or [int(i)]
-            u = u + (self.drive_of_servo(u, y, time) if m is None else [])
-        return y, u
+        for signal, given, k, rivals in (("y", y, j, scores[i]), ("u", u, i, scores[:, j])):
+            is_tie = np.sum(rivals > best - 0.001) > 1 and not self.titles[k].name.endswith(DIGITS)
+            is_alike = not y + u and ranks[i] <= ranks[j]
+            is_unknown = not self.is_open and (ranks[k] == 0 or is_tie or is_alike)
+            if not given and (is_unknown or best == -np.inf):
+                raise self.require_name(signal)
+        y = y or self.group("y", int(j), p)
+        return y, u or self.group("u", int(i), m)
 
-    def ranks(self, given: list[int], is_known_plant: bool) -> Floats:
+    def ranks(self, given: list[int]) -> Floats:
         """Return the rank of each column (K), by its name and by those beside it."""
         ranks = np.array([rank_of(title) for title in self.titles])
-        ranks += (
-            0.01 * np.array([title.name.lower() in ("y", "u") for title in self.titles]) * ranks
-        )
+        ranks *= [1.01 if title.name.lower() in ("y", "u") else 1.0 for title in self.titles]
         outputs = np.array([split_words(title.name) in ("output", "out") for title in self.titles])
-        driven = (ranks > 17) | np.isin(np.arange(ranks.size), given)
-        if outputs.any() and not driven.any() and ((ranks < 0) & ~outputs).any():
+        drives = (ranks > 17) | np.isin(np.arange(ranks.size), given)
+        if not drives.any() and ((ranks < 0) & ~outputs).any():
             ranks[outputs] = EXACT  # a controller's
-        if is_known_plant:
+        if not self.is_open:
             ranks[ranks == REFERENCE] = 0.0
         return ranks
 
@@ -342,114 +335,90 @@ class _Header(NamedTuple):
         """Return how well names and kinds of an input (row) and a reading fit (K x K)."""
         words = [{*split_words(title.name).split(" ")} for title in self.titles]
         kinds = [kind_of(*title) for title in self.titles]
-        out = np.zeros((len(words), len(words)))
-        for i, one in enumerate(words):
-            for j, other in enumerate(words):
-                common = len(one & other) / max(len(one | other), 1)
-                out[i, j] = ALIKE * common + PAIRS.get((kinds[i], kinds[j]), 0.0)
-        return out
+        common = [[len(one & other) / len(one | other) for other in words] for one in words]
+        pairs = [[PAIRS.get((one, other), 0.0) for other in kinds] for one in kinds]
+        return ALIKE * np.array(common) + np.array(pairs)
 
     def behaviour(self) -> Floats:
         """Return how well what the columns do fits an input (row) and a reading (K x K)."""
-        if self.values is None:
+        if self.values is None or not self.is_open:
             return np.zeros((len(self.titles), len(self.titles)))
-        levels = self.values - np.nanmean(self.values, axis=0)
+        levels = np.nan_to_num(self.values - np.nanmean(self.values, axis=0))
         changes = np.diff(levels, axis=0, prepend=levels[:1])
         lasting = np.mean(changes == 0, axis=0)
-        x, dx = (np.nan_to_num(part / np.fmax(np.nanstd(part, axis=0), 1e-300)) for part in
-                 (levels, changes))  # fmt: skip
-        explained = np.maximum(*(np.abs(x.T @ part) / len(x) for part in (x, dx)))
+        x, dx = (part / np.fmax(part.std(axis=0), 1e-300) for part in (levels, changes))
         after = np.mean([(dx[:-k].T @ dx[k:] / len(x)) ** 2 for k in LAGS], axis=0)
-        ahead = np.sign(np.arange(len(lasting)) - np.arange(len(lasting))[:, None])
         return (
-            EXPLAINED * explained
-            + LASTING * (lasting[:, None] - lasting)
+            EXPLAINED * np.abs(x.T @ x) / len(x)
+            + LASTING * np.subtract.outer(lasting, lasting)
             + EARLIER * (after - after.T) / (after + after.T + 1e-3)
-            + AHEAD * ahead
+            + AHEAD * np.triu(np.ones_like(after))
         )
 
     def columns_named(self, signal: str, count: int | None) -> list[int]:
         """Return the columns that the user names for y or u. Raises InputError if one lacks."""
         named = _of_signal(self.chosen, signal)
         required = [f"{signal}[{i}]" for i in range(count or len(named))] if named else []
-        missing = [key for key in required if key not in self.chosen]
-        if missing:
-            count = len(required)
-            raise InputError(f"columns: {missing[0]} is missing. Expected {count} of {signal}")
+        for key in required:
+            if key not in self.chosen:
+                count = len(required)
+                raise InputError(f"columns: {key} is missing. Expected {count} of {signal}")
         return [self.column_of_name(key) for key in required]
 
-    def group(self, column: int, count: int | None) -> list[int]:
-        """Return the columns of one signal without doubt that differ by an index (`y[0]`).
+    def group(self, signal: str, column: int, count: int | None) -> list[int]:
+        """Return the columns of a signal: those that differ by an index alone, or one.
 
         Raises FileError if they are not as many as expected.
 
         Args:
+            signal: y or u.
             column: one of them.
             count: how many there must be; None: any number.
         """
-        titles = [title.name.lower() for title in self.titles]
-        match = INDEXED.match(titles[column])
-        rank = rank_of(self.titles[column])
-        if abs(rank) != EXACT:
-            if (count or 1) > 1:
-                signal = "y" if rank < 0 else "u"
-                raise self.require_names(signal, signal)
-            return []
-        found = [INDEXED.match(title) for title in titles]
-        same = {
-            int(other[2]): k
-            for k, other in enumerate(found)
-            if match is not None and other is not None and other[1] == match[1]
-        }
-        columns = [same[index] for index in sorted(same)] or [
-            k for k, title in enumerate(titles) if title == titles[column]
-        ]
-        if count is not None and len(columns) != count:
-            signal = "y" if rank < 0 else "u"
+        found = [INDEXED.fullmatch(title.name.lower()) for title in self.titles]
+        stems = [match[1] if match else "" for match in found]
+        same = [k for k, stem in enumerate(stems) if stem == stems[column]]
+        same.sort(key=lambda k: int(found[k][2] or 0))
+        is_vector = abs(rank_of(self.titles[column])) == EXACT
+        if not is_vector or (count is None and not found[column][2]):
+            same = [column]
+        if count not in (None, len(same)):
             raise FileError(
-                f"{self.source}: expected {count} of {signal}, the log has {len(columns)}: "
-                f"{_list_columns([self.titles[k] for k in columns])}. Name it by "
+                f"{self.source}: expected {count} of {signal}, the log has {len(same)}: "
+                f"{_list_columns([self.titles[k] for k in same])}. Name it by "
                 f'columns="{signal}[0]=NAME"'
             )
-        return columns if count is not None or same else []
+        return same
 
-    def drive_of_servo(self, u: list[int], y: list[int], time: int | None) -> list[int]:
+    def drive_of_servo(self, y: list[int], u: list[int]) -> list[int]:
         """Return the column of the current of a servo that follows a position; none for others."""
         kinds = [kind_of(*title) for title in self.titles]
-        if [kinds[u[0]], kinds[y[0]], len(u)] != ["goal", "position", 1]:
+        if [kinds[k] for k in u + y[:1]] != ["goal", "position"]:
             return []
+        moves = [True] * len(kinds) if self.values is None else np.ptp(self.values, axis=0) != 0
+        same = [k for k, kind in enumerate(kinds) if kind == "torque" and moves[k] and k not in y]
         near = self.likeness()[:, y[0]]
-        same = [k for k, kind in enumerate(kinds) if kind == "torque" and k not in (*u, *y, time)]
-        if self.values is not None:
-            same = [k for k in same if np.nanstd(self.values[:, k]) > 0]
-        best = [k for k in same if near[k] >= max(near[same]) - 1e-9]
-        return best if len(best) == 1 else []
+        return sorted(same, key=lambda k: near[k])[-1:]
 
-    def require_names(self, signal: str, usual: str) -> FileError:
+    def require_name(self, signal: str) -> FileError:
         """That no name shows which column holds a signal."""
         require_table(self.source)
-        names = ("y", "measured", usual) if signal == "y" else ("u", usual, "command")
-        hint = self.hint_near_names(names) or "."
-        assignments = [f"{key}={name}" for key, name in self.chosen.items()]
-        for other in ("y", "u"):
-            ranks = [rank_of(title) * (1 if other == "u" else -1) for title in self.titles]
-            if not _of_signal(self.chosen, other) and (other == signal or max(ranks) <= 0):
-                assignments.append(f"{other}=NAME")
-        columns = ",".join(assignments).replace("[0]", "")
+        hint = self.hint_near_names(USUAL[signal]) or "."
+        chosen = [f"{key}={name}" for key, name in self.chosen.items()]
+        columns = ",".join([*chosen, f"{signal}=NAME"]).replace("[0]", "")
         return FileError(
             f"{self.source}: no name shows which column holds {signal}. There are "
             f'{_list_columns(self.titles)}{hint} Name it by columns="{columns}"'
         )
 
     def find_equal_names(self, name: str) -> list[int]:
-        """Return the columns of that name; if there is none, those of that name with a unit."""
+        """Return the columns of that name, as it stands or else by its words without a unit."""
+        names = [(title.name.lower(), split_words(title.name)) for title in self.titles]
         lower = split_unit(name).name.lower()
-        exact = [k for k, title in enumerate(self.titles) if title.name.lower() == name.lower()]
-        near = [k for k, title in enumerate(self.titles) if title.name.lower() == lower]
-        words = split_words(name)
-        return exact or near or [
-            k for k, title in enumerate(self.titles) if split_words(title.name) == words
-        ]  # fmt: skip
+        for same in (name.lower(), lower, split_words(lower)):
+            if found := [k for k, one in enumerate(names) if same in one]:
+                return found
+        return []
 
     def column_of_name(self, key: str) -> int:
         """Return the column of a chosen name or number (from 1).

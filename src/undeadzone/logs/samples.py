@@ -6,7 +6,7 @@ Other steps are refused, gaps become missing samples.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -36,8 +36,7 @@ Numbered = list[tuple[int, str]]  # lines with their numbers
 
 MOST_UNREADABLE = 0.5  # share of the lines of a log that may be unreadable
 FIRST = 10  # lines that tell the dialect, if as many have come
-SEEN, STRETCHES = 500, 8  # lines in a row, and how often, that show what columns do
-FEWEST_SEEN = 3
+SEEN, FEWEST_SEEN = 2500, 3  # first and last lines, that show what columns do; fewer do not
 TOLERANCE: Final = 0.01  # of the step: how far the usual time between samples may be from it
 JITTER: Final = 0.25  # of the step: how far a sample may be from where it should be
 LONGEST: Final = 100_000  # steps of a gap
@@ -248,12 +247,9 @@ class LogReader:
         return [(k, line) for k, line in numbered if is_content(line)]
 
     def _layout(self, dialect: Dialect, lines: Sequence[str]) -> Layout:
-        """Return the columns of the signals; of no known plant, by their values too.
-
-        Raises FileError.
-        """
+        """Return the columns of the signals. Raises FileError."""
         if dialect.titles is not None:
-            values = None if self._live or self._p else _values_of(dialect, lines)
+            values = None if self._live else _values_of(dialect, lines)
             return layout_of_titles(
                 dialect.titles, self._p, self._m, self._chosen, self._source, values
             )
@@ -367,25 +363,23 @@ class LogReader:
 
 
 def _values_of(dialect: Dialect, lines: Sequence[str]) -> Floats | None:
-    """Return numbers of all columns (N x K) in some stretches of lines; None if there are few."""
-    cut = np.linspace(0, max(len(lines) - SEEN, 0), STRETCHES).astype(int)
-    chosen = np.unique(np.add.outer(cut, np.arange(SEEN)))
-    rows = [dialect.cells(lines[k]) for k in chosen[chosen < len(lines)].tolist()]
-    rows = [row for row in rows if len(row) == dialect.width]
-    if len(rows) < FEWEST_SEEN:
-        return None
-    return np.column_stack(
-        [numbers_of_texts(column, dialect) for column in zip(*rows, strict=True)]
-    )
+    """Return the numbers of all columns (N x K) in the first and last lines; None for a few."""
+    rows = [dialect.cells(line) for line in (*lines[:SEEN], *lines[SEEN:][-SEEN:])]
+    columns = zip(*(row for row in rows if len(row) == dialect.width), strict=True)
+    values = [numbers_of_texts(texts, dialect.parse_number) for texts in columns]
+    return np.column_stack(values) if values and values[0].size >= FEWEST_SEEN else None
 
 
-def numbers_of_texts(texts: Sequence[str], dialect: Dialect) -> Floats:
-    """Return the numbers in the cells of a column, or its times [s]; NaN where there is none."""
-    values = [dialect.parse_number(text) for text in texts]
-    if all(value is None for value in values):
-        stamps = stamps_of(texts)
-        values = [None if stamps is None else stamps.seconds(text) for text in texts]
-    return np.array(values, float)
+def numbers_of_texts(texts: Sequence[str], parse: Callable[[str], float | None]) -> Floats:
+    """Return the numbers in the cells of a column, or its times [s]; NaN where there is none.
+
+    Args:
+        texts: in the cells.
+        parse: returns the number in a cell, None if there is none.
+    """
+    values = list(map(parse, texts))
+    stamps = stamps_of(texts[:FIRST]) if set(values) <= {None} else None
+    return np.array(values if stamps is None else list(map(stamps.seconds, texts)), float)
 
 
 def _join_date_and_time(cells: list[str], layout: Layout) -> str:

@@ -17,12 +17,12 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from undeadzone.errors import FileError, InputError
-from undeadzone.logs.kinds import Title, has_time, is_regular_time, split_unit
+from undeadzone.logs.kinds import Title, split_unit
 from undeadzone.logs.matlab73 import NUMERIC, is_matlab_73, load_matlab_73, unpacked_size
 from undeadzone.logs.names import Layout, layout_of_titles, numbers
-from undeadzone.logs.samples import Samples, oldest_first
-from undeadzone.logs.stamps import since_1970, stamps_of
-from undeadzone.logs.text import LARGEST
+from undeadzone.logs.samples import Samples, numbers_of_texts, oldest_first
+from undeadzone.logs.stamps import since_1970
+from undeadzone.logs.text import LARGEST, parse_cell
 from undeadzone.util.arrays import Floats
 from undeadzone.util.files import (
     LARGEST_RUN,
@@ -36,7 +36,6 @@ JSON_LINES: Final = (".jsonl", ".ndjson")  # endings of files of JSON objects, o
 BINARY: Final = (".npz", ".mat", *JSON_LINES)  # endings of files that are no CSV text
 LARGEST_MATRICES: Final = LARGEST_RUN // 8  # [bytes] of a .mat file, of which each may be a number
 COMPRESSED: Final = 15  # type of an element of a .mat file
-FIRST: Final = 100  # texts that show how times are written
 Columns = list[tuple[Title, Floats]]  # what is said of each, and its numbers (N)
 
 
@@ -60,7 +59,7 @@ def samples_of(
     titles = [title for title, _ in columns]
     values = [column for _, column in columns]
     sizes = {column.size for column in values}
-    seen = np.column_stack(values) if len(sizes) == 1 and min(sizes) > 1 and not p else None
+    seen = np.column_stack(values) if len(sizes) == 1 and min(sizes) > 1 else None
     layout = layout_of_titles(titles, p, m, chosen, source, seen)
     length = values[layout.readings[0]].size
     for k in layout.columns:
@@ -136,12 +135,9 @@ def _rows(key: str, value: Any, size: int) -> Floats:
 def of_frame(frame: Any) -> Columns:
     """Return the numeric columns of a DataFrame; times of day become seconds since the first."""
     titled = [(str(title), np.asarray(frame[title])) for title in frame.columns]
-    is_named = has_time([split_unit(title) for title, _ in titled])
     index = np.asarray(frame.index)
-    if frame.index.name is None and not is_named and _is_time(index):
-        titled.insert(0, ("time", index))
-    elif frame.index.name is not None:
-        titled.insert(0, (str(frame.index.name), np.asarray(frame.index)))
+    unnamed = "time" if index.dtype.kind in "mM" else ""
+    titled.insert(0, (str(frame.index.name or unnamed), index))
     columns = []
     for title, values in titled:
         if values.dtype.kind == "M":
@@ -151,13 +147,6 @@ def of_frame(frame: Any) -> Columns:
         if values.dtype.kind in "iufb":
             columns.append((split_unit(title), values.astype(float)))
     return columns
-
-
-def _is_time(index: Any) -> bool:
-    """Return whether an index without a name holds times that increase regularly."""
-    if index.dtype.kind in "mM":
-        return bool(index.size > 1 and (np.diff(index).astype(np.int64) > 0).all())
-    return bool(index.dtype.kind in "iuf") and is_regular_time(index.astype(float))
 
 
 def of_npz(path: Path) -> Columns:
@@ -193,24 +182,11 @@ def of_json_lines(path: Path) -> Columns:
         rows += [row] * bool(row)
     columns = []
     for name in dict.fromkeys(itertools.chain.from_iterable(rows)):
-        column = _numbers_of_cells([row.get(name) for row in rows])
+        texts = [str(row.get(name)) for row in rows]
+        column = numbers_of_texts(texts, lambda text: parse_cell(text, "."))
         if np.isfinite(column).any():
             columns.append((split_unit(name), column))
     return columns
-
-
-def _numbers_of_cells(cells: list[Any]) -> Floats:
-    """Return the numbers of JSON values, texts read as dates or times of day [s]; else NaN."""
-    texts = list(filter(lambda cell: isinstance(cell, str), cells))
-    stamps = stamps_of(texts[:FIRST]) if texts else None
-    out = np.full(len(cells), np.nan)
-    for k, cell in enumerate(cells):
-        if isinstance(cell, int | float):
-            out[k] = cell if abs(cell) <= LARGEST else math.nan
-        elif isinstance(cell, str) and stamps is not None:
-            seconds = stamps.seconds(cell)
-            out[k] = math.nan if seconds is None else seconds
-    return out
 
 
 def of_mat(path: Path) -> Columns:

@@ -96,10 +96,12 @@ def to_grid(logs: list[Log], resample: float | None = None) -> Grid:
             raise InputError(
                 f"{log.source}: has {log.u.shape[1]} inputs, others have another number"
             )
-        step = find_step(log, remarks) if resample is None else resample
-        steps.append(abs(step))
-        on_grid = _fill_regular if resample is None and step > 0 else _resample_log
-        pieces.append(on_grid(log, steps[-1], remarks))
+        step, on_grid = resample, _resample_log
+        if resample is None:
+            step, is_regular = _regular_step(log)
+            on_grid = _fill_regular if is_regular else _resample_log
+        steps.append(step)
+        pieces.append(on_grid(log, step, remarks))
     if max(steps) > min(steps) * (1 + JITTER):
         raise InputError(
             f"logs: steps differ, from {min(steps):.6g} to {max(steps):.6g} s. Use --resample STEP"
@@ -202,12 +204,10 @@ def find_sample_time(log: Log) -> float:
     spacing = np.diff(log.t)
     step = float(np.median(spacing))
     count = np.maximum(np.rint(spacing / step), 1.0)
-    fits = np.abs(spacing - count * step) <= MOST_SWAY * step
-    near = fits & (count <= LONG)
-    step = float(spacing[near].sum() / max(count[near].sum(), 1.0)) or step
+    near = (np.abs(spacing - count * step) <= MOST_SWAY * step) & (count <= LONG)
+    step = float(spacing[near].sum() / max(count[near].sum(), 1)) or step
     off = np.abs(spacing - count * step)
-    sways = root_mean_square(off[near]) if near.any() else np.inf
-    if sways <= SWAYS * step and np.mean(~fits) <= SELDOM:
+    if np.mean(near) >= 1 - SELDOM and root_mean_square(off[near]) <= SWAYS * step:
         return step
     allowed = JITTER * step * np.sqrt(count) + _print_error(log.t)
     bad = np.flatnonzero(off > allowed)
@@ -220,6 +220,16 @@ def find_sample_time(log: Log) -> float:
             f"a multiple. Use --resample {step:.3g}, or give times with more digits"
         )
     return step
+
+
+def _regular_step(log: Log) -> tuple[float, bool]:
+    """Return the step of a log, and whether it is regular; else the median. Raise FileError."""
+    try:
+        return find_sample_time(log), True
+    except FileError:
+        if log.t.size < 3:
+            raise
+        return float(np.median(np.diff(log.t))), False
 
 
 def _print_error(t: Floats) -> float:
@@ -258,51 +268,36 @@ def _fill_regular(log: Log, step: float, remarks: list[str]) -> _Piece:
     return _Piece(whole.t, whole.u[last], whole.y[:, 0], np.append(0, place[start]))
 
 
-def find_step(log: Log, remarks: list[str]) -> float:
-    """Return the sample time of a log [s]; the negative of its median where steps are irregular."""
-    try:
-        return find_sample_time(log)
-    except FileError:
-        if log.t.size < 3:
-            raise
-    step = float(np.median(np.diff(log.t)))
-    remarks.append(f"{log.source}: irregular steps. --resample STEP sets another than {step:.4g} s")
-    return -step
-
-
 def _resample_log(log: Log, step: float, remarks: list[str]) -> _Piece:
     """Return a log on a new grid: inputs held, readings between near ones, gaps not bridged."""
-    if not 0 < step < (log.t[-1] - log.t[0]) / 10:
-        raise InputError(f"resample: a step of {step:g} s does not fit {log.t[-1] - log.t[0]:g} s")
+    length = log.t[-1] - log.t[0]
+    if not 0 < step < length / 10:
+        raise InputError(f"resample: a step of {step:g} s does not fit {length:g} s")
     spacing = np.diff(log.t)
     usual = max(step, float(np.median(spacing)))
-    ends = np.append(np.flatnonzero(spacing > LONG * usual), log.t.size - 1)
-    firsts = np.append(0, ends[:-1] + 1)
-    sizes = np.floor((log.t[ends] - log.t[firsts]) / step * (1 + EXACT)).astype(int) + 1
-    if sizes.sum() > 20 * log.t.size:
+    parts = np.split(log.t, np.flatnonzero(spacing > LONG * usual) + 1)
+    sizes = [int((part[-1] - part[0]) / step + 1 + EXACT) for part in parts]
+    if sum(sizes) > 20 * log.t.size:
         raise InputError(f"resample: a step of {step:g} s is far below the spacing of the log")
-    start = np.cumsum(sizes) - sizes
-    t = np.repeat(log.t[firsts] - start * step, sizes) + step * np.arange(sizes.sum())
-    before = np.searchsorted(log.t, t + 1e-6 * step, side="right") - 1
+    t = np.concatenate(
+        [part[0] + step * np.arange(n) for part, n in zip(parts, sizes, strict=True)]
+    )
     known = np.isfinite(log.y[:, 0])
     times, y = log.t[known], log.y[known, 0]
-    last = np.clip(np.searchsorted(times, t + 1e-6 * step, side="right") - 1, 0, times.size - 1)
-    following = np.minimum(last + 1, times.size - 1)
-    share = np.clip((t - times[last]) / np.fmax(times[following] - times[last], step * EXACT), 0, 1)
-    share[np.abs(t - times[last]) < 1e-6 * step] = 0.0
+    at = np.round(np.interp(t, times, np.arange(times.size)), 6)
+    last, following = np.floor(at).astype(int), np.ceil(at).astype(int)
     silent = (y[last] == 0) | (y[following] == 0)  # between 0 and a reading lies none
-    part = np.where(silent, np.rint(share), share)
-    new = y[last] + part * (y[following] - y[last])
+    new = y[last] + np.where(silent, np.rint(at) - last, at - last) * (y[following] - y[last])
+    apart = np.maximum(times[following] - times[last], np.abs(t - times[last]))
+    near = apart <= BRIDGED * usual * (1 + JITTER)
     quantum = find_quantum(y)
     new = np.rint(new / quantum) * quantum if quantum else new
-    is_near = (share == 0) | (times[following] - times[last] <= BRIDGED * usual * (1 + JITTER))
-    inside = is_near & (np.abs(t - times[last]) <= BRIDGED * usual)
     remarks.append(
-        f"resampled to {step:.4g} s: {int(inside.sum())} readings from {times.size}, on lines"
-        f" between readings at most {BRIDGED:g} steps apart; {start.size} records"
+        f"resampled to {step:.4g} s, which --resample changes: {near.sum()} readings from"
+        f" {times.size}, none in gaps beyond {BRIDGED:g} steps, {len(parts)} records"
     )
-    driving = np.hstack([log.u, log.r])[before]
-    return _Piece(t, driving, np.where(inside, new, np.nan), start)
+    driving = np.hstack([log.u, log.r])[np.searchsorted(log.t, t + 1e-6 * step, side="right") - 1]
+    return _Piece(t, driving, np.where(near, new, np.nan), np.cumsum([0, *sizes[:-1]]))
 
 
 def find_quantum(y: Floats) -> float:

@@ -265,7 +265,8 @@ def log_from_samples(samples: Samples, layout: Layout, source: str, strict: bool
     units = {title.unit or "1" for title in driving}
     remarks = [f"{source}: {remark}" for remark in mended]
     if layout.reference is not None or not layout.is_certain:
-        remarks.insert(0, f"{source}: {layout.columns_text}; {layout.option}")
+        rest = f", not {layout.unused}" if layout.unused else ""
+        remarks.insert(0, f'{source}: read as --columns "{layout.columns_text}"{rest}')
     if repeated:
         remarks.append(
             f"{source}: {repeated} samples have the time of the one before, and are left out"
@@ -291,15 +292,14 @@ def log_from_samples(samples: Samples, layout: Layout, source: str, strict: bool
 
 def _hold_inputs(samples: Samples, remarks: list[str]) -> Samples:
     """Return samples whose missing inputs are those before, from the first known ones on."""
-    known = np.isfinite(samples.u) & (np.abs(samples.u) <= LARGEST)
-    rows = np.arange(len(known))[:, None]
-    last = np.maximum.accumulate(np.where(known, rows, -1), axis=0)
+    known = np.isfinite(samples.u)
     missing = int((~known).any(axis=1).sum())
-    if not 0 < missing < len(known) or known.any(axis=0).min() < 1:
+    if not missing or not known.any(axis=0).all():
         return samples
     remarks.append(f"{missing} inputs are missing, and count as held")
-    held = samples._replace(u=np.take_along_axis(samples.u, np.maximum(last, 0), axis=0))
-    return held.select_rows(last.min(axis=1) >= 0)
+    last = np.maximum.accumulate(known * np.arange(len(known))[:, None], axis=0)
+    u = np.take_along_axis(samples.u, last, axis=0)
+    return samples._replace(u=u).select_rows(np.isfinite(u).all(axis=1))
 
 
 def _mend_times(samples: Samples, remarks: list[str]) -> Samples:
@@ -307,38 +307,31 @@ def _mend_times(samples: Samples, remarks: list[str]) -> Samples:
 
     Too many wrong times stay as they are, and are refused.
     """
-    known = np.isfinite(samples.t)
-    t = samples.t[known]
+    rows = np.flatnonzero(np.isfinite(samples.t))
+    t = samples.t[rows]
     back = np.flatnonzero(np.diff(t) < 0)
     is_late = np.append(t, np.inf)[back + 2] > t[back]
-    is_early = ~is_late & (t[back + 1] > np.append(-np.inf, t)[back])
-    wrong = np.concatenate([back[is_late] + 1, back[is_early]])
-    rows = np.delete(np.flatnonzero(known), wrong)
+    is_early = t[back + 1] > np.append(-np.inf, t)[back]
+    wrong = np.where(is_late, back + 1, back)[is_late | is_early]
+    rows = np.delete(rows, wrong)
     between = np.diff(samples.t[rows])
-    again = between < 0
-    left_out = samples.t.size - rows.size
-    if max(left_out, again.sum() * 10) > REPEATED * samples.t.size or not (between > 0).any():
+    left_out, begun = samples.t.size - rows.size, int((between < 0).sum())
+    if max(left_out, 10 * begun) > REPEATED * samples.t.size or not (between > 0).any():
         return samples
-    if left_out:
-        remarks.append(f"{count_in_words(left_out)} with a missing or wrong time left out")
     usual = float(np.median(between[between > 0]))
-    if again.any():
-        remarks.append(f"time begins anew {again.sum()} times: each session is a record")
-        between[again] = SESSIONS * usual
+    between[between < 0] = SESSIONS * usual
+    for count, what in (
+        (left_out, "samples have a missing or wrong time, and are left out"),
+        (begun, "times the time begins anew: each session is a record"),
+        ((between == 0).sum(), "times repeat the one before, and are spread evenly"),
+    ):
+        remarks += [f"{count} {what}"] * bool(count)
     t = samples.t[rows[0]] + np.append(0.0, np.cumsum(between))
-    return samples.select_rows(rows)._replace(t=_spread(t, usual, remarks))
-
-
-def _spread(t: Floats, usual: float, remarks: list[str]) -> Floats:
-    """Return times (N) [s] that do not repeat: equal ones are spread up to the next time."""
-    first = np.flatnonzero(np.diff(t, prepend=-np.inf))
-    if first.size == t.size:
-        return t
+    first = np.flatnonzero(np.append(1.0, between))
     count = np.diff(np.append(first, t.size))
-    width = np.minimum(np.diff(t[first], append=np.inf), usual)
+    width = np.minimum(np.diff(t[first], append=np.inf), usual) / count
     place = np.arange(t.size) - np.repeat(first, count)
-    remarks.append(f"{t.size - first.size} times repeat the one before: they are spread evenly")
-    return t + place * np.repeat(width / count, count)
+    return samples.select_rows(rows)._replace(t=t + place * np.repeat(width, count))
 
 
 def sample_location(source: str, lines: Any, index: int) -> str:

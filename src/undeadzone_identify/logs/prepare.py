@@ -26,6 +26,7 @@ from undeadzone_identify.models.zone import WidthLimits
 from undeadzone_identify.models.zone_fit import fit_linear
 
 LOUD = 2.0  # times the steps beside it, by which readings beside a dropout are beyond silence
+PASSING = 5.0  # times a small reading, up to which a lone one may only have passed an edge
 DROPPED = 0.1  # share of the readings that may be dropouts
 NEAR = 5  # readings beside one at a limit: noise that does not reach it pulls them inwards
 ENOUGH = 0.7  # of the readings between the limits, so that they are left out
@@ -84,33 +85,21 @@ def select_readings(grid: Grid, remarks: list[str]) -> UsableReadings:
 
 def _flag_spikes(grid: Grid, remarks: list[str]) -> Flags:
     """Return the flags of the few readings far beyond the rest, or beyond both neighbours (N)."""
-    far = find_spikes(grid.y, grid.ok)
-    change = np.diff(grid.y)
-    lone = np.zeros_like(grid.y)
-    turns = change[:-1] * change[1:] < 0
-    lone[1:-1] = np.where(turns, np.minimum(np.abs(change[:-1]), np.abs(change[1:])), 0.0)
+    y, size = grid.y, np.abs(grid.y)
+    change = np.diff(y)
     known = grid.ok & np.roll(grid.ok, 1) & np.roll(grid.ok, -1)
-    found = far | (find_spikes(np.where(known, lone, 0.0), known) & ~_is_like_others(grid, lone))
+    lone = np.zeros_like(y)
+    lone[1:-1] = (change[:-1] * change[1:] < 0) * np.minimum(*np.abs([change[:-1], change[1:]]))
+    lone[~known | (y == 0)] = 0.0
+    usual = size[known & (y * np.roll(y, 1) > 0)]
+    beyond = PASSING * np.quantile(usual, 0.1) if usual.size else 0.0  # not a passage of an edge
+    found = find_spikes(y, grid.ok) | (find_spikes(lone, known) & (size > beyond))
     if found.any():
         remarks.append(
             f"{found.sum()} readings beyond {SPIKE:g} times the usual size, or alone so far from"
             f" both neighbours, are taken as missing, the first at {grid.t[found][0]:.6g} s"
         )
     return found
-
-
-def _is_like_others(grid: Grid, lone: Floats) -> Flags:
-    """Return the flags of lone readings that are no farther than others beside silence (N).
-
-    A reading beside two silent ones may pass an edge, from which other readings begin.
-    """
-    silent = grid.ok & (grid.y == 0)
-    like = np.zeros_like(grid.ok)
-    for side in (grid.y > 0, grid.y < 0):
-        others = np.abs(grid.y[grid.ok & side & np.roll(side, 1)])
-        least = np.quantile(others, 0.1) if others.size >= FEWEST else 0.0
-        like |= side & np.roll(silent, 1) & np.roll(silent, -1) & (lone <= LOUD * least)
-    return like
 
 
 def _flag_dropouts(grid: Grid, ok: Flags, remarks: list[str]) -> Flags:

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.errors import FileError
+from undeadzone.logs.kinds import split_words
 from undeadzone.util.arrays import Flags, Floats
 from undeadzone_identify.logs.grid import find_sample_time, printed_step
 from undeadzone_identify.logs.log import Log, Options
@@ -51,10 +52,7 @@ SHARE = 0.9  # of y, that a fit must explain
 ASSUMED = 0.015  # of a gap behind lags, in whose place a servo has an inertia and sticks
 LIKE_BEST = 3.0  # rms of the best fit, up to which another structure may be the true one
 MOVING = 5  # samples before and after one that moves
-GOALS = ("goal", "target", "command", "desired", "setpoint", "wanted", "demand")  # told, not read
-PULSES = ("pulse", "pulses", "decguidedistance", "raguidedistance", "decduration", "raduration")
-DRIVES = ("current", "torque", "effort", "load")  # of a servo, beside its goal
-POSITIONS = ("position", "angle", "axis", "joint", "encoder", "motor", "link", "star", "camera")
+PULSES = ("pulse", "guide distance", "guidedistance", "duration")
 FLOATS = (
     "the load floats in its gap: it is at a flank in {:.0f} % of the samples, and strikes the other"
     " by its own motion. Lines that move the motor across at each turn help only if it is held"
@@ -295,14 +293,13 @@ def _is_summed(log: Log) -> bool:
     """Return whether the input is single pulses, whose sum is the position: no runs about 0."""
     u = log.u[:, 0]
     alternates = float(np.mean(u[1:] * u[:-1])) < 0.8 * float(np.mean(u**2))
-    return _is_named(log.inputs[0], PULSES) and alternates
+    name = split_words(log.inputs[0])
+    return alternates and any(word in name for word in PULSES)
 
 
 def drive_of(log: Log) -> Floats | None:
     """Return the current or torque (N) of a servo that is the second input of a log, else None."""
-    if log.u.shape[1] != 2 or not _is_named(log.inputs[1], DRIVES):
-        return None
-    return log.u[:, 1]
+    return log.u[:, 1] if log.input_kinds[1:] == ("torque",) else None
 
 
 def without_drive(log: Log) -> Log:
@@ -312,24 +309,18 @@ def without_drive(log: Log) -> Log:
     return log._replace(u=log.u[:, :1], inputs=log.inputs[:1])
 
 
-def _is_named(name: str, words: tuple[str, ...]) -> bool:
-    """Return whether a column's name contains one of some words."""
-    plain = name.lower().replace("_", " ")
-    return any(word in plain for word in words)
-
-
 def _has_goal(log: Log) -> bool:
     """Return whether the input is the goal of a servo."""
-    return _is_named(log.inputs[0], GOALS)
+    return log.input_kinds[0] in ("goal", "sp")
 
 
 def _is_alike(log: Log) -> bool:
     """Return whether both signals are positions: of one unit, or by their names."""
     units = (log.input_unit, log.output_units[0])
+    kinds = {log.input_kinds[0], log.output_kinds[0]}
     if units[0] == units[1] != "1":
-        return True
-    both = _is_named(log.inputs[0], (*POSITIONS, *GOALS)) and _is_named(log.outputs[0], POSITIONS)
-    return units == ("1", "1") and both
+        return not kinds & {"speed", "torque"}
+    return units == ("1", "1") and kinds <= {"goal", "position"} and "position" in kinds
 
 
 def is_motor_position(log: Log) -> bool:
@@ -338,9 +329,7 @@ def is_motor_position(log: Log) -> bool:
     Args:
         log: with one output.
     """
-    plain = log.outputs[0].lower() in ("q", "theta")
-    is_position = plain or _is_named(log.outputs[0], POSITIONS)
-    return log.u.shape[1] == 1 and _is_named(log.inputs[0], DRIVES[:3]) and is_position
+    return log.input_kinds == ("torque",) and log.output_kinds == ("position",)
 
 
 def _add_lags(

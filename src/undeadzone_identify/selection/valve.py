@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from undeadzone.logs.kinds import kind_of
 from undeadzone.util.arrays import Floats, Integers
 from undeadzone_identify.logs.grid import Grid
 from undeadzone_identify.logs.log import Log
@@ -51,7 +52,6 @@ LEAST, MOST = 200, 8000  # samples of a record that is asked
 SUSPECTS = ("friction", "play", "jump", "input_zone", "input_play", "zone_and_friction")
 SENSOR = ("dead_zone", "jump", "two_zones", "filtered_zone")  # words of a zone of the sensor
 OWN = ("none", "external", "input_play", "stiction")  # words of the models of a loop
-CONTROLLER = ("op", "co", "mv", "controller output")  # names of a controller's output
 RARE = 3  # numbers that a cause costs besides which is rare in a control loop
 FEW_TURNS = 3  # of the input, below which nothing can be said of its valve
 REGULAR = 1.0  # Thornhill's r, above which an oscillation is regular
@@ -206,7 +206,7 @@ def is_named_loop(grid: Grid | Log) -> bool:
     Args:
         grid: the log.
     """
-    return grid.inputs[0].strip().lower() in CONTROLLER
+    return kind_of(grid.inputs[0], grid.input_unit) == "op"
 
 
 def is_control_loop(case: Case) -> bool:

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from undeadzone.errors import FileError, InputError
+from undeadzone.logs.kinds import is_regular_time, split_unit
 from undeadzone.logs.names import (
     Layout,
     layout_of_numbers,
     layout_of_titles,
     parse_columns,
-    split_unit,
 )
 from undeadzone.logs.samples import (
     LogReader,
@@ -67,12 +67,12 @@ def test_usual_names(header: str, p: int, m: int, columns: list[int]) -> None:
 @pytest.mark.parametrize(
     ("header", "columns", "words"),
     [
-        ("time,tilt,voltage", None, "'tilt', 'voltage'"),
+        ("time,first,second", None, "'first', 'second'"),
         ("t,yy,u", None, "Did you mean 'yy'"),
-        ("t,y,y,u", None, "the log has 2"),
+        ("t,y,y,u", None, "no name shows which column holds y"),
         ("t,y[0],y[1],u", None, "the log has 2"),
         ("t,angle,u", "y=angel", "Did you mean 'angle'"),
-        ("t,angle,u", "y=u", "used twice"),
+        ("t,angle,u", "y=u,u=u", "used twice"),
         ("t [days],y,u", None, "'days'"),
     ],
 )
@@ -96,7 +96,7 @@ def test_a_reference_is_found_beside_what_is_needed_and_never_in_its_place() -> 
         names = [one.name.lower() for one in titles(header)]
         assert names[layout.reference or 0] in ("r", "setpoint", "sollwert")
         assert layout.columns == [0, *layout.readings, *layout.inputs, layout.reference]
-        assert "r from" in layout.columns_text
+        assert f",r={names[layout.reference]}" in layout.columns_text.lower()
     assert layout_of_titles(titles("t,u,y,r"), 1, 1, {"r": "r"}, "log").columns == [0, 2, 1]
     for columns in ("y=r,u=u", "y=y,u=r"):
         chosen = parse_columns(columns)
@@ -104,7 +104,7 @@ def test_a_reference_is_found_beside_what_is_needed_and_never_in_its_place() -> 
     with pytest.raises(FileError, match="used twice"):
         layout_of_titles(titles("t,u,y,r"), None, None, parse_columns("r=u"), "log")
     with pytest.raises(FileError, match="no name shows which column holds u"):
-        layout_of_titles(titles("t,y,r"), None, None, {}, "log")
+        layout_of_titles(titles("t,y,r"), 1, 1, {}, "log")  # a reference moves no known plant
     assert layout_of_numbers(4, None, None, parse_columns("t=1,y=4,u=2,r=3"), "log").reference == 2
 
 
@@ -340,7 +340,7 @@ def test_without_times_samples_are_one_step_apart() -> None:
 
 def test_a_layout_says_what_it_took() -> None:
     layout: Layout = layout_of_titles(titles("t [ms],y [N],u [V]"), 1, 1, {}, "log")
-    assert layout.columns_text == "t from 't', y from 'y', u from 'u'"
+    assert layout.columns_text == "t=t,y=y,u=u"
     units = [title.unit for title in (*layout.reading_titles, *layout.input_titles)]
     assert (layout.seconds, units) == (1e-3, ["N", "V"])
 

@@ -10,7 +10,8 @@ import pytest
 
 from requirements import import_package
 from undeadzone.errors import FileError
-from undeadzone.logs.names import layout_of_titles, split_unit
+from undeadzone.logs.kinds import split_unit
+from undeadzone.logs.names import layout_of_titles
 from undeadzone.logs.samples import LogReader, Samples, place_on_steps, samples_of_text
 
 
@@ -77,7 +78,7 @@ def test_a_unit_at_the_end_of_a_name_is_carried() -> None:
 
 
 @pytest.mark.parametrize(
-    "header", ["t,u,measured_angle,measured_force", "t,motor_rpm,load_rpm", "t,u,y_mm,y_deg"]
+    "header", ["t,u,measured_angle,measured_height", "t,left_rpm,right_rpm", "t,u,y_mm,y_deg"]
 )
 def test_names_with_units_or_ends_leave_open_what_is_open(header: str) -> None:
     titles = [split_unit(cell) for cell in header.split(",")]
