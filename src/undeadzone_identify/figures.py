@@ -259,7 +259,7 @@ def _plot_residual_map(found_log: Identified) -> Figure:
     """Plot the residual and the readings by z^."""
     answer = found_log.answer
     scale = answer.scale
-    fit = answer.chosen.singles
+    fit = answer.chosen.fit
     figure, panels = create_panels([["map", "static"]], "What the zone leaves", height=3.4)
     axes = panels["map"]
     ok = fit.objective.readings.ok
@@ -280,7 +280,7 @@ def _plot_residual_map(found_log: Identified) -> Figure:
 def _sensor_characteristic(found_log: Identified) -> tuple[Floats, Floats]:
     """Return z in ascending order, and the mean reading of the fitted sensor there [y] (N each)."""
     answer = found_log.answer
-    fit = answer.chosen.singles
+    fit = answer.chosen.fit
     jumps = answer.case.jump_edges
     z = np.sort(fit.z) * answer.scale
     if jumps is None:

@@ -222,7 +222,7 @@ class Findings(NamedTuple):
         shaped: a zone with slopes of its sides, round edges and a lag; None: not fitted.
         denied: words of larger models that simulate held-out data no better.
         element: in the place of a sensor's dead zone; None: there is none.
-        kalman: fits of (L3), best first.
+        kalman: fits of (L2), best first.
         friction: its level [u], the mean of both directions; None if it is not measured.
         remainders: score tests of the likeliest model, by direction; empty: not tested.
         valve: of a control loop, where the verdict is about why it swings; None: it is not.
@@ -270,7 +270,7 @@ def impossible_words(case: Case) -> Collection[str]:
     placed = PLACED.get(case.options.place)
     out = set(EXCLUDED.get(case.options.kind, ()))
     out |= set() if placed is None else set(MODELS) - {"none", placed}
-    fit = case.chosen.singles
+    fit = case.chosen.fit
     if not case.record_data.silent_zeros or case.jump_edges or placed is not None:
         return out
     speaks = case.record_data.ok & (case.record_data.side != 0)
@@ -344,7 +344,7 @@ def _fit_plays(case: Case, data: plant.RecordData) -> dict[str, PlayFit]:
     stable.
     """
     begun = [
-        refit_busiest_part(one.pairs)
+        refit_busiest_part(one.fit)
         for one in (case.chosen, *case.fitted.fits)
         if data is case.record_data
     ]
@@ -367,7 +367,7 @@ def _needs_play_test(case: Case, found: Findings) -> bool:
     perhaps |= found.odds.get("zone_and_friction", 0.0) > UNLIKELY  # a memory beside the zone
     if perhaps:
         return True
-    both = fit_play_and_zone([refit_busiest_part(case.chosen.pairs)])  # a lag may pass for a play
+    both = fit_play_and_zone([refit_busiest_part(case.chosen.fit)])  # a lag may pass for a play
     models = {"none": case.rivals["none"]} | ({} if both is None else {"both": both.density})
     return (
         model_probabilities((*found.models, models), impossible_words(case)).get("both", 0.0)

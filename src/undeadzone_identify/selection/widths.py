@@ -1,4 +1,4 @@
-"""Widths with intervals from the three stages of the fit, and the excitation of the edges."""
+"""Widths with intervals from both stages of the fit, and the excitation of the edges."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ REACH = 4.0  # usual half intervals, within which its ends are sought
 
 
 class WidthEstimates(NamedTuple):
-    """Estimates of the widths by the three stages, scaled.
+    """Estimates of the widths by both stages, scaled.
 
     Attributes:
         right, left, width, centre: values with intervals.
@@ -66,7 +66,7 @@ def find_widths(
         chosen: the order that was chosen.
         others: the orders that are credible.
         alike: fits with another delay that explain the log as well.
-        kalman: the third stage; None if it was not run.
+        kalman: the second stage; None if it was not run.
         quantum: of the readings, scaled.
         offset: rms of an unknown offset, scaled; None: free.
 
@@ -80,30 +80,24 @@ def find_widths(
     by_half = {name: _widest_stage(collected.values(), name) for name in DIRECTIONS}
     widest = {name: one.halves[name] for name, one in by_half.items()}
     degrees = {name: one.degrees[name] for name, one in by_half.items()}
-    if any(_stage_gap(stages, DIRECTIONS[name], "L3") > widest[name] for name in ("right", "left")):
-        last = "L2"
+    apart = {name: _stage_gap(stages, row) for name, row in DIRECTIONS.items()}
+    if any(apart[name] > widest[name] for name in ("right", "left")):
+        last = "L1"
         remarks.append(
-            "the disturbance model does not fit; the widths are those of pairs, the intervals"
-            " widened by the difference"
+            "the disturbance model does not fit; the widths are those of single samples, the"
+            " intervals widened by the difference"
         )
-    intervals, apart = {}, False
+    intervals = {}
     for name, row in DIRECTIONS.items():
-        gap, half = _stage_gap(stages, row, "L1"), widest[name]
-        apart |= name != "centre" and gap > half > 0
+        half = widest[name]
         if half > 0:
-            half = max(half, gap, 0.0 if last == "L3" else _stage_gap(stages, row, "L3"))
-            half = math.hypot(half, _spread_over_orders(name, others, chosen))
+            half = math.hypot(max(half, apart[name]), _spread_over_orders(name, others, chosen))
             half = math.hypot(half, heaviest(row) * 0.5 * quantum)
         half = widen_by_offset(half, row, offset)
         intervals[name] = Interval.from_half_width(float(np.dot(row, stages[last])), half)
         for other in alike:
             gap = _width_difference(row, other, chosen)
             intervals[name] = intervals[name].extend_by(max(-gap, 0.0), max(gap, 0.0))
-    if apart:
-        remarks.append(
-            "fits of single samples and of pairs disagree: the plant model does not fit; the"
-            " intervals are widened by the difference"
-        )
     halves = {name: one.halves for name, one in collected.items()}
     return WidthEstimates(
         **intervals, stages=stages, halves=halves, degrees=degrees, remarks=remarks
@@ -125,13 +119,10 @@ def widen_by_offset(half: float, row: tuple[float, float], offset: float | None)
     return math.inf if offset is None else math.hypot(half, shift * offset)
 
 
-def _stage_gap(
-    stages: dict[str, tuple[float, float]], row: tuple[float, float], stage: str
-) -> float:
-    """Return the distance of a stage from that of pairs; 0 if either was not run."""
-    if stage not in stages or "L2" not in stages:
-        return 0.0
-    return abs(float(np.dot(row, stages[stage]) - np.dot(row, stages["L2"])))
+def _stage_gap(stages: dict[str, tuple[float, float]], row: tuple[float, float]) -> float:
+    """Return the distance of the last stage from the first."""
+    edges = [*stages.values()]
+    return abs(float(np.dot(row, np.subtract(edges[-1], edges[0]))))
 
 
 class _Stage(NamedTuple):
@@ -144,13 +135,8 @@ class _Stage(NamedTuple):
 
 def _collect_stages(chosen: OrderFit, kalman: KalmanFit | None) -> dict[str, _Stage]:
     """Collect the stages that were run, by name."""
-    stages = {"L1": _to_stage(chosen.singles)}
-    drifts = chosen.pairs.objective.limits.tied and kalman is not None
-    if chosen.pairs is not chosen.singles and not drifts:  # what drifts has no correlation
-        stages["L2"] = _to_stage(chosen.pairs)
-    if kalman is not None:
-        stages["L3"] = _to_stage(kalman)
-    return stages
+    stages = {"L1": chosen.fit} | ({} if kalman is None else {"L2": kalman})
+    return {name: _to_stage(one) for name, one in stages.items()}
 
 
 def _widest_stage(stages: Collection[_Stage], name: str) -> _Stage:
@@ -184,7 +170,7 @@ def _spread_over_orders(name: str, others: list[OrderFit], chosen: OrderFit) -> 
 
 def _width_difference(row: tuple[float, float], other: OrderFit, chosen: OrderFit) -> float:
     """Return the excess of a width in another fit, scaled."""
-    one, own = other.pairs, chosen.pairs
+    one, own = other.fit, chosen.fit
     return float(np.dot(row, (one.right - own.right, one.left - own.left)))
 
 
@@ -213,7 +199,7 @@ def lower_width_bound(fit: ZoneFit, side: str) -> float:
         value = -math.inf
         if inside:
             value = float(
-                single_densities(readings, z, ZoneNoise(right, left, noise.s, 0.0)).value.sum()
+                single_densities(readings, z, ZoneNoise(right, left, noise.s)).value.sum()
             )
         if value < base - drop:
             low = middle
@@ -260,7 +246,7 @@ def widen_by_profile(fit: ZoneFit, side: str, edge: Interval, scale: float) -> I
     independent samples.
 
     Args:
-        fit: (L2), scaled.
+        fit: of plant and zone, scaled.
         side: right or left.
         edge: the usual interval [y].
         scale: rms of y [y].
