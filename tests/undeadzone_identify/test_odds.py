@@ -506,7 +506,7 @@ def test_a_jump_sensor_does_not_drop_out() -> None:
 
 
 def test_readings_without_noise_name_a_jump_sensor_among_all_orders() -> None:
-    """(L2) began where it is far below (L1), its case rho = 0, and the first order was taken."""
+    """The first order was taken."""
     rng = np.random.default_rng(0)
     u = np.repeat(1.5 * rng.standard_normal(48), 25)
     z = 1.07 * lfilter([0.0, 0.001, 0.0005], [1.0, -1.9592, 0.9608], u)

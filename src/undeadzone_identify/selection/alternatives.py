@@ -573,7 +573,7 @@ def find_stored_step(case: Case) -> float:
 
 
 def _measure_input_zone(
-    case: Case, fit: PlaceFit, misfits: Sequence[Floats]
+    case: Case, fit: FittedModel[Any], misfits: Sequence[Floats]
 ) -> tuple[dict[str, Interval], float]:
     """Return the widths of the input's zone [u], and their least degrees of freedom."""
     data, model = fit.model.simulator.data, fit.model

@@ -28,6 +28,10 @@ FEW_VISITS = 3  # below these an edge is hardly reached
 POINTS = 8  # of a profile, on each side of the edge
 STEPS = 10  # of each climb of a profile
 SINGULAR = 20.0  # ratio of half intervals, from which the Hessian of the wider one is singular
+APART = (
+    "fits of single samples and of the filter disagree: the plant or what disturbs it does not fit;"
+    " the intervals are widened by the difference"
+)
 REACH = 4.0  # usual half intervals, within which its ends are sought
 
 
@@ -76,28 +80,22 @@ def find_widths(
     collected = _collect_stages(chosen, kalman)
     stages = {name: one.edges for name, one in collected.items()}
     last = list(stages)[-1]
-    remarks: list[str] = []
     by_half = {name: _widest_stage(collected.values(), name) for name in DIRECTIONS}
     widest = {name: one.halves[name] for name, one in by_half.items()}
     degrees = {name: one.degrees[name] for name, one in by_half.items()}
-    apart = {name: _stage_gap(stages, row) for name, row in DIRECTIONS.items()}
-    if any(apart[name] > widest[name] for name in ("right", "left")):
-        last = "L1"
-        remarks.append(
-            "the disturbance model does not fit; the widths are those of single samples, the"
-            " intervals widened by the difference"
-        )
-    intervals = {}
+    intervals, apart = {}, False
     for name, row in DIRECTIONS.items():
-        half = widest[name]
+        gap, half = _stage_gap(stages, row), widest[name]
+        apart |= name != "centre" and gap > half > 0
         if half > 0:
-            half = math.hypot(max(half, apart[name]), _spread_over_orders(name, others, chosen))
+            half = math.hypot(max(half, gap), _spread_over_orders(name, others, chosen))
             half = math.hypot(half, heaviest(row) * 0.5 * quantum)
         half = widen_by_offset(half, row, offset)
         intervals[name] = Interval.from_half_width(float(np.dot(row, stages[last])), half)
         for other in alike:
             gap = _width_difference(row, other, chosen)
             intervals[name] = intervals[name].extend_by(max(-gap, 0.0), max(gap, 0.0))
+    remarks = [APART] if apart else []
     halves = {name: one.halves for name, one in collected.items()}
     return WidthEstimates(
         **intervals, stages=stages, halves=halves, degrees=degrees, remarks=remarks
