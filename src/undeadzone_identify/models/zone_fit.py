@@ -115,7 +115,7 @@ def fit_zone(simulator: PlantSimulator, limits: WidthLimits) -> ZoneFit:
     objective = ZoneObjective(simulator, kind, limits)
     starts = zone_starts(objective)
     clear_lead = 0.02 * objective.readings.ok.sum()
-    maximum = best_maximum(objective, starts, 10, 50, clear_lead)
+    maximum = best_maximum(objective, starts, 10, 120, clear_lead)
     if maximum is None:
         maximum = Maximum(objective.project_to_bounds(starts[0]), -math.inf)
     best = ZoneFit(objective, *maximum)
