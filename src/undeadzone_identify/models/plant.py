@@ -292,8 +292,10 @@ class PlantSimulator:
         return slopes
 
     def respond_from_rest(self, theta: Floats, inputs: Floats) -> Floats:
-        """Return the responses of a plant of one input to several inputs from rest (N x K)."""
-        numerator = np.append(0.0, theta[self.layout.numerators])
+        """Return the responses of the plant to several signals at its first input, from rest
+        (N x K).
+        """
+        numerator = np.append(0.0, theta[self.layout.numerators][: self.layout.n])
         denominator = self.layout.full_denominator(theta[self.layout.denominator])
         outputs = np.empty(inputs.shape)
         for part in self.records:

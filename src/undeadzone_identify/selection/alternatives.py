@@ -85,7 +85,7 @@ WIDER = 1.25  # of a friction's interval: how a motor sticks is assumed
 LEAST_GAP = 0.02  # rms of y, below which a gap is no matter
 LEAST_NOISE = 0.01  # rms of y, from which noise that falls silent is told from rounding
 EVEN = "the centre of the gap is not known, and both sides are half of the width"
-LONGEST = 25  # steps of a climb that checks any other fit
+LONGEST = 25  # steps of a climb that checks a fit
 TOP_OF_ODDS = ("none", "saturation")  # named for other reasons than odds, too
 SMALLER = {  # words of models that a word's model holds
     "zone_and_friction": ("dead_zone", "friction"),
@@ -102,7 +102,6 @@ SMALLER = {  # words of models that a word's model holds
 SURELY = 2.0  # deviations, by which a larger model must be worse to be denied
 LITTLE = 0.1  # share of held-out squares: a smaller gain must be one by SURELY deviations
 MOST_INSIDE = 0.5  # slope in the middle of a zone over that outside, from which it is another curve
-LAST = {"input_zone": 40, "two_zones": 40}  # steps of a climb that checks a fit
 # words of models with a plant of their own
 OF_THEIR_OWN = ("friction", "saturation", "other", "input_zone", "two_zones", *CHAINED)
 EXCLUDED = {"deadzone": MEMORY, "play": ("friction",)}  # words by what --kind tells
@@ -429,24 +428,16 @@ def build_play_element(gap: PlayGap, whole: plant.RecordData, offset: float | No
         offset: rms of an unknown offset of the output, scaled; None: free.
     """
     model, theta = _extend_to_records(gap.fit, gap.theta, whole)
-    z = model.output(theta)
-    level, moved = model.play_level(z, theta)
+    element = _element_of_fit("both" if model.zone else "play", gap.fit, model, theta)
+    level, moved = model.play_level(element.z, theta)
     moves = np.append(False, np.diff(level) != 0)
-    element = Element(
-        kind="both" if model.zone else "play",
-        fit=gap.fit,
-        simulator=model.simulator,
-        theta=theta,
+    element = element._replace(
         V=gap.V,
-        z=z,
-        readings=model.noise_free_readings(z, theta),
         side=np.where(moves, moved, 0.0).astype(int),
-        widths=dict.fromkeys(DIRECTIONS),
         ahead=gap.ahead,
         noise=gap.noise,
         degrees=RUNS - 1,
         rms=gap.fit.squares.residual_rms(gap.fit.theta),
-        remarks=[],
     )
     if gap.ahead is not None and not gap.sure:
         element.remarks.append(_describe_hidden_gap(gap.ahead.rms * whole.y_scale))
@@ -969,38 +960,32 @@ def validate_element(element: Element, held_out: float) -> HeldOutScore:
     """
     if isinstance(element.fit, ServoGap):
         return _validate_servo(element, element.fit, held_out)
-    return held_out_error_of_fit(element.fit, held_out, LAST.get(element.kind, LONGEST))
+    return held_out_error_of_fit(element.fit, held_out)
 
 
-def held_out_error_of_fit(
-    fit: FittedModel[Any], held_out: float, last: int = LONGEST
-) -> HeldOutScore:
+def held_out_error_of_fit(fit: FittedModel[Any], held_out: float) -> HeldOutScore:
     """Score a model that simulates the readings on held-out blocks.
 
     Args:
         fit: the model.
         held_out: share of the samples that are held out.
-        last: most steps of the fit to the other samples.
     """
-    e, test = held_out_residual(fit, held_out, last)
+    e, test = held_out_residual(fit, held_out)
     data = fit.squares.data
     return score_held_out(e, data, test, predict_one_step(e, test, test, data.start))
 
 
-def held_out_residual(
-    fit: FittedModel[Any], held_out: float, last: int = LONGEST
-) -> tuple[Floats, Flags]:
+def held_out_residual(fit: FittedModel[Any], held_out: float) -> tuple[Floats, Flags]:
     """Return the residual of a fit to the training samples (N), and the held-out samples.
 
     Args:
         fit: the model.
         held_out: share of the samples that are held out.
-        last: most steps of the fit to the other samples.
     """
     data = fit.squares.data
     train = training_samples(data, held_out)
     trained = LeastSquares(fit.model.along(data._replace(ok=data.ok & train, climbs=None)))
-    top = best_maximum(trained, [fit.theta], fit.model.first, last)
+    top = best_maximum(trained, [fit.theta], fit.model.first, LONGEST)
     theta = fit.theta if top is None else top.theta
     return fit.squares.reading_residual(theta), data.ok & ~train
 

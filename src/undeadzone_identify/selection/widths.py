@@ -188,21 +188,19 @@ def lower_width_bound(fit: ZoneFit, side: str) -> float:
     noise = fit.objective.zone_noise(fit.theta)
     drop = 0.5 * float(chi2.ppf(0.95, 1))
     base = float(single_densities(readings, z, noise).value.sum())
+
+    def above_drop(width: float) -> float:
+        """Return by how much the log likelihood is above where it has fallen by that much."""
+        right, left = (width, noise.left) if side == "right" else (noise.right, width)
+        if right + left <= 1e-9:
+            return -math.inf
+        own = single_densities(readings, z, ZoneNoise(right, left, noise.s))
+        return float(own.value.sum()) - base + drop
+
     low, high = reach - 6 * fit.disturbance_rms, reach + 6 * fit.disturbance_rms
     for _ in range(60):
         middle = 0.5 * (low + high)
-        right = middle if side == "right" else noise.right
-        left = middle if side == "left" else noise.left
-        inside = right + left > 1e-9
-        value = -math.inf
-        if inside:
-            value = float(
-                single_densities(readings, z, ZoneNoise(right, left, noise.s)).value.sum()
-            )
-        if value < base - drop:
-            low = middle
-        else:
-            high = middle
+        low, high = (middle, high) if above_drop(middle) < 0 else (low, middle)
     return high
 
 
