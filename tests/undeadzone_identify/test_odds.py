@@ -33,7 +33,7 @@ from undeadzone_identify.models.elements import (
 )
 from undeadzone_identify.models.estimates import Interval
 from undeadzone_identify.models.least_squares import Density, LeastSquares
-from undeadzone_identify.models.place import PlaceShape, fit_place
+from undeadzone_identify.models.place import PARTS, WIDTHS, PlaceShape, fit_place
 from undeadzone_identify.models.plant import PlantSimulator, RecordData
 from undeadzone_identify.models.zone import WidthLimits
 from undeadzone_identify.models.zone_fit import fit_linear, fit_zone
@@ -636,18 +636,18 @@ def test_prediction_errors_know_the_actuators_zone_better_in_a_loop() -> None:
     for seed in range(4):
         log = loop_logs.make(seed, "input zone", 0.2)
         plain = fit_linear(PlantSimulator(logged(log.u, log.y), log.order))
-        truth = np.zeros(7)
-        truth[5:] = log.input
+        truth = np.zeros(WIDTHS)
+        truth[PARTS["input"]] = log.input
         begun = np.concatenate([plain.theta[: plain.objective.layout.right], truth])
         begun = np.append(begun, np.zeros(log.order))
         shape = PlaceShape("input", input=True)
         fit = fit_place(plain.objective.simulator, shape, [begun])
         assert fit is not None
         for predicts, one in ((False, fit), (True, fit.prediction_fit)):
-            for k in (5, 6):
+            for k in (4, 5):
                 row = 1.0 * (one.model.free == one.model.base + k)
                 halves[predicts].append(one.squares.robust_covariance(one.theta).half_width(row))
-                errors[predicts].append(one.theta[one.model.base + k] - log.input[k - 5])
+                errors[predicts].append(one.theta[one.model.base + k] - log.input[k - 4])
     assert np.median(halves[True]) < 0.75 * np.median(halves[False])
     assert np.mean(np.abs(errors[True]) < halves[True]) > 0.7
 
