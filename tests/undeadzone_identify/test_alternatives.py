@@ -270,7 +270,7 @@ def test_commands_take_the_scenario_of_a_play(
     options = ["--order", "2", "--delay", "0", "--out", "out"]
     assert group.main(["identify", "gears.csv", *options], standalone_mode=False) == 0  # it runs
     text = capsys.readouterr().out
-    assert "found         Backlash: " in text
+    assert re.search("^found +Backlash: ", text, re.MULTILINE)
     assert "c width" in text
     assert "undeadzone estimate out/gears.toml gears.csv, undeadzone run out/gears.toml" in text
     assert Path("out/element.svg").exists()

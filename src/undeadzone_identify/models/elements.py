@@ -96,6 +96,10 @@ class PlayModel:
             theta[self.base + 1] = theta[self.base]
         return theta
 
+    def driven_plant(self, theta: Floats) -> PlantSimulator:
+        """Return the linear plant, which the input drives as it is."""
+        return self.simulator
+
     def output(self, theta: Floats) -> Floats:
         """Return z, the output of the plant (N)."""
         return self.simulator.simulate_z(theta)

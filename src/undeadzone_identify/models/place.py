@@ -35,8 +35,8 @@ WIDTH = 32
 ADDED = (0.5, 0.8)  # poles that stand on a zero where a plant of the next order begins
 RUN_AWAY = 1e6  # bound of z, which keeps an unstable trial finite
 # Places of the element's parameters behind those of the plant; c_1 to c_n follow.
-PARTS = {"sensor": slice(0, 2), "inner": slice(2, 4), "sigma": slice(4, 5), "input": slice(5, 7)}
-WIDTHS = 7  # number of these parameters
+PARTS = {"sensor": slice(0, 2), "inner": slice(2, 4), "input": slice(4, 6)}
+WIDTHS = 6  # number of these parameters
 
 # --- One sample
 
@@ -58,35 +58,31 @@ def build_friction_kernel(n: int, m: int, position: bool) -> lanes.Kernel:
     Returns:
         A kernel with
 
-        - state: z and f of the last n samples, then the last move of z (2 n + 1),
+        - state: z and f of the last n samples (2 n),
         - inputs: lagged inputs (m n), then unit pulses at the first n samples, which set x0 (n),
-        - parameters of a lane: a, b, x0, c, phi_r, phi_l, sigma, and the zone of the input,
+        - parameters of a lane: a, b, x0, c, phi_r, phi_l, and the zone of the input,
         - output: z.
     """
-    state = ca.SX.sym("s", 2 * n + 1)
+    state = ca.SX.sym("s", 2 * n)
     exogenous = ca.SX.sym("w", m * n + n)
-    numbers = ca.SX.sym("p", 3 * n + m * n + 5)
+    numbers = ca.SX.sym("p", 3 * n + m * n + 4)
     a = numbers[:n]
     b = numbers[n : n + m * n]
     x0 = numbers[n + m * n : 2 * n + m * n]
     c = numbers[2 * n + m * n : 3 * n + m * n]
-    right, left, sigma, u_right, u_left = ca.vertsplit(numbers[3 * n + m * n :])
+    right, left, u_right, u_left = ca.vertsplit(numbers[3 * n + m * n :])
     past = ca.vertsplit(state)
     z_past = past[:n]
-    f_past = past[n : 2 * n]
-    last_move = past[2 * n]
+    f_past = past[n:]
     u = _zone_expression(exogenous[: m * n], u_right, u_left)
     w = ca.dot(b, u) + ca.dot(x0, exogenous[m * n :])
     w = w - ca.dot(a, ca.vertcat(*z_past)) - ca.dot(c, ca.vertcat(*f_past))
     w = ca.fmax(ca.fmin(w, RUN_AWAY), -RUN_AWAY)
     rest = z_past[0] if position else 0.0
     push = w - rest
-    # At rest the friction to overcome is larger by the factor 1 + sigma (breakaway).
-    breakaway = 1 + sigma * (last_move == 0)
-    slides = ca.logic_or(push > right * breakaway, push < -left * breakaway)
-    move = ca.if_else(slides, _zone_expression(push, right, left), 0.0)
+    move = _zone_expression(push, right, left)
     z = rest + move
-    following = ca.vertcat(z, *z_past[: n - 1], push - move, *f_past[: n - 1], move)
+    following = ca.vertcat(z, *z_past[: n - 1], push - move, *f_past[: n - 1])
     step = ca.Function("friction", [state, exogenous, numbers], [following, z])
     return lanes.build_kernel(step, params=list(range(numbers.shape[0])), width=WIDTH, fused=True)
 
@@ -97,7 +93,7 @@ def simulate_friction(n: int, m: int, position: bool, exogenous: Floats, numbers
     Args:
         n, m, position: as for `build_friction_kernel`.
         exogenous: lagged inputs and pulses (N x (m n + n)).
-        numbers: parameters of the lanes, a row per set (K x (3 n + m n + 5)).
+        numbers: parameters of the lanes, a row per set (K x (3 n + m n + 4)).
 
     Returns:
         z (K x N).
@@ -117,7 +113,6 @@ class PlaceShape(NamedTuple):
         inner: whether the recursion has friction, phi_r and phi_l.
         input: whether the input has a zone, u_r and u_l.
         position: whether friction acts on a measured position, else on a velocity.
-        sticks: whether breakaway exceeds sliding friction, by sigma.
         free: number of free parameters among c_1 to c_n. The others are 0, or follow from b if
             friction acts at the input (collocated).
     """
@@ -127,7 +122,6 @@ class PlaceShape(NamedTuple):
     inner: bool = False
     input: bool = False
     position: bool = False
-    sticks: bool = False
     free: int = 0
 
     def contains_shape(self, other: PlaceShape) -> bool:
@@ -140,7 +134,7 @@ class PlaceShape(NamedTuple):
 class PlaceModel:
     """Plant with zones at some locations, with derivatives by central differences.
 
-    theta = [a, b, x0, d_r, d_l, phi_r, phi_l, sigma, u_r, u_l, c_1 ... c_n]. The parameters of
+    theta = [a, b, x0, d_r, d_l, phi_r, phi_l, u_r, u_l, c_1 ... c_n]. The parameters of
     parts that the shape does not have are 0.
 
     Args:
@@ -161,7 +155,7 @@ class PlaceModel:
         self.m = simulator.layout.m
         self.base = simulator.layout.right
         self.size = self.base + WIDTHS + self.n
-        widths = [shape.sensor] * 2 + [shape.inner] * 2 + [shape.sticks] + [shape.input] * 2
+        widths = [shape.sensor] * 2 + [shape.inner] * 2 + [shape.input] * 2
         fitted = np.append(widths, np.arange(self.n) < shape.free)
         self.free: Integers = np.flatnonzero(np.append(np.ones(self.base, bool), fitted))
         pulses = [np.eye(part.stop - part.start, self.n) for part in simulator.records]
@@ -176,7 +170,7 @@ class PlaceModel:
 
         Args:
             theta: one parameter set (P), or several (K x P).
-            name: sensor, inner, sigma or input.
+            name: sensor, inner or input.
         """
         return theta[..., self.base :][..., PARTS[name]]
 
@@ -199,7 +193,7 @@ class PlaceModel:
         return np.asarray(self.part_numbers(theta, "inner") * friction_gain / max(input_gain, 1e-9))
 
     def project_to_bounds(self, theta: Floats) -> Floats:
-        """Restrict the widths and sigma to 0 or above; theta is changed in place."""
+        """Restrict the widths to 0 or above; theta is changed in place."""
         widths = slice(self.base, self.base + WIDTHS)
         theta[widths] = np.maximum(theta[widths], 0.0)
         return theta
@@ -305,7 +299,7 @@ def join_place_numbers(plant: Floats, n: int, c: Floats | None = None, **parts: 
         plant: a, b, x0.
         n: order of the plant.
         c: c_1, c_2, ...; None: all are 0.
-        parts: parameters of sensor, inner, sigma, input; those of missing parts are 0.
+        parts: parameters of sensor, inner, input; those of missing parts are 0.
     """
     element = np.zeros(WIDTHS + n)
     for name, value in parts.items():
@@ -411,15 +405,6 @@ class PlaceStarts:
         if not real.all() or self.n == 3:
             shapes.append(np.eye(1, self.n)[0])
         return shapes
-
-    def add_breakaway(self, fitted: PlaceFit) -> list[Floats]:
-        """Add breakaway above sliding friction to a fit; return the starts."""
-        starts = []
-        for sigma in (0.2, 0.02):
-            theta = fitted.theta.copy()
-            fitted.model.part_numbers(theta, "sigma")[:] = sigma
-            starts.append(theta)
-        return starts
 
     def add_sensor_zone(self, fitted: PlaceFit) -> list[Floats]:
         """Add a zone of the sensor, of several sizes, to a fit; return the starts."""

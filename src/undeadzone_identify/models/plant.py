@@ -159,7 +159,7 @@ def longest_record_of(data: RecordData) -> RecordData:
 class Layout:
     """Places of the parameters in theta.
 
-    theta = [a, b, x0, d_r, d_l, log s, atanh rho].
+    theta = [a, b, x0, d_r, d_l, log s].
 
     Attributes:
         n: number of poles, and of numerator terms of each input, from delay 1 on.
@@ -190,7 +190,7 @@ class Layout:
 
     @cached_property
     def right(self) -> int:
-        """Return the place of d_r; d_l, log s and atanh rho follow."""
+        """Return the place of d_r; d_l and log s follow."""
         return self.x0.stop
 
     def full_denominator(self, a: Floats) -> Floats:
@@ -203,7 +203,7 @@ class Layout:
     @cached_property
     def parameter_count(self) -> int:
         """Return the number of parameters in theta."""
-        return self.right + 4
+        return self.right + 3
 
     def at_rest(self, other: Layout, theta: Floats) -> Floats:
         """Return the parameters of the same plant along other records that begin at rest.
@@ -292,8 +292,10 @@ class PlantSimulator:
         return slopes
 
     def respond_from_rest(self, theta: Floats, inputs: Floats) -> Floats:
-        """Return the responses of a plant of one input to several inputs from rest (N x K)."""
-        numerator = np.append(0.0, theta[self.layout.numerators])
+        """Return the responses of the plant to several signals at its first input, from rest
+        (N x K).
+        """
+        numerator = np.append(0.0, theta[self.layout.numerators][: self.layout.n])
         denominator = self.layout.full_denominator(theta[self.layout.denominator])
         outputs = np.empty(inputs.shape)
         for part in self.records:

@@ -211,7 +211,7 @@ def answer_numbers(answer: Answer, account: Account) -> dict[str, Any]:
             "white": chosen.white,
         },
         "orders": [
-            {"order": one.n, "bic": one.pairs.bic, "held_out_error": one.error * answer.scale}
+            {"order": one.n, "bic": one.fit.bic, "held_out_error": one.error * answer.scale}
             for one in answer.case.fitted.fits
         ],
         "closed_loop": answer.loop.chance,

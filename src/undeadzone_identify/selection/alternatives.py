@@ -85,7 +85,7 @@ WIDER = 1.25  # of a friction's interval: how a motor sticks is assumed
 LEAST_GAP = 0.02  # rms of y, below which a gap is no matter
 LEAST_NOISE = 0.01  # rms of y, from which noise that falls silent is told from rounding
 EVEN = "the centre of the gap is not known, and both sides are half of the width"
-LONGEST = 25  # steps of a climb that checks any other fit
+LONGEST = 25  # steps of a climb that checks a fit
 TOP_OF_ODDS = ("none", "saturation")  # named for other reasons than odds, too
 SMALLER = {  # words of models that a word's model holds
     "zone_and_friction": ("dead_zone", "friction"),
@@ -103,7 +103,6 @@ SURELY = 2.0  # deviations, by which a larger model must be worse to be denied
 APART, CLOSE = 2.5, 1.05  # deviations, and ratio of rms, by which a model is told from another
 LITTLE = 0.1  # share of held-out squares: a smaller gain must be one by SURELY deviations
 MOST_INSIDE = 0.5  # slope in the middle of a zone over that outside, from which it is another curve
-LAST = {"input_zone": 40, "two_zones": 40}  # steps of a climb that checks a fit
 # words of models with a plant of their own
 OF_THEIR_OWN = ("friction", "saturation", "other", "input_zone", "two_zones", *CHAINED)
 EXCLUDED = {"deadzone": MEMORY, "play": ("friction",)}  # words by what --kind tells
@@ -225,7 +224,7 @@ class Findings(NamedTuple):
         shaped: a zone with slopes of its sides, round edges and a lag; None: not fitted.
         denied: words of larger models that simulate held-out data no better.
         element: in the place of a sensor's dead zone; None: there is none.
-        kalman: fits of (L3), best first.
+        kalman: fits of (L2), best first.
         friction: its level [u], the mean of both directions; None if it is not measured.
         remainders: score tests of the likeliest model, by direction; empty: not tested.
         valve: of a control loop, where the verdict is about why it swings; None: it is not.
@@ -273,7 +272,7 @@ def impossible_words(case: Case) -> Collection[str]:
     placed = PLACED.get(case.options.place)
     out = set(EXCLUDED.get(case.options.kind, ()))
     out |= set() if placed is None else set(MODELS) - {"none", placed}
-    fit = case.chosen.singles
+    fit = case.chosen.fit
     if not case.record_data.silent_zeros or case.jump_edges or placed is not None:
         return out
     speaks = case.record_data.ok & (case.record_data.side != 0)
@@ -347,7 +346,7 @@ def _fit_plays(case: Case, data: plant.RecordData) -> dict[str, PlayFit]:
     stable.
     """
     begun = [
-        refit_busiest_part(one.pairs)
+        refit_busiest_part(one.fit)
         for one in (case.chosen, *case.fitted.fits)
         if data is case.record_data
     ]
@@ -370,7 +369,7 @@ def _needs_play_test(case: Case, found: Findings) -> bool:
     perhaps |= found.odds.get("zone_and_friction", 0.0) > UNLIKELY  # a memory beside the zone
     if perhaps:
         return True
-    both = fit_play_and_zone([refit_busiest_part(case.chosen.pairs)])  # a lag may pass for a play
+    both = fit_play_and_zone([refit_busiest_part(case.chosen.fit)])  # a lag may pass for a play
     models = {"none": case.rivals["none"]} | ({} if both is None else {"both": both.density})
     return (
         model_probabilities((*found.models, models), impossible_words(case)).get("both", 0.0)
@@ -432,24 +431,16 @@ def build_play_element(gap: PlayGap, whole: plant.RecordData, offset: float | No
         offset: rms of an unknown offset of the output, scaled; None: free.
     """
     model, theta = _extend_to_records(gap.fit, gap.theta, whole)
-    z = model.output(theta)
-    level, moved = model.play_level(z, theta)
+    element = _element_of_fit("both" if model.zone else "play", gap.fit, model, theta)
+    level, moved = model.play_level(element.z, theta)
     moves = np.append(False, np.diff(level) != 0)
-    element = Element(
-        kind="both" if model.zone else "play",
-        fit=gap.fit,
-        simulator=model.simulator,
-        theta=theta,
+    element = element._replace(
         V=gap.V,
-        z=z,
-        readings=model.noise_free_readings(z, theta),
         side=np.where(moves, moved, 0.0).astype(int),
-        widths=dict.fromkeys(DIRECTIONS),
         ahead=gap.ahead,
         noise=gap.noise,
         degrees=RUNS - 1,
         rms=gap.fit.squares.residual_rms(gap.fit.theta),
-        remarks=[],
     )
     if gap.ahead is not None and not gap.sure:
         element.remarks.append(_describe_hidden_gap(gap.ahead.rms * whole.y_scale))
@@ -576,7 +567,7 @@ def find_stored_step(case: Case) -> float:
 
 
 def _measure_input_zone(
-    case: Case, fit: PlaceFit, misfits: Sequence[Floats]
+    case: Case, fit: FittedModel[Any], misfits: Sequence[Floats]
 ) -> tuple[dict[str, Interval], float]:
     """Return the widths of the input's zone [u], and their least degrees of freedom."""
     data, model = fit.model.simulator.data, fit.model
@@ -1015,38 +1006,32 @@ def validate_element(element: Element, held_out: float) -> HeldOutScore:
     """
     if isinstance(element.fit, ServoGap):
         return _validate_servo(element, element.fit, held_out)
-    return held_out_error_of_fit(element.fit, held_out, LAST.get(element.kind, LONGEST))
+    return held_out_error_of_fit(element.fit, held_out)
 
 
-def held_out_error_of_fit(
-    fit: FittedModel[Any], held_out: float, last: int = LONGEST
-) -> HeldOutScore:
+def held_out_error_of_fit(fit: FittedModel[Any], held_out: float) -> HeldOutScore:
     """Score a model that simulates the readings on held-out blocks.
 
     Args:
         fit: the model.
         held_out: share of the samples that are held out.
-        last: most steps of the fit to the other samples.
     """
-    e, test = held_out_residual(fit, held_out, last)
+    e, test = held_out_residual(fit, held_out)
     data = fit.squares.data
     return score_held_out(e, data, test, predict_one_step(e, test, test, data.start))
 
 
-def held_out_residual(
-    fit: FittedModel[Any], held_out: float, last: int = LONGEST
-) -> tuple[Floats, Flags]:
+def held_out_residual(fit: FittedModel[Any], held_out: float) -> tuple[Floats, Flags]:
     """Return the residual of a fit to the training samples (N), and the held-out samples.
 
     Args:
         fit: the model.
         held_out: share of the samples that are held out.
-        last: most steps of the fit to the other samples.
     """
     data = fit.squares.data
     train = training_samples(data, held_out)
     trained = LeastSquares(fit.model.along(data._replace(ok=data.ok & train, climbs=None)))
-    top = best_maximum(trained, [fit.theta], fit.model.first, last)
+    top = best_maximum(trained, [fit.theta], fit.model.first, LONGEST)
     theta = fit.theta if top is None else top.theta
     return fit.squares.reading_residual(theta), data.ok & ~train
 
