@@ -228,6 +228,46 @@ def both_flanks(axes: Axes, result: IdentifiedMotion) -> None:
     finish_panel(axes, "Both flanks", left, label_with_unit("u", one.log.input_unit))
 
 
+def at_rest(result: IdentifiedAtRest) -> Figure:
+    """Draw readings over commands at rest with the edges of each flat part.
+
+    Args:
+        result: of a log whose map at rest gave the answer.
+    """
+    figure, panels = create_panels([["map"]], "Map at rest", height=3.2)
+    map_at_rest(panels["map"], result)
+    return figure
+
+
+def map_at_rest(axes: Axes, result: IdentifiedAtRest) -> None:
+    """Draw the map at rest, or the readings over the commands, with shaded bands.
+
+    Args:
+        axes: where to.
+        result: of a log.
+    """
+    log = result.log
+    _plot_dots(axes, log.u[:, 0], log.y[:, 0], ink.READING, "readings")
+    seen = result.looks.at_rest
+    if seen is not None:
+        axes.plot(seen.x, seen.predict(seen.x), color=ink.ESTIMATE, label="map at rest")
+    for part in () if seen is None else seen.flats:
+        ends = [edge.interval for edge in (part.left, part.right) if edge is not None]
+        inside = [one.value for one in ends]
+        limits = axes.get_xlim()
+        low = inside[0] if part.left is not None else limits[0]
+        high = inside[-1] if part.right is not None else limits[1]
+        axes.axvspan(low, high, color=ink.ESTIMATE, alpha=0.12, lw=0)
+        for one in ends:
+            axes.axvspan(one.low, one.high, color=ink.ESTIMATE, alpha=0.3, lw=0)
+        axes.set_xlim(limits)
+    labels = (
+        label_with_unit(log.outputs[0], log.output_units[0]),
+        label_with_unit(log.inputs[0], log.input_unit),
+    )
+    finish_panel(axes, "Readings over commands", *labels)
+
+
 def _shade_held_out(axes: Axes, found_log: Identified, part: slice) -> None:
     """Mark the held-out samples by a shaded background."""
     answer = found_log.answer

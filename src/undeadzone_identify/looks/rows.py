@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -43,9 +42,7 @@ class Rows(NamedTuple):
     how: str
 
 
-def rows_at_rest(
-    t: Floats | None, u: Floats, y: Floats, levels: int = LEVELS
-) -> Rows | None:
+def rows_at_rest(t: Floats | None, u: Floats, y: Floats, levels: int = LEVELS) -> Rows | None:
     """Return the rows at rest of a log; None where readings move by themselves.
 
     Args:
@@ -110,9 +107,7 @@ def noise_of(y: Floats) -> float:
     return math.hypot(white, find_quantum(y) / math.sqrt(12))
 
 
-def _settled_rows(
-    u: Floats, y: Floats, came: Floats, cut: Integers, levels: int
-) -> Rows | None:
+def _settled_rows(u: Floats, y: Floats, came: Floats, cut: Integers, levels: int) -> Rows | None:
     """Return a row of each hold that comes to rest.
 
     The last quarter of such a hold reads what the quarter before it read. If few holds do, those
