@@ -130,7 +130,7 @@ def identify(
     order: str | int = "1-4",
     right: str | float | None = None,
     left: str | float | None = None,
-    offset: str | float = 0.0,
+    offset: str | float = 0,
     held_out: float = 0.3,
     noise: str = "auto",
     place: str = "auto",
