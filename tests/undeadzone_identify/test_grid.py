@@ -57,9 +57,9 @@ def test_steps_may_sway_by_a_few_percent(sway: float) -> None:
     t[::2] += sway * np.pi / 100
     log = log_from_arrays(u=t.copy(), y=t.copy(), t=t)
     if sway < 0.05:
-        assert find_sample_time(log) == pytest.approx(np.pi / 100)
+        assert find_sample_time(log) == pytest.approx(np.pi / 100, rel=0.01)
     else:
-        with pytest.raises(FileError, match="199 of 199 steps differ by more than 1 %"):
+        with pytest.raises(FileError, match="of 199 steps differ by more than 1 %"):
             find_sample_time(log)
 
 

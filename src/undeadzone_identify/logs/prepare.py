@@ -95,7 +95,7 @@ def _flag_spikes(grid: Grid, remarks: list[str]) -> Flags:
     beyond = PASSING * np.quantile(usual, 0.1) if usual.size else 0.0  # not a passage of an edge
     steps = np.abs(change[known[1:] & (change != 0)])
     least = SPIKE * max(np.quantile(lone, 0.99), float(np.median(steps)) if steps.size else 0.0)
-    alone = (lone > least) & (size > beyond)
+    alone = (lone > least) & ((size > beyond) | (np.roll(y, 1) != 0))
     alone &= alone.sum() <= max(1, RARE * alone.size)
     found = find_spikes(y, grid.ok) | alone
     if found.any():
