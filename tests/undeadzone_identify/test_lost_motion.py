@@ -29,6 +29,7 @@ import undeadzone as uz
 from further import further
 from requirements import needs
 from undeadzone.cli import group
+from undeadzone.errors import InputError
 from undeadzone_identify.logs.log import Options, read_log
 from undeadzone_identify.models.lost_motion import (
     MotionFit,
@@ -132,13 +133,16 @@ def test_a_plant_with_dynamics_is_left_to_the_fit_of_plants() -> None:
 
 
 def test_what_no_plant_fits_has_an_answer_and_the_reason() -> None:
-    """Noise at irregular times ends in no error: nothing can be said, and what was done."""
+    """Noise at irregular times ends in no error: nothing can be said, and why."""
     rng = np.random.default_rng(1)
     t = np.cumsum(rng.uniform(0.5, 1.5, 160))
     signals = {"motor [deg]": rng.standard_normal(160), "joint [deg]": rng.standard_normal(160)}
     found = uz.identify(pd.DataFrame({"t [s]": t, **signals}))
+    assert isinstance(found, uz.IdentifiedMotion)
     assert found.verdict == "unclear"
-    assert "resampled to 1.006 s" in str(found)
+    assert any("irregular step" in reason for reason in found.summary()["why"])
+    with pytest.raises(InputError, match="two positions have no plant"):
+        found.scenario()
 
 
 def test_the_profile_is_that_of_a_closer_scan() -> None:
