@@ -21,7 +21,7 @@ from undeadzone.errors import InputError
 from undeadzone.util.answers import Answers
 from undeadzone.util.installed import use_one_blas_thread
 from undeadzone.util.progress import notebook_progress
-from undeadzone_identify.logs.grid import Grid, shorten_log, to_grid
+from undeadzone_identify.logs.grid import Grid, find_sample_time, shorten_log, to_grid
 from undeadzone_identify.logs.log import AT_ONCE, Log, Options, log_from_arrays, read_log
 from undeadzone_identify.logs.prepare import (
     PreparedLog,
@@ -297,6 +297,8 @@ def _identify_logs(
     seen = account_of_looks(logs[0], looks)
     outputs = ([log.select_output(k) for log in logs] for k in range(len(names)))
     try:
+        if motion is not None and motion.are_positions:
+            find_sample_time(logs[0])  # a plant is fitted to no positions between those read
         require_readings(sum(int(np.isfinite(log.y).sum(axis=0).max()) for log in logs))
         grids = (
             to_grid(records, options.resample)._replace(climbs=cached_maxima) for records in outputs

@@ -29,6 +29,7 @@ from undeadzone.scenario.tune_table import Range, Tune
 from undeadzone.util.answers import Answers
 from undeadzone.util.own_files import write_own_file
 from undeadzone_arena.contest.contest import run_contest
+from undeadzone_identify import pipeline
 from undeadzone_identify.pipeline import identify
 from undeadzone_identify.selection.widths import profile_likelihood
 from undeadzone_studies.tuning.tune import tune
@@ -249,11 +250,17 @@ def test_a_later_profile_of_a_stored_answer_is_computed(tmp_path: Path) -> None:
     )
 
 
-def test_a_log_that_is_refused_keeps_nothing(tmp_path: Path) -> None:
+def test_a_log_that_is_refused_keeps_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path, log = tmp_path / "identify.json.partial", logged()
     with pytest.raises(InputError, match="no reading lies beyond"):
         identify(**log | {"y": np.maximum(log["y"], 0.0)}, integrators=1, keep=path)
     assert not path.exists()
+    with monkeypatch.context() as patch, pytest.raises(ZeroDivisionError):
+        patch.setattr(pipeline, "_identify_logs", lambda *_: 1 / 0)
+        identify(**log, keep=path)
+    assert not path.exists(), "what fails once would fail again"
     identify(**log, order=1, keep=path)
     with pytest.raises(FileError, match="Continue it with resume=True"):
         identify(**log, order=1, keep=path)

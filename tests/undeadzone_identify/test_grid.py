@@ -50,16 +50,16 @@ def test_in_a_gap_the_last_inputs_are_repeated(inputs: int) -> None:
     assert "3 readings missing" in remarks[0]
 
 
-@pytest.mark.parametrize("late", [0.009, 0.015])
-def test_steps_may_differ_by_1_percent(late: float) -> None:
-    """Times of eight digits; one sample comes late by a part of a step."""
+@pytest.mark.parametrize("sway", [0.03, 0.15])
+def test_steps_may_sway_by_a_few_percent(sway: float) -> None:
+    """Times of eight digits; every other sample comes late by a part of a step."""
     t = np.arange(200) * np.pi / 100
-    t[100] += late * np.pi / 100
+    t[::2] += sway * np.pi / 100
     log = log_from_arrays(u=t.copy(), y=t.copy(), t=t)
-    if late < 0.01:
-        assert find_sample_time(log) == pytest.approx(np.pi / 100)
+    if sway < 0.05:
+        assert find_sample_time(log) == pytest.approx(np.pi / 100, rel=0.01)
     else:
-        with pytest.raises(FileError, match="2 of 199 steps differ by more than 1 %"):
+        with pytest.raises(FileError, match="of 199 steps differ by more than 1 %"):
             find_sample_time(log)
 
 

@@ -717,5 +717,5 @@ def test_a_log_with_a_setpoint_ends_in_a_scenario(
     assert not group.main(words, standalone_mode=False)
     numbers = json.loads(Path("found/identify.json").read_text(encoding="utf-8"))
     assert numbers["answered"] > 0.999
-    assert any("r from 'setpoint'" in one for one in numbers["remarks"])
+    assert any(",r=setpoint" in one for one in numbers["remarks"])
     assert parse(Path("found/log.toml").read_text(encoding="utf-8")).actuator is not None

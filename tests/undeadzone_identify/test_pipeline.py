@@ -488,7 +488,6 @@ def test_swapped_columns_give_no_widths() -> None:
         (lambda t, u, y: (t, u, 0 * y + 3), "never changes"),
         (lambda t, u, y: (t, u, y * np.nan), "every one is missing"),
         (lambda t, u, y: (t[:60], u[:60], y[:60]), "too few"),
-        (lambda t, u, y: (np.sort(np.random.default_rng(0).random(t.size)), u, y), "irregular"),
         (lambda t, u, y: (t[::-1], u, y), "does not increase"),
         (
             lambda t, u, y: (t, np.where(t == t[50], np.nan, u), y),

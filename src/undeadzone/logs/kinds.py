@@ -59,14 +59,19 @@ _TABLE: Final = tuple(
         (r"^(command|cmd)$", "goal", 18.0),
         (r"^(reading|measured|measurement|istwert|mesure)$", "", -18.0),
         (
-            r"battery|supply|\bmass\b|\bsnr\b|\bbus\b|\bvcc\b|\berror\b|\bwanted time\b",
+            r"battery|supply|mass\b|\bsnr\b|delta|\bdt\b|stat(e|us) \d|moving|\bpin\b|\bbus\b|\bvcc\b|\berror\b|\bwanted time\b",
             "other",
             0.0,
         ),
         (r"\bsp$", "sp", REFERENCE),
         (r"^(r|ref|reference|set ?point|sollwert|consigne|consigna)$", "goal", REFERENCE),
         (r"\bdec ?(guide|pulse)", "drive", 16.5),
-        (r"\b(motor|pwm|volt\w*|torque|force|valve|duty|throttle) (command|cmd)\b", "drive", 16.0),
+        (r"^(esc|servo)( signal)?( \d+)?$", "drive", 13.0),
+        (
+            r"\b(motor|control|pwm|volt\w*|torque|force|valve|duty|throttle) (command|cmd)\b",
+            "drive",
+            16.0,
+        ),
         (
             r"\b(goal|target\w*|desired|set ?point|ref(erence)?|wanted|demand(ed)?|command(ed)?|cmd"
             r"|set|sp|actions?|des|requested|ziel)\b|\bsoll|consigne|consigna|vorgabe",
@@ -74,18 +79,18 @@ _TABLE: Final = tuple(
         ),
         (
             r"torque|\btau|\bcurrent\b(?! (pos|angle|speed|vel|temp|val))|effort|moment\b|strom\b"
-            r"|courant|couple\b|\bamps?\b|ampere|\biq\b|\[(m?a|nm)\]",
+            r"|courant|couple\b|\bamps?\b|ampere|\biq\b",
             *("torque", 8.0),
         ),
         (
-            r"measured|sensor|\badc|feedback|\bfb\b|reading|\bhx\b|response|\bist\b|\braw\b(?! d)|"
+            r"measured|sensor|\bcell\b|\badc|feedback|\bfb\b|reading|\bhx\b|response|\bist\b|\braw\b(?! d)|"
             r"\bcode\b|observ|mesur|gemessen",
             "",
             -12.0,
         ),
         (
             r"pwm|volt|spannung|tension|duty|throttle|joystick|pulse|guide distance|valve|ventil"
-            r"|vanne|heater|heiz|chauff|pump|\bfan\b|\bdac\b|stick\b|drive\b|\[(m?v|volts?)\]",
+            r"|vanne|heater|heiz|chauff|pump|\bfan\b|\bdac\b|stick\b|drive\b",
             *("drive", 14.0),
         ),
         (r"^dec( raw|$)", "position", -9.0),
@@ -108,7 +113,7 @@ _TABLE: Final = tuple(
             -10.0,
         ),
         (
-            r"force|kraft|\bload\b|last\b|newton|applied|stimulus|\[(k?n|kip|lbf?|kg)\]",
+            r"force|kraft|\bload\b|last\b|newton|applied|stimulus",
             "force",
             4.0,
         ),
@@ -119,7 +124,9 @@ _TABLE: Final = tuple(
             r"\[(deg|rad|mrad|°|mm|cm|m|in|um|µm|px|ticks|counts|arcsec|arcmin)\]",
             *("position", -8.0),
         ),
-        (r"\[(%|pct|percent)\]", "drive", 5.0),
+        (r"\[(m?a|nm)\]", "torque", 8.0),
+        (r"\[(k?n|kip|lbf?|kg)\]", "force", 4.0),
+        (r"\[([um]?v|volts?|%|pct|percent)\]", "drive", 5.0),
     )
 )
 

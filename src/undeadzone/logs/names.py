@@ -180,9 +180,14 @@ def layout_of_titles(
 
 
 def layout_of_numbers(
-    width: int, p: int | None, m: int | None, chosen: Mapping[str, str], source: str
+    width: int,
+    p: int | None,
+    m: int | None,
+    chosen: Mapping[str, str],
+    source: str,
+    values: Floats | None = None,
 ) -> Layout:
-    """Return the columns of a log without a header, which the user names by number.
+    """Return the columns of a log without a header, by numbers that the user names or their values.
 
     Args:
         width: how many columns there are.
@@ -193,13 +198,13 @@ def layout_of_numbers(
     Raises:
         FileError: nothing is named: any order would be a guess; or a number is none of theirs.
     """
-    if not chosen:
+    if not chosen and (values is None or p is not None):
         raise FileError(
             f"{source}: without a header the order of columns is not known. Add one, t,y,u, or "
             'name the columns by number: columns="t=1,y=2,u=3"'
         )
     titles = [Title(str(k + 1), "") for k in range(width)]
-    return layout_of_titles(titles, p, m, chosen, source)
+    return layout_of_titles(titles, p, m, chosen, source, values)
 
 
 class _Header(NamedTuple):
@@ -265,7 +270,14 @@ class _Header(NamedTuple):
         if "r" in self.chosen:
             return [self.column_of_name("r")]
         kinds = [kind_of(*title) for title in self.titles]
-        goals = [k for k, kind in enumerate(kinds) if kind in ("sp", "goal") and k not in used]
+        has_goal = "goal" in [kinds[k] for k in used]  # beside which another is another's
+        goals = [
+            k
+            for k, title in enumerate(self.titles)
+            if kinds[k] in ("sp", "goal")
+            and k not in used
+            and (rank_of(title) == REFERENCE or not has_goal)
+        ]
         near = self.likeness()[:, y]
         return sorted(goals, key=lambda k: near[k] - rank_of(self.titles[k]))[-1:]
 
@@ -395,7 +407,9 @@ class _Header(NamedTuple):
         kinds = [kind_of(*title) for title in self.titles]
         if [kinds[k] for k in u + y[:1]] != ["goal", "position"]:
             return []
-        moves = [True] * len(kinds) if self.values is None else np.ptp(self.values, axis=0) != 0
+        moves = [True] * len(kinds)
+        if self.values is not None:
+            moves = np.ptp(np.nan_to_num(self.values), axis=0) != 0
         same = [k for k, kind in enumerate(kinds) if kind == "torque" and moves[k] and k not in y]
         near = self.likeness()[:, y[0]]
         return sorted(same, key=lambda k: near[k])[-1:]

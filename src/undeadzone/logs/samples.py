@@ -248,12 +248,11 @@ class LogReader:
 
     def _layout(self, dialect: Dialect, lines: Sequence[str]) -> Layout:
         """Return the columns of the signals. Raises FileError."""
+        values = None if self._live else _values_of(dialect, lines)
+        others = (self._p, self._m, self._chosen, self._source, values)
         if dialect.titles is not None:
-            values = None if self._live else _values_of(dialect, lines)
-            return layout_of_titles(
-                dialect.titles, self._p, self._m, self._chosen, self._source, values
-            )
-        return layout_of_numbers(dialect.width, self._p, self._m, self._chosen, self._source)
+            return layout_of_titles(dialect.titles, *others)
+        return layout_of_numbers(dialect.width, *others)
 
     def _require_readable(self, dialect: Dialect, layout: Layout, lines: Numbered) -> None:
         """Raise FileError if the first line without a header cannot be read."""

@@ -294,12 +294,13 @@ def _hold_inputs(samples: Samples, remarks: list[str]) -> Samples:
     """Return samples whose missing inputs are those before, from the first known ones on."""
     known = np.isfinite(samples.u)
     missing = int((~known).any(axis=1).sum())
-    if not missing or not known.any(axis=0).all():
+    if not missing:
         return samples
     remarks.append(f"{missing} inputs are missing, and count as held")
     last = np.maximum.accumulate(known * np.arange(len(known))[:, None], axis=0)
     u = np.take_along_axis(samples.u, last, axis=0)
-    return samples._replace(u=u).select_rows(np.isfinite(u).all(axis=1))
+    begun = (np.isfinite(u) | ~known.any(axis=0)).all(axis=1)
+    return samples._replace(u=u).select_rows(begun)
 
 
 def _mend_times(samples: Samples, remarks: list[str]) -> Samples:

@@ -18,7 +18,7 @@ import numpy as np
 from undeadzone.errors import InputError
 from undeadzone.logs.range_ends import RangeEnds, range_ends
 from undeadzone.util.arrays import Flags, Floats, Integers, bounds_of_runs
-from undeadzone_identify.logs.grid import SPIKE, Grid, find_spikes
+from undeadzone_identify.logs.grid import RARE, SPIKE, Grid, find_spikes
 from undeadzone_identify.logs.log import Options
 from undeadzone_identify.models.likelihood import root_mean_square, zone_offset
 from undeadzone_identify.models.plant import PlantSimulator, RecordData
@@ -93,7 +93,11 @@ def _flag_spikes(grid: Grid, remarks: list[str]) -> Flags:
     lone[~known | (y == 0)] = 0.0
     usual = size[known & (y * np.roll(y, 1) > 0)]
     beyond = PASSING * np.quantile(usual, 0.1) if usual.size else 0.0  # not a passage of an edge
-    found = find_spikes(y, grid.ok) | (find_spikes(lone, known) & (size > beyond))
+    steps = np.abs(change[known[1:] & (change != 0)])
+    least = SPIKE * max(np.quantile(lone, 0.99), float(np.median(steps)) if steps.size else 0.0)
+    alone = (lone > least) & ((size > beyond) | (np.roll(y, 1) != 0))
+    alone &= alone.sum() <= max(1, RARE * alone.size)
+    found = find_spikes(y, grid.ok) | alone
     if found.any():
         remarks.append(
             f"{found.sum()} readings beyond {SPIKE:g} times the usual size, or alone so far from"

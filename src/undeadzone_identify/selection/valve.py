@@ -27,7 +27,7 @@ from undeadzone_identify.models.least_squares import (
 )
 from undeadzone_identify.models.likelihood import root_mean_square
 from undeadzone_identify.models.plant import PlantSimulator, RecordData
-from undeadzone_identify.models.valve import LoopFits, LoopLog, fit_loop
+from undeadzone_identify.models.valve import ORDERS, LoopFits, LoopLog, fit_loop
 from undeadzone_identify.models.zone_fit import fit_linear
 from undeadzone_identify.selection.decision import (
     LIKELY,
@@ -194,8 +194,10 @@ def may_be_valve(case: Case, odds: dict[str, float]) -> bool:
     if top in SENSOR and odds[top] >= LIKELY and not is_named_loop(case.grid):
         return False
     part = _longest_record(data)
-    u, y = data.u[part, 0], data.y[part][data.ok[part]]
-    if y.size < LEAST or np.ptp(u) == 0 or np.ptp(y) == 0:
+    ok = data.ok[part]
+    u, y = data.u[part, 0], data.y[part][ok]
+    in_a_row = np.convolve(ok[ok.size // 4 :], np.ones(max(ORDERS) + 1), "valid") > max(ORDERS)
+    if min(y.size, in_a_row.sum()) < LEAST or np.ptp(u) == 0 or np.ptp(y) == 0:
         return False
     return any(odds.get(word, 0.0) > UNLIKELY for word in SUSPECTS) or is_control_loop(case)
 

@@ -1,0 +1,243 @@
+"""Columns and times of files as they come: a table of headers, and what is read of each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from undeadzone.errors import FileError
+from undeadzone.logs.kinds import kind_of
+from undeadzone_identify.logs.grid import to_grid
+from undeadzone_identify.logs.log import read_log
+from undeadzone_identify.logs.prepare import select_readings
+
+RNG = np.random.default_rng(5)
+SIZE = 120
+HELD = np.repeat(RNG.integers(-9, 10, SIZE // 10), 10).astype(float)  # a command
+FOLLOWS = np.convolve(HELD, [0, 0.4, 0.3, 0.2, 0.1])[:SIZE] + 0.05 * RNG.standard_normal(SIZE)
+# Columns by a letter: time, command, reading, other noise, constant, count, drift.
+COLUMNS = {
+    "t": 0.02 * np.arange(SIZE),
+    "m": 20.0 * np.arange(SIZE),
+    "u": HELD,
+    "y": FOLLOWS,
+    "x": RNG.standard_normal(SIZE),
+    "c": np.full(SIZE, 7.0),
+    "n": np.arange(SIZE) + 1.0,
+    "d": 12.4 - 0.001 * np.arange(SIZE) + 0.01 * RNG.standard_normal(SIZE),
+    "-": 2.0 * HELD + 0.3 * RNG.standard_normal(SIZE),
+}
+# Header, what each column does, time, input, reading, and their kinds.
+SHAPES = [
+    ("t,pwm,velocity", "tuy", "t", "pwm", "velocity", "drive speed"),
+    ("time [s],pwm,wheel_angle [deg]", "tuy", "time", "pwm", "wheel_angle", "drive position"),
+    ("time,motorCommand,speedRpm", "tuy", "time", "motorCommand", "speedRpm", "drive speed"),
+    ("t,target pos (1),pos (1)", "tuy", "t", "target pos (1)", "pos (1)", "goal position"),
+    ("time_ms,cmd,feedback_deg", "muy", "time_ms", "cmd", "feedback_deg", "goal position"),
+    ("Time (s),joystick,boom_speed", "tuy", "Time", "joystick", "boom_speed", "drive speed"),
+    ("t,duty,encoder", "tuy", "t", "duty", "encoder", "drive position"),
+    ("t,encoder,duty", "tyu", "t", "duty", "encoder", "drive position"),
+    (
+        "stamp,joint_1.goal,joint_2.position,joint_1.position",
+        *("tuxy", "stamp", "joint_1.goal", "joint_1.position", "goal position"),
+    ),
+    ("Timestamp,goal,Encoder", "tuy", "Timestamp", "goal", "Encoder", "goal position"),
+    ("t,Cmd,Speed", "tuy", "t", "Cmd", "Speed", "goal speed"),
+    ("timestamp,actions,observation", "tuy", "timestamp", "actions", "observation", "goal other"),
+    ("t,tau,dq", "tuy", "t", "tau", "dq", "torque speed"),
+    ("t,tau [Nm],q [rad]", "tuy", "t", "tau", "q", "torque position"),
+    ("time,l-voltage,l-speed,r-speed", "tuyx", "time", "l-voltage", "l-speed", "drive speed"),
+    ("Ms,force_set,sensor_data", "muy", "Ms", "force_set", "sensor_data", "goal other"),
+    (
+        "Time (s),Goal Position,Present Position,Present Current",
+        *("tuy-", "Time", "Goal Position", "Present Position", "goal position"),
+    ),
+    ("Zeit [ms];Kraft Soll [N];HX711 [counts]", "muy", "Zeit", "Kraft Soll", "HX711", None),
+    ("Zeit,Spannung [V],Drehzahl [1/min]", "tuy", "Zeit", "Spannung", "Drehzahl", "drive speed"),
+    ("Zeit,Sollwert,Istwert", "tuy", "Zeit", "Sollwert", "Istwert", "goal other"),
+    ("Uhrzeit,Weg [mm],Kraft [N]", "tuy", "Uhrzeit", "Weg", "Kraft", "position force"),
+    ("Zeit,Strom [A],Winkel [deg]", "tuy", "Zeit", "Strom", "Winkel", "torque position"),
+    ("Zeit,Motorspannung,Geschwindigkeit", "tuy", "Zeit", "Motorspannung", "Geschwindigkeit", None),
+    ("temps,tension,vitesse", "tuy", "temps", "tension", "vitesse", "drive speed"),
+    ("temps,consigne,mesure", "tuy", "temps", "consigne", "mesure", "goal other"),
+    ("temps,courant,position", "tuy", "temps", "courant", "position", "torque position"),
+    ("time,OP,PV,SP", "tuyx", "time", "OP", "PV", "op pv"),
+    ("t,FIC101.PV,FIC101.OP,FIC101.SP", "tyuc", "t", "FIC101.OP", "FIC101.PV", "op pv"),
+    ("time,voltage,rpm,direction", "tuyx", "time", "voltage", "rpm", "drive speed"),
+    ("t,pwm,temperature,rpm", "tucy", "t", "pwm", "rpm", "drive speed"),  # what is constant is out
+    (
+        "time,batteryVoltage,motorCommand,leftSpeedRpm,rightSpeedRpm",
+        *("tduyx", "time", "motorCommand", "leftSpeedRpm", "drive speed"),
+    ),
+    ("Timestamp (s),Voltage (V),Velocity (rad/s)", "tuy", "Timestamp", "Voltage", "Velocity", None),
+    ("voltage,counts", "uy", None, "voltage", "counts", "drive other"),
+    ("reference,code", "uy", None, "reference", "code", "goal other"),
+    ("dac,amp", "uy", None, "dac", "amp", "drive torque"),
+    ("newton,adc", "uy", None, "newton", "adc", "force other"),
+    ("adc,newton", "yu", None, "newton", "adc", "force other"),
+    ("set,reading", "uy", None, "set", "reading", "goal other"),
+    ("applied,measured", "uy", None, "applied", "measured", "force other"),
+    ("inch,adc", "uy", None, "inch", "adc", "other other"),
+    ("a,b", "uy", None, "a", "b", "other other"),
+    ("b,a", "yu", None, "a", "b", "other other"),  # the held one that comes first drives
+    ("step,commanded [ticks],measured [ticks]", "nuy", None, "commanded", "measured", None),
+    ("index,volt,temperature", "nuy", None, "volt", "temperature", "drive other"),
+    ("time,load_W,power_W", "tuy", "time", "load_W", "power_W", "force other"),
+    ("time,load_kg,weight_kg", "tuy", "time", "load_kg", "weight_kg", "force force"),
+    ("time,fan_pct,flow", "tuy", "time", "fan_pct", "flow", "drive other"),
+    ("time,pump_pct,level_mm", "tuy", "time", "pump_pct", "level_mm", "drive position"),
+    ("time,plunger,volume", "tuy", "time", "plunger", "volume", "position other"),
+    ("time_ms,force,wheel", "muy", "time_ms", "force", "wheel", "force position"),
+    ("t,displacement [in],force [kip],velocity", "tuyx", "t", "displacement", "force", None),
+    ("t,motor_deg,joint_deg", "tuy", "t", "motor_deg", "joint_deg", "position position"),
+    ("t,motor_rpm,load_rpm", "tuy", "t", "motor_rpm", "load_rpm", "speed speed"),
+    ("__time,/cmd_vel/linear/x,/odom/twist/x", "tuy", "__time", "/cmd_vel/linear/x", None, None),
+    (
+        "Time,/cmd/position[0],/cmd/position[1],/joint_states/position[0],/joint_states/position[1]",
+        *("txu-y", "Time", "/cmd/position[1]", "/joint_states/position[1]", "goal position"),
+    ),
+    (
+        "timestamp,frame_index,observation.state_0,action_0,observation.state_1,action_1",
+        *("tnyucc", "timestamp", "action_0", "observation.state_0", "goal position"),
+    ),
+    ("t,command,speed", "tuy", "t", "command", "speed", "goal speed"),
+    ("t,motor_current,motor_position", "tuy", "t", "motor_current", "motor_position", None),
+    ("t,valve,process_value", "tuy", "t", "valve", "process_value", "drive pv"),
+    ("secs,throttle,airspeed", "tuy", "secs", "throttle", "airspeed", "drive speed"),
+    ("t,DECGuideDistance,DECRawDistance,SNR", "tuyx", "t", None, "DECRawDistance", None),
+    ("t,u,y,z_true", "tuyx", "t", "u", "y", "other other"),
+    ("t,y,y_mm,u", "tyxu", "t", "u", "y", "other other"),
+    ("t,first,second", "tuy", "t", "first", "second", "other other"),
+    ("t,second,first", "tyu", "t", "first", "second", "other other"),
+    (",stick,gyro", "tuy", "", "stick", "gyro", "drive speed"),
+]
+
+
+def text_of(header: str, columns: list[np.ndarray]) -> str:
+    """Return a CSV text with this header."""
+    between = ";" if ";" in header else ","
+    rows = (between.join(f"{value:.6g}" for value in row) for row in np.column_stack(columns))
+    return "\n".join([header, *rows, ""])
+
+
+@pytest.mark.parametrize(("header", "does", "time", "u", "y", "kinds"), SHAPES)
+def test_columns(
+    header: str, does: str, time: str | None, u: str | None, y: str | None, kinds: str | None,
+    tmp_path: Path,
+) -> None:  # fmt: skip
+    path = tmp_path / "log.csv"
+    path.write_text(text_of(header, [COLUMNS[one] for one in does]))
+    log = read_log(path)
+    assert log.has_clock is (time is not None)
+    assert np.allclose(np.diff(log.t), 1.0 if time is None else 0.02)
+    assert np.allclose(log.u[:, 0], COLUMNS["u"])
+    assert np.allclose(log.y[:, 0], COLUMNS["y"], atol=1e-4)
+    assert u is None or log.inputs[0] == u
+    assert y is None or log.outputs[0] == y
+    if kinds is not None:
+        assert [log.input_kinds[0], log.output_kinds[0]] == kinds.split()
+    if {u, y} != {"u", "y"}:
+        option = log.remarks[0].split('--columns "')[1].split('"')[0]
+        again = read_log(path, option)
+        assert np.array_equal(again.y, log.y), "the option that is printed reads the same"
+        assert np.array_equal(again.u, log.u)
+        assert np.array_equal(again.t, log.t)
+
+
+def test_where_fewer_than_two_columns_vary_the_file_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    for header, does in (("t,a", "tu"), ("alone", "u")):
+        path.write_text(text_of(header, [COLUMNS[one] for one in does]))
+        with pytest.raises(FileError, match="no name shows which column holds"):
+            read_log(path)
+
+
+def test_a_position_is_no_speed_and_a_current_a_torque() -> None:
+    for name, unit, kind in (
+        *(("current position", "", "position"), ("position", "rpm", "speed")),
+        *(("motor", "deg", "position"), ("present current", "mA", "torque")),
+        *(("torque", "", "torque"), ("tau_J", "", "torque"), ("MV", "", "op")),
+        *(("target speed", "rpm", "goal"), ("LIC7.SP", "", "sp"), ("x", "", "other")),
+    ):
+        assert kind_of(name, unit) == kind, name
+
+
+# --- times
+
+RESTARTED = np.tile(0.02 * np.arange(SIZE // 2), 2)
+
+
+def shifted(k: int, by: float) -> np.ndarray:
+    """Return the times with one that is wrong."""
+    t = COLUMNS["t"].copy()
+    t[k] += by
+    return t
+
+
+@pytest.mark.parametrize(
+    ("t", "samples", "records", "words"),
+    [
+        (shifted(50, -0.021), SIZE - 1, 1, "1 samples have a missing or wrong time"),
+        (shifted(50, 100.0), SIZE - 1, 1, "1 samples have a missing or wrong time"),
+        (shifted(0, 100.0), SIZE - 1, 1, "1 samples have a missing or wrong time"),
+        (shifted(50, np.nan), SIZE - 1, 1, "1 samples have a missing or wrong time"),
+        (RESTARTED, SIZE, 2, "each session is a record"),
+        (np.floor(COLUMNS["t"] * 10) / 10, SIZE, 1, "spread evenly"),
+        (COLUMNS["t"] + 14.0 * (np.arange(SIZE) > 70), SIZE, 2, None),
+    ],
+)
+def test_times(
+    t: np.ndarray, samples: int, records: int, words: str | None, tmp_path: Path
+) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text(text_of("t,u,y", [t, HELD, FOLLOWS]))
+    log = read_log(path)
+    grid = to_grid([log])
+    assert log.t.size == samples
+    assert grid.start.size == records
+    assert grid.ok.sum() == samples
+    assert grid.step == pytest.approx(0.02, rel=0.01)
+    assert words is None or any(words in remark for remark in log.remarks)
+    if words is not None and "session" not in words and "spread" not in words:
+        with pytest.raises(FileError, match="time"):
+            read_log(path, strict=True)
+
+
+def test_times_at_random_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text(text_of("t,u,y", [np.random.default_rng(0).uniform(size=SIZE), HELD, FOLLOWS]))
+    with pytest.raises(FileError, match="time does not increase"):
+        read_log(path)
+
+
+# --- outliers
+
+
+@pytest.mark.parametrize(
+    ("make", "left_out"),
+    [
+        (lambda y: y.put([700, 2100], [-3e4, 5e4]), 2),  # alone in silence
+        (lambda y: y.put([1410], [y[1410] + 4e4]), 1),  # alone on a slope
+        (lambda y: y.put([720], [150.0]), 0),  # a passage of an edge
+        (lambda y: None, 0),
+    ],
+)
+def test_an_outlier_decides_no_edge(
+    make: Callable[[np.ndarray], None], left_out: int, tmp_path: Path
+) -> None:
+    """A scale with one sign of load, silent below its cut-off."""
+    u = np.repeat(np.maximum(np.random.default_rng(1).uniform(-9, 9, 40), 0), 60)
+    z = np.convolve(u, np.full(20, 0.05))[: u.size]
+    y = np.where(z > 0.8, np.round(4120 * (z - 0.8)), 0.0)
+    make(y)
+    path = tmp_path / "log.csv"
+    path.write_text(text_of("t,u,y", [0.0125 * np.arange(u.size), u, y]))
+    grid = to_grid([read_log(path)])
+    remarks: list[str] = []
+    used = select_readings(grid, remarks)
+    spikes = [int(one.split()[0]) for one in remarks if "far from" in one]
+    assert sum(spikes) == left_out
+    assert (grid.y[used.ok] >= 0).all()
