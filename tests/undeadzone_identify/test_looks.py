@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from types import ModuleType
 
 import numpy as np
 import pytest
 
 from undeadzone.util.arrays import Floats
+from undeadzone_identify.looks import edges as edges_module
+from undeadzone_identify.looks import map as maps
 from undeadzone_identify.looks.edges import Edge
 from undeadzone_identify.looks.map import FlatPart, RestMap, map_at_rest, map_of_rate
 from undeadzone_identify.looks.rows import noise_of, rows_at_rest, turns
@@ -83,6 +86,33 @@ def test_a_map_has_the_shape_and_the_edges_of_its_truth(name: str, size: int) ->
                 assert edge.interval.low <= truth <= edge.interval.high
                 assert edge.interval.value == pytest.approx(truth, abs=0.03)
                 assert edge.jumps == (name == "threshold")
+
+
+@pytest.mark.parametrize("factor", [0.5, 2])
+@pytest.mark.parametrize(
+    ("module", "names"),
+    [
+        (maps, "STEEPER FLAT HIDES LEAST WIDE CANDIDATES NEAREST FARTHER BENT TURN LARGEST"),
+        (edges_module, "MILD SURE LEAP RISES BEYOND KNOWN TENTHS"),
+    ],
+)
+def test_half_and_double_of_a_constant_change_no_map(
+    monkeypatch: pytest.MonkeyPatch, module: ModuleType, names: str, factor: float
+) -> None:
+    u = np.linspace(-1, 1, 61)
+    noise = 2e-3 * np.random.default_rng(2).standard_normal(u.size)
+    for name in names.split():
+        with monkeypatch.context() as patch:
+            value = getattr(module, name)
+            patch.setattr(module, name, type(value)(factor * value))
+            for shape in ("bent band", "low end", "threshold", "line", "soft limit"):
+                function, word, edges = SHAPES[shape]
+                rest = found(u, function(u) + noise)
+                assert (name, rest.shape, len(rest.flats)) == (name, word, edges is not None)
+                if edges is not None and edges[1] is not None:
+                    edge = rest.flats[0].right
+                    assert edge is not None
+                    assert edge.interval.value == pytest.approx(edges[1], abs=0.03)
 
 
 def test_exact_edges_are_recovered_from_exact_rows() -> None:

@@ -16,6 +16,8 @@ from scipy.stats import t as student
 from undeadzone.util.arrays import Flags, Floats
 from undeadzone_identify.models.estimates import Interval
 
+# Half and double of a number below change no shape and no edge of the tests' maps:
+# test_half_and_double_of_a_constant_change_no_map.
 BENDS = ((), (0.4,), (0.15, 0.5), (0.06, 0.2, 0.5), (0.1, 0.25, 0.5, 0.75))
 RISES = 0.25  # of the mean slope outside: the least slope just beyond an edge
 BEYOND = 3  # moving rows between an edge and the first bend, at least

@@ -27,6 +27,8 @@ from undeadzone_identify.looks.rows import (
 )
 from undeadzone_identify.models.estimates import Interval
 
+# Half and double of a number below change no shape and no edge of the tests' maps:
+# test_half_and_double_of_a_constant_change_no_map.
 MOST = 400  # levels of a map; more are put together by quantiles
 CLOSE = 1e-3  # of the commands' range, below which two levels are one
 WIDE, FINE = 0.012, 1e-4  # of the range: distances from the level of a candidate
