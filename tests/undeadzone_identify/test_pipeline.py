@@ -40,7 +40,6 @@ from undeadzone_identify.models.zone import WidthLimits, ZoneObjective
 from undeadzone_identify.models.zone_fit import (
     ZoneFit,
     fit_zone,
-    polish_fit,
     remove_odd_poles,
 )
 from undeadzone_identify.selection.widths import profile_likelihood
@@ -154,7 +153,7 @@ def test_score_of_all_numbers_of_two_records() -> None:
 @pytest.fixture(scope="module")
 def fitted() -> ZoneFit:
     _, u, y, _ = record(noise=0.05)
-    return polish_fit(fit_zone(PlantSimulator(data_of(u, y), 2), WidthLimits()))
+    return fit_zone(PlantSimulator(data_of(u, y), 2), WidthLimits())
 
 
 def test_the_fit_ends_at_a_top(fitted: ZoneFit) -> None:
