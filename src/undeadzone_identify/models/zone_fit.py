@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtr
 
-from undeadzone.util.arrays import Flags, Floats, rows_since_start
+from undeadzone.util.arrays import Flags, Floats, Integers, rows_since_start
 from undeadzone_identify.models.estimates import Maximum, best_maximum, maximise_likelihood
 from undeadzone_identify.models.likelihood import dead_zone, unit_density
 from undeadzone_identify.models.plant import (
@@ -23,6 +23,7 @@ from undeadzone_identify.models.zone import Kind, WidthLimits, ZoneObjective
 
 SHARES = (0.15, 0.5, 1.2)  # start values of the widths [rms of y]
 SLOWEST = (0.14, 0.05, 0.02, 0.007)  # start values of the slowest time constant [record length]
+FEW = 3  # least number of runs on a side, per parameter, for the ARX model of a side
 
 
 class ZoneFit(NamedTuple):
@@ -176,7 +177,7 @@ def fit_linear(simulator: PlantSimulator, use: Flags | None = None) -> ZoneFit:
     level = (0.0, 0.0) if simulator.layout.integrators else (-math.inf, math.inf)
     objective = ZoneObjective(simulator, "behind", WidthLimits(right=level, zone=False), use)
     theta: Floats = np.zeros(objective.layout.parameter_count)
-    a, b = fit_arx(simulator, objective.readings.ok)
+    a, b, _ = fit_arx(simulator, None, use)
     theta[objective.layout.denominator] = stabilise_poles(a)
     theta[objective.layout.numerators] = b
     if simulator.layout.integrators and a.size:
@@ -239,12 +240,13 @@ def outside_correlation(fit: ZoneFit) -> float:
 
 
 def zone_starts(objective: ZoneObjective) -> list[Floats]:
-    """Return start points (P each): a linear fit with several widths."""
+    """Return start points (P each): ARX models of both sides, a linear fit with several widths."""
     simulator = objective.simulator
     layout = objective.layout
     use = objective.readings.ok
     linear = fit_linear(simulator, use)
-    starts = []
+    by_branch = start_by_branch(objective)
+    starts = [] if by_branch is None else [by_branch]
     halves = [*SHARES]
     if simulator.data.silent_zeros:
         inside_share = float(np.mean(objective.readings.side[use] == 0))
@@ -263,29 +265,76 @@ def widths_about_level(linear: ZoneFit, half: float) -> Floats:
     return half + linear.right * np.array([1.0, -1.0])
 
 
-def fit_arx(simulator: PlantSimulator, use: Flags) -> tuple[Floats, Floats]:
-    """Fit y_t on past y and u and a constant by least squares; for integrators, differences of y.
+def start_by_branch(objective: ZoneObjective) -> Floats | None:
+    """Return a start point (P) from an ARX model on runs outside the zone; None if they are few.
+
+    The model has a constant for each side. Behind A(q), their difference is the width.
+    """
+    layout = objective.layout
+    if layout.integrators:
+        return None  # differences of the readings contain no constants
+    a, b, levels = fit_arx(objective.simulator, objective.readings.side, objective.readings.ok)
+    if levels is None:
+        return None
+    gain = 1 + a.sum()
+    if abs(gain) < 1e-9:
+        return None
+    width = np.clip((levels[1] - levels[0]) / gain, 0.02, 6.0)
+    shift = (levels[1] + levels[0]) / gain / 2
+    theta = np.zeros(layout.parameter_count)
+    theta[layout.denominator] = stabilise_poles(a)
+    theta[layout.numerators] = b
+    theta[layout.right] = max(width / 2 - shift, 0.02)
+    theta[layout.right + 1] = max(width / 2 + shift, 0.02)
+    theta[layout.right + 2] = math.log(0.2)
+    return theta
+
+
+def fit_arx(
+    simulator: PlantSimulator, side: Integers | None, use: Flags | None
+) -> tuple[Floats, Floats, Floats | None]:
+    """Fit y_t on past y and u by least squares; for integrators, differences of y.
 
     Args:
         simulator: plant of the order, with the lagged inputs.
+        side: side of each sample (N): only runs of n + 1 samples outside the zone on one side
+            count, and each side has a constant. None: all samples count, with one constant.
         use: flags of the samples that count (N).
 
     Returns:
-        a (n), b (m n).
+        a (n), b (m n), and the constants of right and left (2); None without sides, or if too few
+        runs are outside the zone.
     """
     data = simulator.data
     layout = simulator.layout
+    n = layout.n
     free = layout.denominator.stop
+    valid = data.ok if use is None else data.ok & use
     y = data.y
     for _ in range(layout.integrators):
         y = y - np.roll(y, 1)
-    past = [np.roll(y, i)[:, None] for i in range(1, free + 1)]
-    usable = use & (rows_since_start(data.start, y.size) >= layout.n)
-    for i in range(1, layout.n + 1):
-        usable &= np.roll(use, i)
-    matrix = np.hstack([*(-column for column in past), simulator.lagged, np.ones((y.size, 1))])
-    solution = np.linalg.lstsq(matrix[usable], y[usable], rcond=1e-10)[0]
-    return solution[:free], solution[free:-1]
+    past = np.column_stack([np.roll(y, i) for i in range(1, free + 1)] or [np.empty((y.size, 0))])
+    usable = valid.copy()
+    for i in range(1, n + 1):
+        usable &= np.roll(valid, i)
+        if side is not None:
+            usable &= np.roll(side, i) == side
+    usable &= rows_since_start(data.start, y.size) >= n
+    columns = [-past, simulator.lagged]
+    if side is not None:
+        right = usable & (side > 0)
+        left = usable & (side < 0)
+        usable = right | left
+        fewest = FEW * (n + simulator.lagged.shape[1])
+        if right.sum() < fewest or left.sum() < fewest:
+            return np.zeros(free), np.zeros(simulator.lagged.shape[1]), None
+        columns += [1.0 * right[:, None], 1.0 * left[:, None]]
+    else:
+        columns.append(np.ones((y.size, 1)))
+    matrix = np.hstack(columns)[usable]
+    solution = np.linalg.lstsq(matrix, y[usable], rcond=1e-10)[0]
+    levels = solution[-2:] if side is not None else None
+    return solution[:free], solution[free : free + simulator.lagged.shape[1]], levels
 
 
 def _centre_zone(objective: ZoneObjective, theta: Floats) -> Floats:

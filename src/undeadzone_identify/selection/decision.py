@@ -413,8 +413,7 @@ def _describe_instability(case: Case) -> str | None:
         case: the log.
     """
     for order in case.fitted.fits:
-        simulator = order.fit.objective.simulator
-        a = fit_arx(simulator, simulator.data.ok)[0]
+        a = fit_arx(order.fit.objective.simulator, None, None)[0]
         pole = math.log(max(np.abs(np.roots(np.append(1.0, a))), default=1.0) or 1.0)
         if pole * case.record_data.y.size > GROWS:
             return (
