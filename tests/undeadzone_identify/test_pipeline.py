@@ -356,7 +356,7 @@ def test_friction_family_with_c_equal_a_is_a_sensor_zone() -> None:
     u = steps(rng, 400)
     lagged = np.column_stack([np.append(np.zeros(j), u[: u.size - j]) for j in (1, 2)])
     pulses = np.eye(400, 2)
-    numbers = np.array([*A, *B, 0.0, 0.0, *A, 0.3, 0.2, 0.0, 0.0, 0.0])
+    numbers = np.array([*A, *B, 0.0, 0.0, *A, 0.3, 0.2, 0.0, 0.0])
     z = simulate_friction(2, 1, False, np.hstack([lagged, pulses]), numbers[None, :])[0]
     w = lfilter(np.append(0.0, B), np.append(1.0, A), u)
     assert np.abs(z - deadzone(w, 0.3, 0.2)).max() < 1e-12
