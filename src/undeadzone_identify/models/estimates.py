@@ -458,6 +458,29 @@ def sandwich_covariance(
     return EstimateCovariance(inverse @ J @ inverse, inverse, number, scores)
 
 
+def raise_to_outer_products(hessian: Floats, outer: Floats) -> Floats:
+    """Return a Hessian raised to at least half of the scores' outer products.
+
+    Both are equal in expectation if the model is right. So the result differs only in directions
+    in which the Hessian by differences is wrong, as along the logarithm of a variance near 0.
+
+    Args:
+        hessian: minus the second derivative, by differences (P x P).
+        outer: sum of the outer products of the scores (P x P).
+
+    Returns:
+        A positive Hessian (P x P).
+    """
+    scale = 1 / np.sqrt(np.diag(outer) + 1e-300)
+    values, vectors = np.linalg.eigh(require_finite_matrix(outer * np.outer(scale, scale)))
+    root = vectors * np.sqrt(np.maximum(values, 1e-10 * values.max()))
+    whiten = np.linalg.pinv(root)
+    symmetric = 0.5 * (hessian + hessian.T) * np.outer(scale, scale)
+    ratios, axes = np.linalg.eigh(require_finite_matrix(whiten @ symmetric @ whiten.T))
+    raised = (axes * np.maximum(ratios, 0.5)) @ axes.T
+    return root @ raised @ root.T / np.outer(scale, scale)
+
+
 def weight_row(
     free: Integers, size: int, first: int, weights: Sequence[float], tied: bool = False
 ) -> Floats:

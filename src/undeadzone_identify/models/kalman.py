@@ -326,8 +326,27 @@ class KalmanObjective:
     def robust_covariance(self, p: Floats) -> estimates.EstimateCovariance:
         """Return the robust covariance (I1) of the free parameters (F x F); cached.
 
-        The Hessian is the outer product of the scores: the innovations are independent.
+        The Hessian consists of central differences of scores, which are central differences of log
+        densities.
         """
         _, scores = self.densities_and_scores(p)
-        hessian = scores.T @ scores + 1e-12 * np.eye(self.free.size)
-        return estimates.sandwich_covariance(scores, hessian)
+        outer = scores.T @ scores
+        scale = 1 / np.sqrt(np.diag(outer) + 1e-12)
+        steps = np.minimum(3e-2 * scale, 0.05)
+        points = estimates.perturb_each(p, self.free, steps)[1:]
+        score_steps = [self._score_steps(point) for point in points]
+        score_points = [
+            estimates.perturb_each(point, self.free, small)[1:]
+            for point, small in zip(points, score_steps, strict=True)
+        ]
+        logs = self.log_densities(np.concatenate(score_points)).sum(axis=1)
+        point_scores = [
+            estimates.central_differences(values, small)
+            for values, small in zip(logs.reshape(len(points), -1), score_steps, strict=True)
+        ]
+        hessian = -estimates.central_differences(np.array(point_scores), steps)
+        if not np.isfinite(hessian).all():
+            hessian = outer
+        return estimates.sandwich_covariance(
+            scores, estimates.raise_to_outer_products(hessian, outer)
+        )
