@@ -24,7 +24,7 @@ from undeadzone_identify.models.estimates import (
 )
 from undeadzone_identify.models.kalman_fit import KalmanFit, fit_kalman
 from undeadzone_identify.models.plant import PlantSimulator, delay_inputs
-from undeadzone_identify.models.zone_fit import ZoneFit, fit_zone, polish_fit
+from undeadzone_identify.models.zone_fit import ZoneFit, fit_zone
 from undeadzone_studies.statistics.intervals import proportion
 
 FAMILIES = ("white", "coloured", "strong", "sines", "one", "drift", "heavy", "late")
@@ -52,7 +52,7 @@ def stages(family: str, seed: int) -> tuple[list[Coverage], Floats]:
     samples = fit_zone(PlantSimulator(data, log.n), prepared.limits)
     filtered = fit_kalman(samples)[0]
     truth = np.array([log.right, log.left, log.right + log.left]) / data.y_scale
-    coverages = [of_fit(fit, truth) for fit in (polish_fit(samples), filtered)]
+    coverages = [of_fit(fit, truth) for fit in (samples, filtered)]
     error = np.array([filtered.right, filtered.left]) - truth[:2]
     return coverages, np.abs(error) * data.y_scale
 

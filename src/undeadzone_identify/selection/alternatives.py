@@ -28,7 +28,6 @@ from undeadzone_identify.models.estimates import Interval, best_maximum, long_ru
 from undeadzone_identify.models.kalman_fit import KalmanFit
 from undeadzone_identify.models.least_squares import (
     CHANCE,
-    LEAST_ODD,
     FittedModel,
     LeastSquares,
 )
@@ -62,7 +61,6 @@ from undeadzone_identify.selection.decision import (
     classify_by_probabilities,
     detect_feedback,
 )
-from undeadzone_identify.selection.delays import GLITCH, RARE
 from undeadzone_identify.selection.odds import Family, model_probabilities
 from undeadzone_identify.selection.orders import (
     HeldOutScore,
@@ -355,7 +353,6 @@ def _fit_plays(case: Case, data: plant.RecordData) -> dict[str, PlayFit]:
     )
     if play is None:
         return {}
-    play = _refit_without_glitches(play)
     both = fit_play_and_zone([play, *begun])
     return {"play": play} | ({} if both is None else {"both": both})
 
@@ -375,17 +372,6 @@ def _needs_play_test(case: Case, found: Findings) -> bool:
         model_probabilities((*found.models, models), impossible_words(case)).get("both", 0.0)
         > UNLIKELY
     )
-
-
-def _refit_without_glitches(fit: PlayFit) -> PlayFit:
-    """Fit again without the few readings that the model cannot have produced."""
-    data, e = fit.squares.data, fit.squares.reading_residual(fit.theta)
-    usual = float(np.median(np.abs(e[data.ok]))) / 0.6745
-    odd = data.ok & (np.abs(e) > GLITCH * max(usual, LEAST_ODD))
-    if not odd.any() or odd.sum() > RARE * data.ok.sum():
-        return fit
-    regular = data._replace(ok=data.ok & ~odd, y=np.where(odd, 0.0, data.y))
-    return LeastSquares(fit.model.along(regular)).fit_from_starts([fit.theta]) or fit
 
 
 def add_play_gap(case: Case, found: Findings) -> Findings:

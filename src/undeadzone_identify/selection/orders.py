@@ -101,14 +101,13 @@ def fit_orders(
 
 
 def _improve_orders(fits: list[OrderFit], train: Flags) -> list[OrderFit]:
-    """Return the orders, the best refined, and without poles that no continuous plant has.
+    """Return the orders, smaller ones begun again without poles that no continuous plant has.
 
     Args:
         fits: one an order.
         train: samples that are used where the rest checks (N).
     """
     fits, best = list(fits), fits.index(best_order(fits))
-    fits[best] = _improve_order(fits[best], fits[best].fit.theta, train)
     for place in range(best, 0, -1):
         if has_continuous_poles(fits[place].fit):
             break
