@@ -56,12 +56,13 @@ def measure_levels(
 ) -> Measured:
     """Measure right, left, width and centre of an element.
 
-    A half interval is the widest of the stages'. By how much the first and the last stage differ,
-    and how far the largest misfit moves the number, is added in quadrature.
+    The values are those of the last stage, unless an earlier one knows the width more exactly. A
+    half interval is the widest of the stages' up to it. By how much the first and the last stage
+    differ, and how far the largest misfit moves the number, is added in quadrature.
 
     Args:
         levels: right and left by theta.
-        stages: objective and theta of each stage; the values are those of the last one.
+        stages: objective and theta of each stage.
         misfits: changes of the free parameters of the first stage by remainders of the model.
     """
     halves = []
@@ -76,11 +77,13 @@ def measure_levels(
             moved = np.abs(rows @ np.array(misfits).T).max(axis=1)
     intervals = {}
     least = math.inf
+    widest = list(DIRECTIONS).index("width")
+    last = int(np.argmin([stage[widest][0] for stage in halves]))
     for k, (name, row) in enumerate(DIRECTIONS.items()):
-        half, degrees = max(stage[k] for stage in halves)
+        half, degrees = max(stage[k] for stage in halves[: last + 1])
         apart = values[-1][k] - values[0][k]
         wider = math.hypot(half, apart, moved[k], heaviest(row) * FINEST)
-        intervals[name] = Interval.from_half_width(float(values[-1][k]), wider)
+        intervals[name] = Interval.from_half_width(float(values[last][k]), wider)
         least = min(least, degrees)
     return Measured(intervals, least)
 

@@ -7,7 +7,6 @@ in the fit are simulated better with it than by a straight plant, by a paired co
 from __future__ import annotations
 
 import math
-from itertools import islice
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -61,7 +60,6 @@ EFFECT_OF = {  # words of the verdict
     "tight_tuning": "tuning",
 }
 SIDES = ("right", "left")
-TRIED = 5  # of the likeliest models, that are compared on held-out data
 OTHERS = 2  # effects that are printed beside the first
 SIMILAR = 1.1  # of the least held-out error, up to which a model simulates as well
 HINT, GAINS, SHOWS = 1.5, 0.02, 0.75  # deviations and share of squares, or share of the rms that
@@ -230,9 +228,8 @@ def _account_of_fits(answer: Answer, units: tuple[str, str]) -> Account:
         return _open(answer, units)
     line, test = straight
     weights = model_probabilities(found.models, {*found.denied, *impossible_words(case)})
-    likely = (word for word in weights if word != "none" and word in EFFECT_OF)
     rows = []
-    for word in islice(likely, TRIED):
+    for word in filter(EFFECT_OF.get, weights):
         there = _compare(answer, word)
         if there is not None and there[0].error.size == line.error.size:
             rows.append(there[0])
