@@ -40,7 +40,10 @@ SAME = {  # effects that share a remedy, or that a log of one end cannot tell ap
     "output loss": ("loss",),
     "input reversal": ("output reversal", "free play"),
     "output reversal": ("input reversal",),
-    "output threshold": ("low end",),
+    "output threshold": ("low end", "output loss"),
+    "low end": ("output range",),
+    "high end": ("output range",),
+    "input range": ("input shape",),
 }
 
 
@@ -83,6 +86,21 @@ def _columns(step: float, u: Floats, y: Floats) -> dict[str, Floats]:
     return {"t": step * np.arange(len(y)), "u": u, "y": y}
 
 
+BY_HAND = {  # effects of strangers whose words have none
+    "limit of the input": ("input range", "input shape"),
+    "lag, zone, plant": ("input loss", "input shape"),
+    "lag, soft limit, plant": ("input range", "input shape"),
+    "least pulse": ("input threshold", "input loss"),
+    "relay": ("input shape", "input threshold"),
+    "relay with hysteresis": ("input shape", "input threshold", "input reversal"),
+    "slow drive that saturates": ("input range", "input shape"),
+    "rounded input": ("input shape", "input threshold"),
+    "input without its sign": ("input shape",),
+    "comparator": ("output shape", "output range", "output threshold"),
+    "zone, sensor of changes": ("output loss",),
+}
+
+
 def logs(family: str, seed: int) -> Iterator[tuple[str, Door]]:
     """Yield the logs of a family with a seed.
 
@@ -105,7 +123,8 @@ def logs(family: str, seed: int) -> Iterator[tuple[str, Door]]:
         for name, kind in ALL.items():
             strange = kind.make(np.random.default_rng(9000 + seed))
             if not strange.options and strange.u.ndim == 1:
-                yield name, _of_words(_columns(STEP, strange.u, strange.y), kind.right, None)
+                door = _of_words(_columns(STEP, strange.u, strange.y), kind.right, strange.width)
+                yield name, door._replace(effects=BY_HAND.get(name, door.effects))
         return
     if family == "reports":
         for name, draw in REPORTS.items():

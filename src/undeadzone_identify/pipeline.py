@@ -26,6 +26,7 @@ from undeadzone_identify.logs.log import AT_ONCE, Log, Options, log_from_arrays,
 from undeadzone_identify.logs.prepare import (
     PreparedLog,
     feasible_orders,
+    find_silent_level,
     prepare_log,
     require_readings,
 )
@@ -392,7 +393,7 @@ def identify_output(grid: Grid, options: Options, advance: Callable[[int], None]
     Raises:
         InputError: nothing can be learnt.
     """
-    grid = _count_from_zone(grid, options)
+    grid, options = _count_from_silence(_count_from_zone(grid, options), options)
     servo = None if is_named_loop(grid) else identify_tick_servo(grid, options)
     if servo is not None:
         is_plain = options.integrators > 0 and servo.is_integrating and has_no_gap(servo)
@@ -440,6 +441,16 @@ def _count_from_zone(grid: Grid, options: Options) -> Grid:
     zero = find_input_zero(PlantSimulator(data, 2, options.integrators)) * float(data.u_scale[0])
     words = f"the input is never near 0: it counts from {zero:.6g}"
     return grid._replace(u=grid.u - zero, zero=zero, remarks=[*grid.remarks, words])
+
+
+def _count_from_silence(grid: Grid, options: Options) -> tuple[Grid, Options]:
+    """Return readings that count from the one that comes back as inside a zone, as by `zero`."""
+    value = 0.0 if options.zero else find_silent_level(grid)
+    if not value:
+        return grid, options
+    words = f"the reading {value:.6g} comes back exactly: readings count from it"
+    shifted = grid._replace(y=grid.y - value, remarks=[*grid.remarks, words])
+    return shifted, msgspec.structs.replace(options, zero=value)
 
 
 def _identify_servo(

@@ -204,8 +204,10 @@ def test_an_offset_behind_the_zone_is_named() -> None:
     assert "constant offset behind the zone" in answer.answer.reasons[0]
     cured = uz.identify(t=STEP, u=u, y=y, order=2, zero=0.1, place="sensor", delay=0)
     assert cured.right.low <= 0.5 <= cured.right.high
-    with pytest.raises(InputError, match=r"comes back exactly.*--zero 1.25"):
-        uz.identify(t=STEP, u=u, y=1.25 + dead_zone(z, 0.5, 0.3), order=2)
+    exact = uz.identify(t=STEP, u=u, y=1.25 + dead_zone(z, 0.5, 0.3), order=2)
+    assert exact.verdict == "dead_zone"
+    assert exact.right.value == pytest.approx(0.5, abs=0.01)
+    assert exact.answer.case.options.zero == 1.25
 
 
 def test_a_spring_that_stiffens_is_no_zone() -> None:

@@ -258,7 +258,6 @@ def prepare_log(grid: Grid, options: Options) -> PreparedLog:
             that never changes or is silent throughout, or vanishes once squared.
     """
     remarks = list(grid.remarks)
-    _require_silence_at_zero(grid)
     ok, at_ends, ends = select_readings(grid, remarks)
     y = np.where(ok, grid.y, 0.0)
     threshold = 0.5 * grid.quantum * (1 - 1e-9)
@@ -297,24 +296,18 @@ def prepare_log(grid: Grid, options: Options) -> PreparedLog:
     )
 
 
-def _require_silence_at_zero(grid: Grid) -> None:
-    """Require that no non-zero reading returns as often as inside a zone. Raise InputError."""
+def find_silent_level(grid: Grid) -> float:
+    """Return the reading that comes back as often as inside a zone [y]; 0 if none does."""
     y = grid.y[grid.ok]
     values, counts = np.unique(y, return_counts=True)
     if values.size < 3:
-        return
-    order = np.argsort(counts)
-    most = int(order[-1])
-    next_most = int(order[-2])
-    value = float(values[most])
-    count = int(counts[most])
-    low, high = np.quantile(y[y != value], [0.05, 0.95]) if count < y.size else (value, value)
+        return 0.0
+    next_most, most = np.argsort(counts)[-2:]
+    value, count = float(values[most]), int(counts[most])
+    low, high = np.quantile(y[y != value], [0.05, 0.95])
     returns = low < value < high and bounds_of_runs(grid.ok & (grid.y == value))[0].size > 1
-    if value != 0 and returns and count > ZEROS * y.size and count > OFTEN * counts[next_most]:
-        raise InputError(
-            f"log: the reading {value:.9g} comes back exactly in {100 * count / y.size:.0f} % of"
-            f" the samples. If the sensor is silent there, and not at 0, use --zero {value:.9g}"
-        )
+    is_often = count > ZEROS * y.size and count > OFTEN * counts[next_most]
+    return value if returns and is_often else 0.0
 
 
 def require_readings(count: int, remarks: str = "") -> None:

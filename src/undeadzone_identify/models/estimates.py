@@ -291,8 +291,8 @@ class Interval(NamedTuple):
         return Interval(value, value - half, value + half)
 
     def scale_by(self, factor: float) -> Interval:
-        """Return the interval in other units."""
-        return Interval(self.value * factor, self.low * factor, self.high * factor)
+        """Return the interval in other units, or of the other sign."""
+        return Interval(self.value * factor, *sorted((self.low * factor, self.high * factor)))
 
     def stretch_by(self, factor: float) -> Interval:
         """Return the interval with both halves multiplied by a factor."""

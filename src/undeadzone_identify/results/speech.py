@@ -14,6 +14,7 @@ import numpy as np
 from undeadzone.util.arrays import Flags, Floats
 from undeadzone_identify.models.elements import FEWEST
 from undeadzone_identify.models.least_squares import FittedModel
+from undeadzone_identify.models.measured import measure_fit
 from undeadzone_identify.results.account import (
     BOUNDED,
     INDICATED,
@@ -31,12 +32,10 @@ from undeadzone_identify.selection.alternatives import (
     fit_of,
     gain_and_spread,
     held_out_residual,
-    impossible_words,
     measure_word,
 )
 from undeadzone_identify.selection.decision import MEMORY
 from undeadzone_identify.selection.lost_motion import LostMotionAnswer
-from undeadzone_identify.selection.odds import model_probabilities
 
 DYNAMICS = "plant and nonlinearity, fitted together"
 BOTH_POSITIONS = "one position along the other"
@@ -60,10 +59,10 @@ EFFECT_OF = {  # words of the verdict
     "tight_tuning": "tuning",
 }
 SIDES = ("right", "left")
+SIZES = ("width", "gap", "level")
 OTHERS = 2  # effects that are printed beside the first
-SIMILAR = 1.1  # of the least held-out error, up to which a model simulates as well
-HINT, GAINS, SHOWS = 1.5, 0.02, 0.75  # deviations and share of squares, or share of the rms that
-# is left, from which an effect is worth a number
+SURE, LESS, SHOWS = 3.0, 0.9, 0.75  # deviations and share of the straight plant's rms, or a share
+# alone, below which an effect is worth a number
 EXPLAINED = 0.5  # share of the held-out readings, from which a straight plant bounds an effect
 
 
@@ -81,7 +80,9 @@ def account_of_answer(answer: Answer) -> Account:
             _account_of_fits(answer, units) if answer.found.valve is None else _open(answer, units)
         )
     if word == "operating_point":
-        return _open(answer, units)
+        limits = _find_limits(answer)
+        limits.pop("output loss", None)  # whose edges were not met
+        return _open(answer, units)._replace(grade=BOUNDED if limits else OPEN, limits=limits)
     effects = {}
     if word in EFFECT_OF:
         effects[EFFECT_OF[word]] = _named_numbers(answer)
@@ -124,6 +125,9 @@ def _named_numbers(answer: Answer) -> Numbers:
     """Return the numbers of a named class: both sides, else the width; of friction its level."""
     if answer.found.friction is not None and answer.verdict == "friction":
         return {"level": answer.found.friction}
+    if answer.verdict == "saturation":
+        fit = fit_of(answer.case, answer.found, answer.verdict)
+        return {} if fit is None else _find_ends(fit, answer.scale)
     names = ("right", "left", "width")
     there = {name: getattr(answer, name) for name in names if getattr(answer, name) is not None}
     if answer.verdict in ("play", "both", "input_play", "stiction"):
@@ -166,9 +170,8 @@ class Compared(NamedTuple):
     def is_positive(self) -> bool:
         """Return whether no number of it may be 0, and no edge lies on the other side."""
         sides = [one.high > 0 for name, one in self.numbers.items() if name in SIDES]
-        return all(sides) and all(
-            one.low > 0 for name, one in self.numbers.items() if name not in SIDES
-        )
+        sizes = [self.numbers[name].low > 0 for name in SIZES if name in self.numbers]
+        return all(sides) and all(sizes)
 
 
 def _compare(answer: Answer, word: str) -> tuple[Compared, Flags] | None:
@@ -183,6 +186,8 @@ def _compare(answer: Answer, word: str) -> tuple[Compared, Flags] | None:
 
 def _numbers_of_word(answer: Answer, word: str, fit: FittedModel[Any]) -> Numbers:
     """Return the numbers of a class that is not named, in the unit of its end."""
+    if word == "saturation":
+        return _find_ends(fit, answer.scale)
     if word not in MEASURED:
         return {}
     measured = measure_word(answer.case, fit, word)[0]
@@ -194,6 +199,15 @@ def _numbers_of_word(answer: Answer, word: str, fit: FittedModel[Any]) -> Number
     unmet = _unmet_sides(answer, word, known)
     unknown = unmet | ({"width"} if unmet else set())
     return {name: one for name, one in known.items() if name not in unknown}
+
+
+def _find_ends(fit: FittedModel[Any], scale: float) -> Numbers:
+    """Return the limits of the readings that a fit to a saturation reaches [y]."""
+    read = fit.model.noise_free_readings(fit.model.output(fit.theta), fit.theta)
+    ends = measure_fit(fit).scale_by(scale)
+    known = {"upper": ends["right"], "lower": ends["left"].scale_by(-1)}
+    reached = zip(known, (read.max(), read.min()), strict=True)
+    return {name: known[name] for name, end in reached if np.count_nonzero(read == end) >= FEWEST}
 
 
 def _unmet_sides(answer: Answer, word: str, widths: Numbers) -> set[str]:
@@ -222,14 +236,12 @@ def _buys_of_word(answer: Answer) -> Buys | None:
 
 def _account_of_fits(answer: Answer, units: tuple[str, str]) -> Account:
     """Return the likeliest effect as an indication, else bounds where a straight plant holds."""
-    case, found = answer.case, answer.found
     straight = _compare(answer, "none")
     if straight is None:
         return _open(answer, units)
     line, test = straight
-    weights = model_probabilities(found.models, {*found.denied, *impossible_words(case)})
     rows = []
-    for word in filter(EFFECT_OF.get, weights):
+    for word in EFFECT_OF.keys() - answer.found.denied:
         there = _compare(answer, word)
         if there is not None and there[0].error.size == line.error.size:
             rows.append(there[0])
@@ -242,7 +254,7 @@ def _account_of_fits(answer: Answer, units: tuple[str, str]) -> Account:
     others: dict[str, Numbers] = {}
     for one in sure[1:]:
         effect = EFFECT_OF[one.word]
-        as_well = first.deviations_before(one) < APART or one.rms < SIMILAR * first.rms
+        as_well = first.deviations_before(one) < APART and SHOWS * one.rms < first.rms
         if as_well and effect != EFFECT_OF[first.word] and len(others) < OTHERS:
             others.setdefault(effect, one.numbers)
     buys = first.compare_to(line, test, answer.scale)
@@ -252,9 +264,8 @@ def _account_of_fits(answer: Answer, units: tuple[str, str]) -> Account:
 
 def _is_worth(one: Compared, line: Compared) -> bool:
     """Return whether a model simulates held-out data so much better that its number counts."""
-    share = 1 - (one.rms / max(line.rms, 1e-300)) ** 2
-    is_hint = one.deviations_before(line) > HINT and share > GAINS
-    return is_hint or one.rms < SHOWS * line.rms
+    is_sure = one.deviations_before(line) > SURE and one.rms < LESS * line.rms
+    return is_sure or one.rms < SHOWS * line.rms
 
 
 def _bound(answer: Answer, units: tuple[str, str], line: Compared, test: Flags) -> Account:
