@@ -38,7 +38,7 @@ PAIRS: Final = {("goal", "position"): 0.3, ("drive", "speed"): 0.2, ("position",
 ALIKE, EXPLAINED, LASTING, EARLIER, AHEAD = 1.0, 0.5, 0.4, 0.3, 0.1
 LAGS: Final = range(1, 4)  # samples, by which a reading may follow its input
 USUAL: Final = {"y": ("y", "output", "measured"), "u": ("u", "input", "command")}
-INDEXED: Final = re.compile(r"(.*?)[\[_(]?(\d*)[\])]?")
+INDEXED: Final = re.compile(r"(?s)^(.*?)[\[_(]?(\d*)[\])]?$")
 _PLAIN: Final = re.compile(r"[\w .\[\]()/%°#:+*-]+")  # names that an option may hold as they are
 DIGITS: Final = (*"0123456789", "]", ")")  # how names with an index end
 _PRINTED_NAMES: Final = 12  # names in a message
@@ -320,7 +320,7 @@ class _Header(NamedTuple):
         every = np.arange(ranks.size)
         rows, columns = (np.isin(every, given[:1]) if given else free for given in (u, y))
         scores[~(rows[:, None] & columns) | np.eye(every.size, dtype=bool)] = -np.inf
-        i, j = np.unravel_index(int(np.argmax(scores)), scores.shape)
+        i, j = map(int, np.unravel_index(np.argmax(scores), scores.shape))
         best = scores[i, j]
         for signal, given, k, rivals in (("y", y, j, scores[i]), ("u", u, i, scores[:, j])):
             is_tie = np.sum(rivals > best - 0.001) > 1 and not self.titles[k].name.endswith(DIGITS)
@@ -328,8 +328,8 @@ class _Header(NamedTuple):
             is_unknown = not self.is_open and (ranks[k] == 0 or is_tie or is_alike)
             if not given and (is_unknown or best == -np.inf):
                 raise self.require_name(signal)
-        y = y or self.group("y", int(j), p)
-        return y, u or self.group("u", int(i), m)
+        y = y or self.group("y", j, p)
+        return y, u or self.group("u", i, m)
 
     def ranks(self, given: list[int]) -> Floats:
         """Return the rank of each column (K), by its name and by those beside it."""
@@ -387,12 +387,11 @@ class _Header(NamedTuple):
             column: one of them.
             count: how many there must be; None: any number.
         """
-        found = [INDEXED.fullmatch(title.name.lower()) for title in self.titles]
-        stems = [match[1] if match else "" for match in found]
-        same = [k for k, stem in enumerate(stems) if stem == stems[column]]
-        same.sort(key=lambda k: int(found[k][2] or 0))
+        found = [INDEXED.findall(title.name.lower())[0] for title in self.titles]
+        same = [k for k, (stem, _) in enumerate(found) if stem == found[column][0]]
+        same.sort(key=lambda k: int(found[k][1] or 0))
         is_vector = abs(rank_of(self.titles[column])) == EXACT
-        if not is_vector or (count is None and not found[column][2]):
+        if not is_vector or (count is None and not found[column][1]):
             same = [column]
         if count not in (None, len(same)):
             raise FileError(
