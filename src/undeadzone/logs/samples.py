@@ -503,8 +503,8 @@ def place_on_steps(samples: Samples, timed: bool, step: float, source: str) -> P
     if not read.t.size:
         return Placed(read.regular)
     lines_between = np.diff(np.flatnonzero(readable))  # 1 where all could be read
+    require_increasing(read, source)
     intervals = np.append(step, np.diff(read.t))  # of the first sample a step
-    _require_order(intervals, read, source)
     measured = usual_step((intervals[1:] / lines_between)[:WATCHED])
     require_step(measured, step, TOLERANCE, source)
     steps = _placeable(intervals, step, read, source)
@@ -527,16 +527,22 @@ def without_repeats(samples: Samples) -> tuple[Samples, int]:
     return samples.select_rows(~again), count
 
 
-def _require_order(intervals: Floats, samples: Samples, source: str) -> None:
-    """Raise FileError where time does not increase."""
-    back = np.flatnonzero(intervals <= 0)
-    if back.size:
-        k = int(back[0])
-        t = samples.t[k]
-        raise FileError(
-            f"{source}, line {samples.lines[k]}: time does not increase: {t:.9g} s after "
-            f"{t - intervals[k]:.9g} s. Sort the lines, or give each run by itself"
-        )
+def require_increasing(samples: Samples, source: str) -> None:
+    """Raise FileError where a time is missing or does not increase.
+
+    Args:
+        samples: of the log.
+        source: the log, for messages.
+    """
+    before = np.append(-np.inf, samples.t[:-1])
+    for k in np.flatnonzero(~((samples.t > before) & (samples.t < np.inf)))[:1]:
+        why = "the time is missing or not finite"
+        if np.isfinite(samples.t[k]):
+            why = (
+                f"time does not increase: {samples.t[k]:.9g} s after {before[k]:.9g} s. Sort the "
+                "lines, or give each run by itself"
+            )
+        raise FileError(f"{source}, line {samples.lines[k]}: {why}")
 
 
 def whole_steps(intervals: Floats, step: float) -> Floats:

@@ -9,10 +9,11 @@ import io
 import itertools
 import json
 import math
+import os
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 
@@ -20,7 +21,13 @@ from undeadzone.errors import FileError, InputError
 from undeadzone.logs.kinds import Title, split_unit
 from undeadzone.logs.matlab73 import NUMERIC, is_matlab_73, load_matlab_73, unpacked_size
 from undeadzone.logs.names import Layout, layout_of_titles, numbers
-from undeadzone.logs.samples import Samples, numbers_of_texts, oldest_first
+from undeadzone.logs.samples import (
+    LogReader,
+    Samples,
+    numbers_of_texts,
+    oldest_first,
+    samples_of_text,
+)
 from undeadzone.logs.stamps import since_1970
 from undeadzone.logs.text import LARGEST, parse_cell
 from undeadzone.util.arrays import Floats
@@ -39,13 +46,60 @@ COMPRESSED: Final = 15  # type of an element of a .mat file
 Columns = list[tuple[Title, Floats]]  # what is said of each, and its numbers (N)
 
 
-def samples_of(
-    log: Any, p: int | None, m: int | None, chosen: Mapping[str, str], source: str
-) -> tuple[Samples, Layout]:
-    """Return the samples of a DataFrame, an .npz or a .mat file.
+class WholeLog(NamedTuple):
+    """A log as it was read.
+
+    Attributes:
+        source: its name in messages.
+        samples: all of them.
+        layout: its columns; None: it has none.
+        reader: of its lines; None: it has no lines.
+    """
+
+    source: str
+    samples: Samples
+    layout: Layout | None
+    reader: LogReader | None = None
+
+
+def read_whole(
+    log: Any,
+    p: int | None,
+    m: int | None,
+    chosen: Mapping[str, str],
+    strict: bool,
+    largest: int,
+    most: float = math.inf,
+) -> WholeLog:
+    """Read all samples of a file of any kind, or of a DataFrame.
 
     Args:
         log: the DataFrame, or the path.
+        p, m, chosen: as those of `samples_of`.
+        strict, largest, most: of a CSV text, as those of `LogReader` and `samples_of_text`.
+
+    Raises:
+        InputError: neither a path nor a DataFrame, or a file that cannot be read.
+    """
+    is_path = isinstance(log, str | os.PathLike)
+    if not is_path and not (hasattr(log, "columns") and hasattr(log, "index")):
+        raise InputError(f"log: expected a path or a DataFrame, found {type(log).__name__}")
+    source = str(log) if is_path else "DataFrame"
+    log = Path(log) if is_path else log
+    if not is_path or log.suffix.lower() in BINARY:
+        return WholeLog(source, *samples_of(log, p, m, chosen, source))
+    reader = LogReader(source, p, m, chosen, strict)
+    samples = samples_of_text(reader, log, largest, most)
+    return WholeLog(source, samples, reader.layout, reader)
+
+
+def samples_of(
+    log: Any, p: int | None, m: int | None, chosen: Mapping[str, str], source: str
+) -> tuple[Samples, Layout]:
+    """Return the samples of a DataFrame, of arrays by name, or of a file that is no CSV text.
+
+    Args:
+        log: the DataFrame, the arrays, or the path.
         p, m: numbers of readings and inputs that the plant has; None: as many as are named.
         chosen: columns that the user names; see `names.parse_columns`.
         source: the log, for messages.
@@ -102,6 +156,8 @@ def samples_of_arrays(t: Any, y: Any, u: Any, p: int, m: int, step: float) -> Sa
 
 def _columns(log: Any) -> Columns:
     """Return the columns of numbers of a file or a DataFrame."""
+    if isinstance(log, dict):
+        return _columns_of(log, "arrays")
     if not isinstance(log, Path):
         return of_frame(log)
     if log.suffix.lower() in JSON_LINES:
@@ -234,7 +290,7 @@ def _require_small(content: bytes) -> None:
             raise ValueError(f"it would unpack to more than {LARGEST_MATRICES / 1e6:,.0f} MB")
 
 
-def _columns_of(arrays: dict[str, Any], path: Path) -> Columns:
+def _columns_of(arrays: dict[str, Any], path: Path | str) -> Columns:
     """Return arrays of one length as columns; a matrix gives `u[0]`, `u[1]`, ...
 
     Raises FileError.
