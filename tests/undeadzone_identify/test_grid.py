@@ -44,7 +44,7 @@ def test_in_a_gap_the_last_inputs_are_repeated(inputs: int) -> None:
         piece.u, np.column_stack([zoh_input, 10 * zoh_input])[:, :inputs], atol=1e-12
     )
     assert np.isnan(piece.y[4:7]).all()
-    assert piece.start.tolist() == [0]
+    assert np.flatnonzero(piece.begins).tolist() == [0]
     assert "3 readings missing" in remarks[0]
 
 

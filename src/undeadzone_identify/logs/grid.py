@@ -88,6 +88,7 @@ def to_grid(logs: list[Log], resample: float | None = None) -> Grid:
     """
     pieces, steps = [], []
     remarks: list[str] = []
+    known = min(log.r.shape[1] for log in logs)
     for log in logs:
         remarks += log.remarks
         if log.u.shape[1] != logs[0].u.shape[1]:
@@ -96,28 +97,24 @@ def to_grid(logs: list[Log], resample: float | None = None) -> Grid:
             )
         found, is_regular = find_sample_time(log)
         steps.append(found if resample is None else resample)
+        log = log._replace(r=log.r[:, :known])  # of one log alone, the reference is not used
         pieces.append(_put_on_grid(log, steps[-1], is_regular and resample is None, remarks))
     if max(steps) > min(steps) * (1 + JITTER):
         raise InputError(
             f"logs: steps differ, from {min(steps):.6g} to {max(steps):.6g} s. Use --resample STEP"
         )
-    sizes = np.cumsum([0] + [piece.t.size for piece in pieces])
-    starts = [piece.start + size for piece, size in zip(pieces, sizes[:-1], strict=True)]
-    first = logs[0]
-    m = first.u.shape[1]
-    known = min(log.r.shape[1] for log in logs)  # of one log alone, the reference is not used
     if known < max(log.r.shape[1] for log in logs):
         remarks.append("not every log has a reference: it is not used")
-    cut = [piece._replace(u=piece.u[:, : m + known]) for piece in pieces]
-    t, u, y, _ = (np.concatenate(parts) for parts in zip(*cut, strict=True))
-    u, r, ok = u[:, :m], u[:, m:], np.isfinite(y)
+    t, u, y, begins = (np.concatenate(parts) for parts in zip(*pieces, strict=True))
+    first, ok = logs[0], np.isfinite(y)
+    u, r = np.split(u, [first.u.shape[1]], axis=1)
     y[ok] = round_to_steps(y[ok], remarks)
     return Grid(
         t,
         u,
         np.where(ok, y, 0.0),
         ok,
-        np.concatenate(starts),
+        np.flatnonzero(begins),
         float(np.mean(steps)),
         find_quantum(y[ok]),
         remarks,
@@ -170,12 +167,16 @@ def shorten_log(grid: Grid, integrators: int = 0) -> Grid:
 
 
 class _Piece(NamedTuple):
-    """Single log on its grid, missing readings NaN, the reference in columns behind u."""
+    """Single log on its grid, missing readings NaN, the reference in columns behind u.
+
+    Attributes:
+        begins: whether a record begins with a sample (N).
+    """
 
     t: Floats
     u: Floats
     y: Floats
-    start: Integers
+    begins: Flags
 
 
 def find_sample_time(log: Log) -> tuple[float, bool]:
@@ -265,7 +266,8 @@ def _put_on_grid(log: Log, step: float, is_regular: bool, remarks: list[str]) ->
             f" {times.size}, none in gaps beyond {BRIDGED:g} steps, {first.size} records"
         )
     driving = np.hstack([log.u, log.r])[np.searchsorted(t, grid + 1e-6 * step, side="right") - 1]
-    return _Piece(np.interp(grid, t, log.t), driving, np.where(near, new, np.nan), start)
+    begins = np.isin(np.arange(grid.size), start)
+    return _Piece(np.interp(grid, t, log.t), driving, np.where(near, new, np.nan), begins)
 
 
 def find_quantum(y: Floats) -> float:

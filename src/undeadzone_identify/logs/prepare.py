@@ -64,12 +64,12 @@ def select_readings(grid: Grid, remarks: list[str]) -> UsableReadings:
         grid: the log on its grid.
         remarks: each omission is added here, for the user.
     """
-    ok = grid.ok
+    ok = grid.ok.copy()
     for find, words in LEFT_OUT:
         bad = find(grid, ok)
         at = int(bad.argmax())
         remarks += [words.format(bad.sum(), grid.t[at], grid.y[at])] * bool(bad.any())
-        ok = ok & ~bad
+        ok[bad] = False
     ends = range_ends(grid.y, ok, grid.quantum)
     at = ends.find_readings_at_ends(grid.y, ok)
     visits = [bounds_of_runs(at & side)[0].size for side in (grid.y > 0, grid.y < 0)]
@@ -438,22 +438,19 @@ def _first_samples(start: Integers, size: int, length: int) -> Integers:
 
 def _width_limits(data: RecordData, options: Options) -> WidthLimits:
     """Return the limits of the widths, scaled; a missing edge is placed far away."""
-    limits = []
-    for name, sign in SIDES.items():
-        low, high = options.parse_bounds(name)
-        if low == np.inf:
-            _require_no_reading(data, sign, name)
-            low = high = FAR_EDGE * data.y_scale
-        limits.append((low / data.y_scale, high / data.y_scale))
+    right, left = (_scaled_bounds(data, options, name) for name in SIDES)
     tied = options.integrators > 0 and options.right is None and options.left is None
-    right, left = limits
     return WidthLimits(right, left, tied=tied)
 
 
-def _require_no_reading(data: RecordData, sign: int, name: str) -> None:
-    """Require that no reading lies beyond an edge that does not exist. Raise InputError."""
-    if np.any(data.side[data.ok] == sign):
+def _scaled_bounds(data: RecordData, options: Options, name: str) -> tuple[float, float]:
+    """Return the bounds of a width, scaled; a missing edge is far away. Raise InputError."""
+    low, high = options.parse_bounds(name)
+    if low < math.inf:
+        return low / data.y_scale, high / data.y_scale
+    if np.any(data.side[data.ok] == SIDES[name]):
         raise InputError(f"{name}: inf means that no edge exists, but readings lie beyond it")
+    return FAR_EDGE, FAR_EDGE
 
 
 # --- The edges of a jump sensor
@@ -480,28 +477,21 @@ def to_dead_zone_data(
             "kind: a jump sensor is silent inside its zone, and these readings have no exact zeros."
             " Give --threshold, |y| up to which a reading counts as silent"
         )
-    right, left = (_estimate_edge(data, sign, name, options) for name, sign in SIDES.items())
+    right, left = (_estimate_edge(data, name, options) for name in SIDES)
     shift = zone_offset(data.side, right.value, left.value)
     limits = WidthLimits((right.value, right.value), (left.value, left.value))
     return data._replace(y=(data.y - shift) * (data.side != 0)), limits, (right, left)
 
 
-def _estimate_edge(data: RecordData, sign: int, name: str, options: Options) -> JumpEdge:
+def _estimate_edge(data: RecordData, name: str, options: Options) -> JumpEdge:
     """Estimate an edge with its intervals, scaled. Raise InputError."""
-    least = _least_by_passage(data, sign)
-    low, high = options.parse_bounds(name)
-    if low == math.inf:
-        _require_no_reading(data, sign, name)
-    if not least.size and not low == high < math.inf:
-        return JumpEdge(*[FAR_EDGE] * 4)
-    if low == high and math.isfinite(low):
-        known = low / data.y_scale
-        if least.size and least[0] < known * (1 - 1e-9):
-            raise InputError(
-                f"{name}: {low:g} is given, but a reading of {least[0] * data.y_scale:.6g} lies"
-                " below it"
-            )
-        return JumpEdge(known, known, known, known)
+    least = _least_by_passage(data, SIDES[name])
+    low, high = _scaled_bounds(data, options, name)
+    if low == high and least.size and least[0] < low * (1 - 1e-9):
+        given, found = low * data.y_scale, least[0] * data.y_scale
+        raise InputError(f"{name}: {given:g} is given, but a reading of {found:.6g} lies below it")
+    if low == high or not least.size:
+        return JumpEdge(*[low if low == high else FAR_EDGE] * 4)
     if least.size < FEWEST:
         raise InputError(
             f"log: the {name} edge of the jump sensor is passed {least.size} times, and"
