@@ -67,8 +67,8 @@ def select_readings(grid: Grid, remarks: list[str]) -> UsableReadings:
     ok = grid.ok.copy()
     for find, words in LEFT_OUT:
         bad = find(grid, ok)
-        at = int(bad.argmax())
-        remarks += [words.format(bad.sum(), grid.t[at], grid.y[at])] * bool(bad.any())
+        k = int(bad.argmax())
+        remarks += [words.format(bad.sum(), grid.t[k], grid.y[k])] * bool(bad.any())
         ok[bad] = False
     ends = range_ends(grid.y, ok, grid.quantum)
     at = ends.find_readings_at_ends(grid.y, ok)
