@@ -5,13 +5,13 @@ Nothing in a file is ever executed.
 
 from __future__ import annotations
 
+import contextlib
 import io
 import itertools
 import json
 import math
 import os
-import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple
 
@@ -128,30 +128,28 @@ def samples_of(
     return oldest_first(_usable(t, y, u)), layout
 
 
-def samples_of_arrays(t: Any, y: Any, u: Any, p: int, m: int, step: float) -> Samples:
-    """Samples from arrays.
+def samples_of_arrays(
+    given: Mapping[str, Any], p: int | None = None, m: int | None = None
+) -> tuple[Samples, Layout]:
+    """Return the samples of arrays.
 
     Args:
-        t: times (N) [s]; None: one step apart.
-        y: readings (N) or (N x p), NaN if one is missing.
-        u: inputs (N) or (N x m).
-        p, m: numbers of readings and inputs that the plant has.
-        step: of the scenario [s].
+        given: times t (N) [s], the step [s] or None; readings y (N) or (N x p), NaN if one is
+            missing; inputs u (N) or (N x m); perhaps a reference r (N) or None.
+        p, m: numbers of readings and inputs that the plant has; None: as many as there are.
 
     Raises:
-        InputError: an array of another shape, or not numeric.
+        InputError: arrays of different lengths, or not numeric.
     """
-    readings = _rows("y", y, p)
-    inputs = _rows("u", u, m)
-    if len(readings) != len(inputs):
-        raise InputError(f"y, u: expected as many rows, found {len(readings)}, {len(inputs)}")
-    if t is None:
-        times = step * np.arange(len(readings))
-    else:
-        times = _rows("t", t, 1)[:, 0]
-    if len(times) != len(readings):
-        raise InputError(f"t, y: expected as many rows, found {len(times)}, {len(readings)}")
-    return _usable(times, readings, inputs)
+    arrays = {key: numbers(key, x, "iufb") for key, x in given.items() if x is not None}
+    size = max(arrays["y"].shape, default=0)
+    if "t" in arrays and arrays["t"].ndim == 0:
+        arrays["t"] = arrays["t"] * np.arange(size)
+    single = {arrays[key].size for key in ("t", "r") if key in arrays}
+    if single - {size} or any(size not in x.shape or x.ndim > 2 for x in arrays.values()):
+        shapes = ", ".join(f"{key} {array.shape}" for key, array in arrays.items())
+        raise InputError(f"arrays: expected as many rows in each, one t, one r, found {shapes}")
+    return samples_of(arrays, p, m, {}, "arrays")
 
 
 def _columns(log: Any) -> Columns:
@@ -177,17 +175,6 @@ def _sensible(values: Floats) -> Floats:
         return np.where(np.abs(values) <= LARGEST, values, np.nan)
 
 
-def _rows(key: str, value: Any, size: int) -> Floats:
-    """Return an array of rows of that size. Raises InputError."""
-    rows = numbers(key, value, "iufb")
-    if rows.ndim == 1 and size == 1:
-        rows = rows[:, None]
-    if rows.ndim != 2 or rows.shape[1] != size:
-        shape = " x ".join(map(str, rows.shape)) or "one number"
-        raise InputError(f"{key}: expected a row of {size} for each sample, found {shape}")
-    return rows
-
-
 def of_frame(frame: Any) -> Columns:
     """Return the numeric columns of a DataFrame; times of day become seconds since the first."""
     titled = [(str(title), np.asarray(frame[title])) for title in frame.columns]
@@ -205,15 +192,24 @@ def of_frame(frame: Any) -> Columns:
     return columns
 
 
+@contextlib.contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Name the file in the errors of its decoders, which raise any if it is damaged."""
+    try:
+        yield
+    except InputError:
+        raise
+    except (OSError, ValueError) as error:
+        raise unreadable_file(path, error) from None
+    except Exception as error:
+        raise FileError(f"{path}: cannot read: {type(error).__name__}") from None
+
+
 def of_npz(path: Path) -> Columns:
     """Return the arrays of an .npz file as columns. Raises FileError."""
-    try:
+    with _naming(path):
         arrays = load_arrays(path, LARGEST_RUN)
         arrays.pop("info", None)
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile, KeyError) as error:
-        raise unreadable_file(path, error) from None
-    except Exception as error:  # damaged archives raise whatever their decoders raise
-        raise FileError(f"{path}: cannot read: {type(error).__name__}") from None
     return _columns_of(arrays, path)
 
 
@@ -223,10 +219,8 @@ def of_json_lines(path: Path) -> Columns:
     Args:
         path: the file. A key that an object lacks is a missing number.
     """
-    try:
+    with _naming(path):
         lines = read_bytes(path, LARGEST_TABLE).decode().splitlines()
-    except (OSError, ValueError) as error:
-        raise unreadable_file(path, error) from None
     rows = []
     for k, line in enumerate(lines, 1):
         try:
@@ -248,9 +242,8 @@ def of_json_lines(path: Path) -> Columns:
 def of_mat(path: Path) -> Columns:
     """Return the variables of a .mat file as columns. Raises FileError."""
     from scipy.io import loadmat, whosmat
-    from scipy.io.matlab import MatReadError
 
-    try:
+    with _naming(path):
         content = read_bytes(path, LARGEST_TABLE)
         if is_matlab_73(content):
             return _columns_of(load_matlab_73(content, LARGEST_MATRICES), path)
@@ -261,12 +254,6 @@ def of_mat(path: Path) -> Columns:
         names = [name for name, _, _ in declared]
         file = io.BytesIO(content)
         arrays = loadmat(file, mat_dtype=True, variable_names=names) if names else {}
-    except InputError:
-        raise
-    except (OSError, ValueError, MatReadError) as error:
-        raise unreadable_file(path, error) from None
-    except Exception as error:  # damaged files raise whatever their decoders raise
-        raise FileError(f"{path}: cannot read: {type(error).__name__}") from None
     named = {name: array for name, array in arrays.items() if not name.startswith("__")}
     return _columns_of(named, path)
 

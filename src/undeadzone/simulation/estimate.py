@@ -104,7 +104,7 @@ def estimate(
             raise InputError("estimate: expected a file, a DataFrame, or arrays y and u")
         step = scenario.simulation.step
         model = follower.model
-        samples = samples_of_arrays(t, y, u, model.p, model.m, step)
+        samples, _ = samples_of_arrays({"t": t, "y": y, "u": u}, model.p, model.m)
         log = _Log("arrays", place_on_steps(samples, t is not None, step, "arrays"))
     elif t is not None or y is not None or u is not None:
         raise InputError("estimate: expected a log or arrays, found both")

@@ -14,7 +14,7 @@ import numpy as np
 
 from undeadzone.errors import FileError, InputError
 from undeadzone.logs.kinds import kind_of
-from undeadzone.logs.names import Layout, numbers, parse_columns
+from undeadzone.logs.names import Layout, parse_columns
 from undeadzone.logs.samples import (
     MOST_UNREADABLE,
     REPEATED,
@@ -23,7 +23,7 @@ from undeadzone.logs.samples import (
     require_increasing,
     without_repeats,
 )
-from undeadzone.logs.whole import read_whole, samples_of
+from undeadzone.logs.whole import read_whole, samples_of_arrays
 from undeadzone.util.arrays import Floats
 from undeadzone.util.files import LARGEST_TABLE
 
@@ -376,14 +376,5 @@ def log_from_arrays(t: Any, u: Any, y: Any, r: Any = None) -> Log:
     Raises:
         InputError: arrays of different lengths, or not numeric.
     """
-    given = {"t": t, "u": u, "y": y, "r": r}
-    arrays = {key: numbers(key, x, "iuf") for key, x in given.items() if x is not None}
-    if arrays["t"].ndim == 0:
-        arrays["t"] = arrays["t"] * np.arange(max(arrays["y"].shape, default=0))
-    size = arrays["t"].size
-    single = [array.size for key, array in arrays.items() if key in ("t", "r")]
-    if {*single} != {size} or any(size not in x.shape or x.ndim > 2 for x in arrays.values()):
-        shapes = ", ".join(str(array.shape) for array in arrays.values())
-        raise InputError(f"t, u, y, r: expected as many rows in each, one r, found {shapes}")
-    samples, layout = samples_of(arrays, None, None, {}, "arrays")
+    samples, layout = samples_of_arrays({"t": t, "u": u, "y": y, "r": r})
     return log_from_samples(samples, layout._replace(reference=None), "arrays")
