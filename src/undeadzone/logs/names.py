@@ -74,7 +74,7 @@ class Layout(NamedTuple):
         inputs: numbers of the columns of the inputs (m).
         seconds: length of a unit of time [s]; None if times count samples.
         reading_titles, input_titles: titles of these columns.
-        columns_text: these columns, as the option --columns has them.
+        columns_text: these columns, as the text of `parse_columns`.
         reference: number of the column of the reference; None: there is none, or it is not needed.
         is_certain: whether names without doubt or the user decided.
         unused: names of other columns, for messages.

@@ -125,7 +125,7 @@ class Faults:
 
     @property
     def by_kind(self) -> dict[str, int]:
-        """How many there were of each kind, without kinds of which there was none."""
+        """Return the counts of the kinds that occurred."""
         return {KINDS[k]: int(self.counts[k]) for k in np.flatnonzero(self.counts)}
 
 
@@ -325,7 +325,7 @@ class LogReader:
             return
 
     def _one_by_one(self, numbered: Numbered, dialect: Dialect, layout: Layout) -> Floats:
-        """Read lines one by one: return the used columns, NaN for a line that is unreadable.
+        """Read line by line: return the columns in use, NaN for an unreadable line.
 
         It is slower than reading a block at once, but finds the faults of each line.
         """
@@ -382,7 +382,7 @@ def numbers_of_texts(texts: Sequence[str], parse: Callable[[str], float | None])
 
 
 def _join_date_and_time(cells: list[str], layout: Layout) -> str:
-    """Return the text of a line's time stamp, after the date if another column has it."""
+    """Return the text of a line's time stamp, behind that of a column of dates."""
     assert layout.time is not None
     time = cells[layout.time]
     return time if layout.date is None else f"{cells[layout.date]} {time}"
@@ -412,7 +412,7 @@ def samples_of_text(reader: LogReader, path: Path, largest: int, most: float) ->
 
 
 def join_samples(blocks: Iterable[Samples]) -> Samples:
-    """Samples of blocks, one after another."""
+    """Join the samples of blocks."""
     return Samples(*[np.concatenate(parts) for parts in zip(*blocks, strict=True)])
 
 
@@ -513,7 +513,7 @@ def place_on_steps(samples: Samples, timed: bool, step: float, source: str) -> P
 
 
 def without_repeats(samples: Samples) -> tuple[Samples, int]:
-    """Return samples without those that repeat the time before, and how many these were.
+    """Return samples without repeated times, and the count of the repeated ones.
 
     If more than a tenth do, times are written too coarsely: then all stay, and are refused.
 
@@ -583,7 +583,7 @@ def _placeable(intervals: Floats, step: float, samples: Samples, source: str) ->
 
 
 def fill_gaps(samples: Regular, steps: Floats, step: float) -> Regular:
-    """Samples with missing ones in the gaps between them.
+    """Return samples with missing ones in their gaps.
 
     Args:
         samples: in order.
