@@ -297,8 +297,8 @@ def _identify_logs(
     seen = account_of_looks(logs[0], looks)
     outputs = ([log.select_output(k) for log in logs] for k in range(len(names)))
     try:
-        if motion is not None and motion.are_positions:
-            find_sample_time(logs[0])  # a plant is fitted to no positions between those read
+        if motion is not None and motion.are_positions and not find_sample_time(logs[0])[1]:
+            raise InputError("irregular steps, and no plant is fitted to positions between them")
         require_readings(sum(int(np.isfinite(log.y).sum(axis=0).max()) for log in logs))
         grids = (
             to_grid(records, options.resample)._replace(climbs=cached_maxima) for records in outputs

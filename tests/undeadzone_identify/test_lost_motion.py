@@ -140,7 +140,7 @@ def test_what_no_plant_fits_has_an_answer_and_the_reason() -> None:
     found = uz.identify(pd.DataFrame({"t [s]": t, **signals}))
     assert isinstance(found, uz.IdentifiedMotion)
     assert found.verdict == "unclear"
-    assert any("irregular step" in reason for reason in found.summary()["why"])
+    assert any("irregular step" in reason for reason in found.summary()["doubt"])
     with pytest.raises(InputError, match="two positions have no plant"):
         found.scenario()
 

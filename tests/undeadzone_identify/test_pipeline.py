@@ -487,10 +487,10 @@ def test_swapped_columns_give_no_widths() -> None:
         (lambda t, u, y: (t, u, 0 * y + 3), "never changes"),
         (lambda t, u, y: (t, u, y * np.nan), "every one is missing"),
         (lambda t, u, y: (t[:60], u[:60], y[:60]), "too few"),
-        (lambda t, u, y: (t[::-1], u, y), "does not increase"),
+        (lambda t, u, y: (np.roll(t, 9), u, y), "does not increase"),
         (
             lambda t, u, y: (t, np.where(t == t[50], np.nan, u), y),
-            "sample 50: input 'u' is missing",
+            "line 51: input 'u' is missing",
         ),
         (lambda t, u, y: (t, u[:-1], y), "as many rows"),
     ],

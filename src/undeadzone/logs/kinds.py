@@ -59,9 +59,9 @@ _TABLE: Final = tuple(
         (r"^(command|cmd)$", "goal", 18.0),
         (r"^(reading|measured|measurement|istwert|mesure)$", "", -18.0),
         (
-            r"battery|supply|mass\b|\bsnr\b|delta|\bdt\b|stat(e|us) \d|moving|\bpin\b|\bbus\b|\bvcc\b|\berror\b|\bwanted time\b",
-            "other",
-            0.0,
+            r"battery|supply|mass\b|\bsnr\b|delta|\bdt\b|^stat(e|us) \d|moving|\bpin\b|\bbus\b"
+            r"|\bvcc\b|\berror\b|\bwanted time\b",
+            *("other", 0.0),
         ),
         (r"\bsp$", "sp", REFERENCE),
         (r"^(r|ref|reference|set ?point|sollwert|consigne|consigna)$", "goal", REFERENCE),
@@ -83,10 +83,9 @@ _TABLE: Final = tuple(
             *("torque", 8.0),
         ),
         (
-            r"measured|sensor|\bcell\b|\badc|feedback|\bfb\b|reading|\bhx\b|response|\bist\b|\braw\b(?! d)|"
-            r"\bcode\b|observ|mesur|gemessen",
-            "",
-            -12.0,
+            r"measured|sensor|\bcell\b|\badc|feedback|\bfb\b|reading|\bhx\b|response|\bist\b"
+            r"|\braw\b(?! d)|\bcode\b|observ|mesur|gemessen",
+            *("", -12.0),
         ),
         (
             r"pwm|volt|spannung|tension|duty|throttle|joystick|pulse|guide distance|valve|ventil"

@@ -1,5 +1,5 @@
-"""Columns of a log, and which is which: by names that a user gives, else by the words and units
-of names and by what the columns do.
+"""Columns of a log and their signals: by the names of a user, else by the words and units of names
+and by the behaviour of the columns.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ PAIRS: Final = {("goal", "position"): 0.3, ("drive", "speed"): 0.2, ("position",
 ALIKE, EXPLAINED, LASTING, EARLIER, AHEAD = 1.0, 0.5, 0.4, 0.3, 0.1
 LAGS: Final = range(1, 4)  # samples, by which a reading may follow its input
 USUAL: Final = {"y": ("y", "output", "measured"), "u": ("u", "input", "command")}
-INDEXED: Final = re.compile(r"(.*?)[\[_(]?(\d*)[\])]?")
+INDEXED: Final = re.compile(r"(?s)^(.*?)[\[_(]?(\d*)[\])]?$")
 _PLAIN: Final = re.compile(r"[\w .\[\]()/%°#:+*-]+")  # names that an option may hold as they are
 DIGITS: Final = (*"0123456789", "]", ")")  # how names with an index end
 _PRINTED_NAMES: Final = 12  # names in a message
@@ -74,7 +74,7 @@ class Layout(NamedTuple):
         inputs: numbers of the columns of the inputs (m).
         seconds: length of a unit of time [s]; None if times count samples.
         reading_titles, input_titles: titles of these columns.
-        columns_text: these columns, as the option --columns has them.
+        columns_text: these columns, as the text of `parse_columns`.
         reference: number of the column of the reference; None: there is none, or it is not needed.
         is_certain: whether names without doubt or the user decided.
         unused: names of other columns, for messages.
@@ -99,14 +99,12 @@ class Layout(NamedTuple):
 
     @property
     def driving(self) -> list[int]:
-        """Return the columns of the inputs, and behind them that of the reference, if there is
-        one.
-        """
+        """Return the columns of the inputs, and behind them that of a reference."""
         return self.inputs + ([] if self.reference is None else [self.reference])
 
     @property
     def columns(self) -> list[int]:
-        """Return the columns that are used: the time if there is one, readings, what drives."""
+        """Return the columns in use: a time, the readings, the inputs and a reference."""
         first = [] if self.time is None else [self.time]
         return first + self.readings + self.driving
 
@@ -120,7 +118,7 @@ def parse_columns(text: str | None) -> dict[str, str]:
     """Return the columns that a text names, by signal.
 
     Args:
-        text: `y=angle,u=voltage,r=wanted`, `t=1,y[0]=2,y[1]=3,u=4`; None: nothing is named.
+        text: `y=angle,u=voltage,r=goal`, `t=1,y[0]=2,y[1]=3,u=4`; None: nothing is named.
 
     Returns:
         A column's name or number (from 1) by `t`, `y[0]`, ..., `u[0]`, ...; `y` means `y[0]`.
@@ -224,6 +222,11 @@ class _Header(NamedTuple):
     values: Floats | None
     is_open: bool
 
+    @property
+    def kinds(self) -> list[str]:
+        """Return what each column may hold, by its name and unit (K)."""
+        return [kind_of(*title) for title in self.titles]
+
     def layout(self, roles: Mapping[str, Sequence[int]]) -> Layout:
         """Return a layout, once no column is used twice and the unit of time is known.
 
@@ -239,11 +242,12 @@ class _Header(NamedTuple):
         dated = [k for k, title in enumerate(self.titles) if title.name.lower() in DATES]
         titles = [add_unit(self.titles[k]) for k in (*y, *u)]
         certain = all(abs(rank_of(title)) == EXACT for title in titles)
-        parts = [
-            f"{key}[{i}]={self.printed_name(k)}" if columns[1:] else f"{key}={self.printed_name(k)}"
-            for key, columns in roles.items()
-            for i, k in enumerate(columns)
-        ]
+        parts = []
+        for key, columns in roles.items():
+            keys = [f"{key}[{i}]" for i in range(len(columns))] if columns[1:] else [key]
+            parts += [
+                f"{one}={self.printed_name(k)}" for one, k in zip(keys, columns, strict=False)
+            ]
         left = [title for k, title in enumerate(self.titles) if k not in used and title.name]
         return Layout(
             time[0] if time else None,
@@ -260,16 +264,16 @@ class _Header(NamedTuple):
         )
 
     def printed_name(self, k: int) -> str:
-        """Return the name of a column as an option may hold it, else its number (from 1)."""
+        """Return the name of a column in the form of an option, else its number (from 1)."""
         name = self.titles[k].name
         is_plain = _PLAIN.fullmatch(name) and not name.isdigit()
         return name if is_plain and len(self.find_equal_names(name)) == 1 else str(k + 1)
 
     def find_reference(self, used: Sequence[int], y: int) -> list[int]:
-        """Return the column of the reference, which is nothing else; none if there is none."""
+        """Return the column of the reference; an empty list without one."""
         if "r" in self.chosen:
             return [self.column_of_name("r")]
-        kinds = [kind_of(*title) for title in self.titles]
+        kinds = self.kinds
         has_goal = "goal" in [kinds[k] for k in used]  # beside which another is another's
         goals = [
             k
@@ -318,9 +322,10 @@ class _Header(NamedTuple):
                 free = fewer if fewer.sum() + len(y + u) > 1 else free
         scores = ranks[:, None] - ranks + self.likeness() + self.behaviour()
         every = np.arange(ranks.size)
-        rows, columns = (np.isin(every, given[:1]) if given else free for given in (u, y))
+        rows = np.isin(every, u[:1]) if u else free
+        columns = np.isin(every, y[:1]) if y else free
         scores[~(rows[:, None] & columns) | np.eye(every.size, dtype=bool)] = -np.inf
-        i, j = np.unravel_index(int(np.argmax(scores)), scores.shape)
+        i, j = map(int, np.unravel_index(np.argmax(scores), scores.shape))
         best = scores[i, j]
         for signal, given, k, rivals in (("y", y, j, scores[i]), ("u", u, i, scores[:, j])):
             is_tie = np.sum(rivals > best - 0.001) > 1 and not self.titles[k].name.endswith(DIGITS)
@@ -328,13 +333,13 @@ class _Header(NamedTuple):
             is_unknown = not self.is_open and (ranks[k] == 0 or is_tie or is_alike)
             if not given and (is_unknown or best == -np.inf):
                 raise self.require_name(signal)
-        y = y or self.group("y", int(j), p)
-        return y, u or self.group("u", int(i), m)
+        y = y or self.group("y", j, p)
+        return y, u or self.group("u", i, m)
 
     def ranks(self, given: list[int]) -> Floats:
         """Return the rank of each column (K), by its name and by those beside it."""
         ranks = np.array([rank_of(title) for title in self.titles])
-        ranks *= [1.01 if title.name.lower() in ("y", "u") else 1.0 for title in self.titles]
+        ranks[[title.name.lower() in ("y", "u") for title in self.titles]] *= 1.01
         outputs = np.array([split_words(title.name) in ("output", "out") for title in self.titles])
         drives = (ranks > 17) | np.isin(np.arange(ranks.size), given)
         if not drives.any() and ((ranks < 0) & ~outputs).any():
@@ -346,9 +351,8 @@ class _Header(NamedTuple):
     def likeness(self) -> Floats:
         """Return how well names and kinds of an input (row) and a reading fit (K x K)."""
         words = [{*split_words(title.name).split(" ")} for title in self.titles]
-        kinds = [kind_of(*title) for title in self.titles]
         common = [[len(one & other) / len(one | other) for other in words] for one in words]
-        pairs = [[PAIRS.get((one, other), 0.0) for other in kinds] for one in kinds]
+        pairs = [[PAIRS.get((one, other), 0.0) for other in self.kinds] for one in self.kinds]
         return ALIKE * np.array(common) + np.array(pairs)
 
     def behaviour(self) -> Floats:
@@ -387,12 +391,11 @@ class _Header(NamedTuple):
             column: one of them.
             count: how many there must be; None: any number.
         """
-        found = [INDEXED.fullmatch(title.name.lower()) for title in self.titles]
-        stems = [match[1] if match else "" for match in found]
-        same = [k for k, stem in enumerate(stems) if stem == stems[column]]
-        same.sort(key=lambda k: int(found[k][2] or 0))
+        found = [INDEXED.findall(title.name.lower())[0] for title in self.titles]
+        same = [k for k, (stem, _) in enumerate(found) if stem == found[column][0]]
+        same.sort(key=lambda k: int(found[k][1] or 0))
         is_vector = abs(rank_of(self.titles[column])) == EXACT
-        if not is_vector or (count is None and not found[column][2]):
+        if not is_vector or (count is None and not found[column][1]):
             same = [column]
         if count not in (None, len(same)):
             raise FileError(
@@ -404,7 +407,7 @@ class _Header(NamedTuple):
 
     def drive_of_servo(self, y: list[int], u: list[int]) -> list[int]:
         """Return the column of the current of a servo that follows a position; none for others."""
-        kinds = [kind_of(*title) for title in self.titles]
+        kinds = self.kinds
         if [kinds[k] for k in u + y[:1]] != ["goal", "position"]:
             return []
         moves = [True] * len(kinds)
@@ -426,7 +429,7 @@ class _Header(NamedTuple):
         )
 
     def find_equal_names(self, name: str) -> list[int]:
-        """Return the columns of that name, as it stands or else by its words without a unit."""
+        """Return the columns of a name, of the whole name or else of its words without a unit."""
         names = [(title.name.lower(), split_words(title.name)) for title in self.titles]
         lower = split_unit(name).name.lower()
         for same in (name.lower(), lower, split_words(lower)):

@@ -125,7 +125,7 @@ class Faults:
 
     @property
     def by_kind(self) -> dict[str, int]:
-        """How many there were of each kind, without kinds of which there was none."""
+        """Return the counts of the kinds that occurred."""
         return {KINDS[k]: int(self.counts[k]) for k in np.flatnonzero(self.counts)}
 
 
@@ -325,7 +325,7 @@ class LogReader:
             return
 
     def _one_by_one(self, numbered: Numbered, dialect: Dialect, layout: Layout) -> Floats:
-        """Read lines one by one: return the used columns, NaN for a line that is unreadable.
+        """Read line by line: return the columns in use, NaN for an unreadable line.
 
         It is slower than reading a block at once, but finds the faults of each line.
         """
@@ -382,7 +382,7 @@ def numbers_of_texts(texts: Sequence[str], parse: Callable[[str], float | None])
 
 
 def _join_date_and_time(cells: list[str], layout: Layout) -> str:
-    """Return the text of a line's time stamp, after the date if another column has it."""
+    """Return the text of a line's time stamp, behind that of a column of dates."""
     assert layout.time is not None
     time = cells[layout.time]
     return time if layout.date is None else f"{cells[layout.date]} {time}"
@@ -412,7 +412,7 @@ def samples_of_text(reader: LogReader, path: Path, largest: int, most: float) ->
 
 
 def join_samples(blocks: Iterable[Samples]) -> Samples:
-    """Samples of blocks, one after another."""
+    """Join the samples of blocks."""
     return Samples(*[np.concatenate(parts) for parts in zip(*blocks, strict=True)])
 
 
@@ -503,8 +503,8 @@ def place_on_steps(samples: Samples, timed: bool, step: float, source: str) -> P
     if not read.t.size:
         return Placed(read.regular)
     lines_between = np.diff(np.flatnonzero(readable))  # 1 where all could be read
+    require_increasing(read, source)
     intervals = np.append(step, np.diff(read.t))  # of the first sample a step
-    _require_order(intervals, read, source)
     measured = usual_step((intervals[1:] / lines_between)[:WATCHED])
     require_step(measured, step, TOLERANCE, source)
     steps = _placeable(intervals, step, read, source)
@@ -513,7 +513,7 @@ def place_on_steps(samples: Samples, timed: bool, step: float, source: str) -> P
 
 
 def without_repeats(samples: Samples) -> tuple[Samples, int]:
-    """Return samples without those that repeat the time before, and how many these were.
+    """Return samples without repeated times, and the count of the repeated ones.
 
     If more than a tenth do, times are written too coarsely: then all stay, and are refused.
 
@@ -527,16 +527,22 @@ def without_repeats(samples: Samples) -> tuple[Samples, int]:
     return samples.select_rows(~again), count
 
 
-def _require_order(intervals: Floats, samples: Samples, source: str) -> None:
-    """Raise FileError where time does not increase."""
-    back = np.flatnonzero(intervals <= 0)
-    if back.size:
-        k = int(back[0])
-        t = samples.t[k]
-        raise FileError(
-            f"{source}, line {samples.lines[k]}: time does not increase: {t:.9g} s after "
-            f"{t - intervals[k]:.9g} s. Sort the lines, or give each run by itself"
-        )
+def require_increasing(samples: Samples, source: str) -> None:
+    """Raise FileError where a time is missing or does not increase.
+
+    Args:
+        samples: of the log.
+        source: the log, for messages.
+    """
+    before = np.append(-np.inf, samples.t[:-1])
+    for k in np.flatnonzero(~((samples.t > before) & (samples.t < np.inf)))[:1]:
+        why = "the time is missing or not finite"
+        if np.isfinite(samples.t[k]):
+            why = (
+                f"time does not increase: {samples.t[k]:.9g} s after {before[k]:.9g} s. Sort the "
+                "lines, or give each run by itself"
+            )
+        raise FileError(f"{source}, line {samples.lines[k]}: {why}")
 
 
 def whole_steps(intervals: Floats, step: float) -> Floats:
@@ -577,7 +583,7 @@ def _placeable(intervals: Floats, step: float, samples: Samples, source: str) ->
 
 
 def fill_gaps(samples: Regular, steps: Floats, step: float) -> Regular:
-    """Samples with missing ones in the gaps between them.
+    """Return samples with missing ones in their gaps.
 
     Args:
         samples: in order.

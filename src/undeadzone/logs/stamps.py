@@ -106,25 +106,17 @@ def over_midnight(t: Floats, before: float) -> Floats:
 
 def _day(found: re.Match[str], day_first: bool | None) -> int | None:
     """Return days since 1970; None if there is no such day, or if it is ambiguous."""
-    a = found["a"]
-    b = found["b"]
-    c = found["c"]
-    if len(a) == 4:
-        year = a
-        month = b
-        day = c
+    if len(found["a"]) == 4:
+        order = "abc"
     elif found["dot"] == "." or day_first:
-        year = c
-        month = b
-        day = a
+        order = "cba"
     elif day_first is None:
         return None
     else:
-        year = c
-        month = a
-        day = b
+        order = "cab"
+    year, month, day = (int(found[key]) for key in order)
     try:
-        return date(int(year), int(month), int(day)).toordinal() - FIRST_DAY
+        return date(year, month, day).toordinal() - FIRST_DAY
     except ValueError:
         return None
 

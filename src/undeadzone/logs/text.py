@@ -181,7 +181,7 @@ class Dialect(NamedTuple):
         return cells
 
     def parse_number(self, cell: str) -> float | None:
-        """Return the number in a cell, NaN if it is missing; None if it cannot be read."""
+        """Return the number in a cell, NaN for a missing one; None for an unreadable cell."""
         mark = "." if self.separator == "," else self.mark
         return None if self.is_open(cell) else parse_cell(cell, mark)
 
@@ -234,7 +234,7 @@ def split_cells(line: str, separator: str) -> list[str]:
 
 
 def parse_cell(cell: str, mark: str) -> float | None:
-    """Return the number in a cell, NaN if it is missing; None if it cannot be read.
+    """Return the number in a cell, NaN for a missing one; None for an unreadable cell.
 
     Args:
         cell: its text.

@@ -5,14 +5,15 @@ Nothing in a file is ever executed.
 
 from __future__ import annotations
 
+import contextlib
 import io
 import itertools
 import json
 import math
-import zipfile
-from collections.abc import Mapping
+import os
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 
@@ -20,7 +21,13 @@ from undeadzone.errors import FileError, InputError
 from undeadzone.logs.kinds import Title, split_unit
 from undeadzone.logs.matlab73 import NUMERIC, is_matlab_73, load_matlab_73, unpacked_size
 from undeadzone.logs.names import Layout, layout_of_titles, numbers
-from undeadzone.logs.samples import Samples, numbers_of_texts, oldest_first
+from undeadzone.logs.samples import (
+    LogReader,
+    Samples,
+    numbers_of_texts,
+    oldest_first,
+    samples_of_text,
+)
 from undeadzone.logs.stamps import since_1970
 from undeadzone.logs.text import LARGEST, parse_cell
 from undeadzone.util.arrays import Floats
@@ -39,13 +46,60 @@ COMPRESSED: Final = 15  # type of an element of a .mat file
 Columns = list[tuple[Title, Floats]]  # what is said of each, and its numbers (N)
 
 
-def samples_of(
-    log: Any, p: int | None, m: int | None, chosen: Mapping[str, str], source: str
-) -> tuple[Samples, Layout]:
-    """Return the samples of a DataFrame, an .npz or a .mat file.
+class WholeLog(NamedTuple):
+    """A log as it was read.
+
+    Attributes:
+        source: its name in messages.
+        samples: all of them.
+        layout: its columns; None: it has none.
+        reader: of its lines; None: it has no lines.
+    """
+
+    source: str
+    samples: Samples
+    layout: Layout | None
+    reader: LogReader | None = None
+
+
+def read_whole(
+    log: Any,
+    p: int | None,
+    m: int | None,
+    chosen: Mapping[str, str],
+    strict: bool,
+    largest: int,
+    most: float = math.inf,
+) -> WholeLog:
+    """Read all samples of a file of any kind, or of a DataFrame.
 
     Args:
         log: the DataFrame, or the path.
+        p, m, chosen: as those of `samples_of`.
+        strict, largest, most: of a CSV text, as those of `LogReader` and `samples_of_text`.
+
+    Raises:
+        InputError: neither a path nor a DataFrame, or a file that cannot be read.
+    """
+    is_path = isinstance(log, str | os.PathLike)
+    if not is_path and not (hasattr(log, "columns") and hasattr(log, "index")):
+        raise InputError(f"log: expected a path or a DataFrame, found {type(log).__name__}")
+    source = str(log) if is_path else "DataFrame"
+    log = Path(log) if is_path else log
+    if not is_path or log.suffix.lower() in BINARY:
+        return WholeLog(source, *samples_of(log, p, m, chosen, source))
+    reader = LogReader(source, p, m, chosen, strict)
+    samples = samples_of_text(reader, log, largest, most)
+    return WholeLog(source, samples, reader.layout, reader)
+
+
+def samples_of(
+    log: Any, p: int | None, m: int | None, chosen: Mapping[str, str], source: str
+) -> tuple[Samples, Layout]:
+    """Return the samples of a DataFrame, of arrays by name, or of a file that is no CSV text.
+
+    Args:
+        log: the DataFrame, the arrays, or the path.
         p, m: numbers of readings and inputs that the plant has; None: as many as are named.
         chosen: columns that the user names; see `names.parse_columns`.
         source: the log, for messages.
@@ -74,34 +128,34 @@ def samples_of(
     return oldest_first(_usable(t, y, u)), layout
 
 
-def samples_of_arrays(t: Any, y: Any, u: Any, p: int, m: int, step: float) -> Samples:
-    """Samples from arrays.
+def samples_of_arrays(
+    given: Mapping[str, Any], p: int | None = None, m: int | None = None
+) -> tuple[Samples, Layout]:
+    """Return the samples of arrays.
 
     Args:
-        t: times (N) [s]; None: one step apart.
-        y: readings (N) or (N x p), NaN if one is missing.
-        u: inputs (N) or (N x m).
-        p, m: numbers of readings and inputs that the plant has.
-        step: of the scenario [s].
+        given: times t (N) [s], the step [s] or None; readings y (N) or (N x p), NaN if one is
+            missing; inputs u (N) or (N x m); perhaps a reference r (N) or None.
+        p, m: numbers of readings and inputs that the plant has; None: as many as there are.
 
     Raises:
-        InputError: an array of another shape, or not numeric.
+        InputError: arrays of different lengths, or not numeric.
     """
-    readings = _rows("y", y, p)
-    inputs = _rows("u", u, m)
-    if len(readings) != len(inputs):
-        raise InputError(f"y, u: expected as many rows, found {len(readings)}, {len(inputs)}")
-    if t is None:
-        times = step * np.arange(len(readings))
-    else:
-        times = _rows("t", t, 1)[:, 0]
-    if len(times) != len(readings):
-        raise InputError(f"t, y: expected as many rows, found {len(times)}, {len(readings)}")
-    return _usable(times, readings, inputs)
+    arrays = {key: numbers(key, x, "iufb") for key, x in given.items() if x is not None}
+    size = max(arrays["y"].shape, default=0)
+    if "t" in arrays and arrays["t"].ndim == 0:
+        arrays["t"] = arrays["t"] * np.arange(size)
+    single = {arrays[key].size for key in ("t", "r") if key in arrays}
+    if single - {size} or any(size not in x.shape or x.ndim > 2 for x in arrays.values()):
+        shapes = ", ".join(f"{key} {array.shape}" for key, array in arrays.items())
+        raise InputError(f"arrays: expected as many rows in each, one t, one r, found {shapes}")
+    return samples_of(arrays, p, m, {}, "arrays")
 
 
 def _columns(log: Any) -> Columns:
     """Return the columns of numbers of a file or a DataFrame."""
+    if isinstance(log, dict):
+        return _columns_of(log, "arrays")
     if not isinstance(log, Path):
         return of_frame(log)
     if log.suffix.lower() in JSON_LINES:
@@ -121,17 +175,6 @@ def _sensible(values: Floats) -> Floats:
         return np.where(np.abs(values) <= LARGEST, values, np.nan)
 
 
-def _rows(key: str, value: Any, size: int) -> Floats:
-    """Return an array of rows of that size. Raises InputError."""
-    rows = numbers(key, value, "iufb")
-    if rows.ndim == 1 and size == 1:
-        rows = rows[:, None]
-    if rows.ndim != 2 or rows.shape[1] != size:
-        shape = " x ".join(map(str, rows.shape)) or "one number"
-        raise InputError(f"{key}: expected a row of {size} for each sample, found {shape}")
-    return rows
-
-
 def of_frame(frame: Any) -> Columns:
     """Return the numeric columns of a DataFrame; times of day become seconds since the first."""
     titled = [(str(title), np.asarray(frame[title])) for title in frame.columns]
@@ -149,15 +192,24 @@ def of_frame(frame: Any) -> Columns:
     return columns
 
 
+@contextlib.contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Name the file in the errors of its decoders, which raise any if it is damaged."""
+    try:
+        yield
+    except InputError:
+        raise
+    except (OSError, ValueError) as error:
+        raise unreadable_file(path, error) from None
+    except Exception as error:
+        raise FileError(f"{path}: cannot read: {type(error).__name__}") from None
+
+
 def of_npz(path: Path) -> Columns:
     """Return the arrays of an .npz file as columns. Raises FileError."""
-    try:
+    with _naming(path):
         arrays = load_arrays(path, LARGEST_RUN)
         arrays.pop("info", None)
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile, KeyError) as error:
-        raise unreadable_file(path, error) from None
-    except Exception as error:  # damaged archives raise whatever their decoders raise
-        raise FileError(f"{path}: cannot read: {type(error).__name__}") from None
     return _columns_of(arrays, path)
 
 
@@ -167,10 +219,8 @@ def of_json_lines(path: Path) -> Columns:
     Args:
         path: the file. A key that an object lacks is a missing number.
     """
-    try:
+    with _naming(path):
         lines = read_bytes(path, LARGEST_TABLE).decode().splitlines()
-    except (OSError, ValueError) as error:
-        raise unreadable_file(path, error) from None
     rows = []
     for k, line in enumerate(lines, 1):
         try:
@@ -192,9 +242,8 @@ def of_json_lines(path: Path) -> Columns:
 def of_mat(path: Path) -> Columns:
     """Return the variables of a .mat file as columns. Raises FileError."""
     from scipy.io import loadmat, whosmat
-    from scipy.io.matlab import MatReadError
 
-    try:
+    with _naming(path):
         content = read_bytes(path, LARGEST_TABLE)
         if is_matlab_73(content):
             return _columns_of(load_matlab_73(content, LARGEST_MATRICES), path)
@@ -205,12 +254,6 @@ def of_mat(path: Path) -> Columns:
         names = [name for name, _, _ in declared]
         file = io.BytesIO(content)
         arrays = loadmat(file, mat_dtype=True, variable_names=names) if names else {}
-    except InputError:
-        raise
-    except (OSError, ValueError, MatReadError) as error:
-        raise unreadable_file(path, error) from None
-    except Exception as error:  # damaged files raise whatever their decoders raise
-        raise FileError(f"{path}: cannot read: {type(error).__name__}") from None
     named = {name: array for name, array in arrays.items() if not name.startswith("__")}
     return _columns_of(named, path)
 
@@ -234,7 +277,7 @@ def _require_small(content: bytes) -> None:
             raise ValueError(f"it would unpack to more than {LARGEST_MATRICES / 1e6:,.0f} MB")
 
 
-def _columns_of(arrays: dict[str, Any], path: Path) -> Columns:
+def _columns_of(arrays: dict[str, Any], path: Path | str) -> Columns:
     """Return arrays of one length as columns; a matrix gives `u[0]`, `u[1]`, ...
 
     Raises FileError.

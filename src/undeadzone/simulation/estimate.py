@@ -15,7 +15,6 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import casadi as ca
@@ -25,8 +24,8 @@ from undeadzone.compile import interpret
 from undeadzone.errors import FileError, InputError
 from undeadzone.interfaces import Estimate, Observer
 from undeadzone.logs.names import Layout, parse_columns
-from undeadzone.logs.samples import Faults, LogReader, Placed, place_on_steps, samples_of_text
-from undeadzone.logs.whole import BINARY, samples_of, samples_of_arrays
+from undeadzone.logs.samples import Faults, Placed, place_on_steps
+from undeadzone.logs.whole import read_whole, samples_of_arrays
 from undeadzone.nonlinearities.sensor import Zone
 from undeadzone.numerics.adjoint import LaterInformation, smooth_backward
 from undeadzone.numerics.gaussian import Gaussian
@@ -105,7 +104,7 @@ def estimate(
             raise InputError("estimate: expected a file, a DataFrame, or arrays y and u")
         step = scenario.simulation.step
         model = follower.model
-        samples = samples_of_arrays(t, y, u, model.p, model.m, step)
+        samples, _ = samples_of_arrays({"t": t, "y": y, "u": u}, model.p, model.m)
         log = _Log("arrays", place_on_steps(samples, t is not None, step, "arrays"))
     elif t is not None or y is not None or u is not None:
         raise InputError("estimate: expected a log or arrays, found both")
@@ -157,26 +156,14 @@ def _read_any_log(
     scenario: Scenario, follower: Follower, log: Any, chosen: Mapping[str, str], strict: bool
 ) -> _Log:
     """Return a log from a file or a DataFrame."""
-    is_path = isinstance(log, str | os.PathLike)
-    if not is_path and not (hasattr(log, "columns") and hasattr(log, "index")):
-        raise InputError(f"estimate: expected a path or a DataFrame, found {type(log).__name__}")
-    source = str(log) if is_path else "DataFrame"
-    p = follower.model.p
-    m = follower.model.m
-    layout: Layout | None
-    faults: Faults | None = None
-    if is_path and Path(log).suffix.lower() not in BINARY:
-        reader = LogReader(source, p, m, chosen, strict)
-        samples = samples_of_text(reader, Path(log), LARGEST_RUN, LARGEST_LOG)
-        layout = reader.layout
-        faults = reader.faults
-    else:
-        samples, layout = samples_of(Path(log) if is_path else log, p, m, chosen, source)
-    if layout is not None:
-        require_units(layout, scenario.units, source)
-    timed = layout is not None and layout.has_times
-    on_steps = place_on_steps(samples, timed, scenario.simulation.step, source)
-    return _Log(source, on_steps, layout, faults)
+    p, m = follower.model.p, follower.model.m
+    read = read_whole(log, p, m, chosen, strict, LARGEST_RUN, LARGEST_LOG)
+    if read.layout is not None:
+        require_units(read.layout, scenario.units, read.source)
+    timed = read.layout is not None and read.layout.has_times
+    on_steps = place_on_steps(read.samples, timed, scenario.simulation.step, read.source)
+    faults = None if read.reader is None else read.reader.faults
+    return _Log(read.source, on_steps, read.layout, faults)
 
 
 # --- Looking back

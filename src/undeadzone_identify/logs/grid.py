@@ -8,9 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.errors import FileError, InputError
-from undeadzone.logs.samples import Regular, fill_gaps
 from undeadzone.util.arrays import Flags, Floats, Integers
-from undeadzone_identify.logs.log import Log, sample_location
+from undeadzone_identify.logs.log import Log
 from undeadzone_identify.models.estimates import CachedMaxima
 from undeadzone_identify.models.likelihood import root_mean_square
 
@@ -87,42 +86,35 @@ def to_grid(logs: list[Log], resample: float | None = None) -> Grid:
     Raises:
         InputError: logs with different steps or numbers of inputs.
     """
-    pieces = []
-    steps = []
+    pieces, steps = [], []
     remarks: list[str] = []
+    known = min(log.r.shape[1] for log in logs)
     for log in logs:
         remarks += log.remarks
         if log.u.shape[1] != logs[0].u.shape[1]:
             raise InputError(
                 f"{log.source}: has {log.u.shape[1]} inputs, others have another number"
             )
-        step, on_grid = resample, _resample_log
-        if resample is None:
-            step, is_regular = _regular_step(log)
-            on_grid = _fill_regular if is_regular else _resample_log
-        steps.append(step)
-        pieces.append(on_grid(log, step, remarks))
+        found, is_regular = find_sample_time(log)
+        steps.append(found if resample is None else resample)
+        log = log._replace(r=log.r[:, :known])  # of one log alone, the reference is not used
+        pieces.append(_put_on_grid(log, steps[-1], is_regular and resample is None, remarks))
     if max(steps) > min(steps) * (1 + JITTER):
         raise InputError(
             f"logs: steps differ, from {min(steps):.6g} to {max(steps):.6g} s. Use --resample STEP"
         )
-    sizes = np.cumsum([0] + [piece.t.size for piece in pieces])
-    starts = [piece.start + size for piece, size in zip(pieces, sizes[:-1], strict=True)]
-    first = logs[0]
-    m = first.u.shape[1]
-    known = min(log.r.shape[1] for log in logs)  # of one log alone, the reference is not used
     if known < max(log.r.shape[1] for log in logs):
         remarks.append("not every log has a reference: it is not used")
-    cut = [piece._replace(u=piece.u[:, : m + known]) for piece in pieces]
-    t, u, y, _ = (np.concatenate(parts) for parts in zip(*cut, strict=True))
-    u, r, ok = u[:, :m], u[:, m:], np.isfinite(y)
+    t, u, y, begins = (np.concatenate(parts) for parts in zip(*pieces, strict=True))
+    first, ok = logs[0], np.isfinite(y)
+    u, r = np.split(u, [first.u.shape[1]], axis=1)
     y[ok] = round_to_steps(y[ok], remarks)
     return Grid(
         t,
         u,
         np.where(ok, y, 0.0),
         ok,
-        np.concatenate(starts),
+        np.flatnonzero(begins),
         float(np.mean(steps)),
         find_quantum(y[ok]),
         remarks,
@@ -168,136 +160,114 @@ def shorten_log(grid: Grid, integrators: int = 0) -> Grid:
     samples = np.concatenate([np.arange(first, first + long) for first in firsts])
     begins = np.union1d(np.flatnonzero(np.isin(samples, grid.start)), long * np.arange(STRETCHES))
     return grid._replace(
-        t=grid.t[samples],
-        u=grid.u[samples],
-        r=grid.r[samples],
-        y=grid.y[samples],
-        ok=grid.ok[samples],
+        **{name: getattr(grid, name)[samples] for name in ("t", "u", "r", "y", "ok")},
         start=begins,
         remarks=[*grid.remarks, remark],
     )
 
 
 class _Piece(NamedTuple):
-    """Single log on its grid, missing readings NaN, the reference in columns behind u."""
+    """Single log on its grid, missing readings NaN, the reference in columns behind u.
+
+    Attributes:
+        begins: whether a record begins with a sample (N).
+    """
 
     t: Floats
     u: Floats
     y: Floats
-    start: Integers
+    begins: Flags
 
 
-def find_sample_time(log: Log) -> float:
-    """Find the sample time of a log [s].
+def find_sample_time(log: Log) -> tuple[float, bool]:
+    """Find the sample time of a log [s], and whether its times are regular.
 
     Args:
         log: its times increase.
 
     Returns:
-        The median spacing, refined over the whole log.
+        The median spacing, refined over the whole log, and whether nearly all times of a record
+        are near its multiples; those of few digits may differ by their rounding.
 
     Raises:
-        FileError: fewer than two samples, or spacings that are no multiples of one step.
+        FileError: fewer than three samples.
     """
     if log.t.size < 3:
         raise FileError(f"{log.source}: {log.t.size} samples are too few")
     spacing = np.diff(log.t)
     step = float(np.median(spacing))
+    spacing = spacing[spacing < (LONG + 0.5) * step]
     count = np.maximum(np.rint(spacing / step), 1.0)
-    near = (np.abs(spacing - count * step) <= MOST_SWAY * step) & (count <= LONG)
+    rounding = _print_error(log.t, step)
+    near = np.abs(spacing - count * step) <= MOST_SWAY * step + rounding
     step = float(spacing[near].sum() / max(count[near].sum(), 1)) or step
-    off = np.abs(spacing - count * step)
-    if np.mean(near) >= 1 - SELDOM and root_mean_square(off[near]) <= SWAYS * step:
-        return step
-    allowed = JITTER * step * np.sqrt(count) + _print_error(log.t)
-    bad = np.flatnonzero(off > allowed)
-    if bad.size:
-        worst = int(bad[np.argmax(off[bad])])
-        raise FileError(
-            f"{sample_location(log.source, log.lines, worst + 1)}: irregular step: "
-            f"{spacing[worst]:.6g} s where the log has {step:.6g} s; "
-            f"{bad.size} of {spacing.size} steps differ by more than 1 % from "
-            f"a multiple. Use --resample {step:.3g}, or give times with more digits"
-        )
-    return step
+    most = math.hypot(SWAYS * step, rounding / 2)
+    are_near = np.mean(near) >= 1 - SELDOM
+    return step, are_near and root_mean_square((spacing - count * step)[near]) <= most
 
 
-def _regular_step(log: Log) -> tuple[float, bool]:
-    """Return the step of a log, and whether it is regular; else the median. Raise FileError."""
-    try:
-        return find_sample_time(log), True
-    except FileError:
-        if log.t.size < 3:
-            raise
-        return float(np.median(np.diff(log.t))), False
+def _print_error(t: Floats, step: float) -> float:
+    """Return the rounding error of printed times [s]; 0 if it hardly matters or is a step."""
+    unit = last_decimal(t)
+    return 1.01 * unit if unit < 0.25 * step else 0.0
 
 
-def _print_error(t: Floats) -> float:
-    """Return the rounding error of printed times [s]: their last decimal if these are few,
-    else 0.
+def _put_on_grid(log: Log, step: float, is_regular: bool, remarks: list[str]) -> _Piece:
+    """Return a log on multiples of a step: inputs held, readings between near ones at most.
+
+    Args:
+        log: with one output.
+        step: of the grid [s].
+        is_regular: whether each sample has a place of its own, and no reading lies between.
+        remarks: list that is extended.
     """
-    for digits in range(7):
-        if np.abs(t - np.round(t, digits)).max() < 1e-9 * max(1.0, float(np.abs(t).max())):
-            unit = 10.0**-digits
-            step = float(np.median(np.diff(t)))
-            return 1.01 * unit if unit < 0.25 * step else 0.0
-    return 0.0
-
-
-def _fill_regular(log: Log, step: float, remarks: list[str]) -> _Piece:
-    """Return a log on multiples of a step; short gaps are filled, long gaps start a record."""
-    spacing = np.diff(log.t, prepend=log.t[0] - step)
-    steps = np.maximum(np.rint(spacing / step), 1.0)
-    off = np.abs(spacing - steps * step)
-    breaks = (steps > LONG) | (off > MOST_SWAY * step + _print_error(log.t))
-    steps[breaks] = 1.0
-    start = np.flatnonzero(breaks)
-    place = np.cumsum(steps).astype(int) - 1
-    whole = fill_gaps(Regular(log.t, log.y, np.hstack([log.u, log.r])), steps, step)
-    last = np.maximum.accumulate(np.where(np.isfinite(whole.u[:, 0]), np.arange(whole.t.size), 0))
-    missing = whole.t.size - log.t.size
-    if missing:
-        remarks.append(
-            f"{missing} readings missing in gaps of {log.source}; the input is held there"
-        )
-    if start.size:
-        remarks.append(
-            f"{start.size} gaps of {log.source} are longer than {LONG} steps or no multiple of one;"
-            " a new record begins after each"
-        )
-    return _Piece(whole.t, whole.u[last], whole.y[:, 0], np.append(0, place[start]))
-
-
-def _resample_log(log: Log, step: float, remarks: list[str]) -> _Piece:
-    """Return a log on a new grid: inputs held, readings between near ones, gaps not bridged."""
-    length = log.t[-1] - log.t[0]
-    if not 0 < step < length / 10:
-        raise InputError(f"resample: a step of {step:g} s does not fit {length:g} s")
     spacing = np.diff(log.t)
     usual = max(step, float(np.median(spacing)))
-    parts = np.split(log.t, np.flatnonzero(spacing > LONG * usual) + 1)
-    sizes = [int((part[-1] - part[0]) / step + 1 + EXACT) for part in parts]
-    if sum(sizes) > 20 * log.t.size:
-        raise InputError(f"resample: a step of {step:g} s is far below the spacing of the log")
-    t = np.concatenate(
-        [part[0] + step * np.arange(n) for part, n in zip(parts, sizes, strict=True)]
-    )
+    if is_regular:
+        usual = step
+        counts = np.maximum(np.rint(spacing / step), 1.0)
+        odd = np.abs(spacing - counts * step) > MOST_SWAY * step + _print_error(log.t, step)
+        spacing = step * np.where(odd, 2.0 * LONG, counts)
+    t = np.append(0.0, np.cumsum(spacing))
+    first = np.append(0, np.flatnonzero(spacing > (LONG + 0.5) * usual) + 1)
+    lengths = t[np.append(first[1:], t.size) - 1] - t[first]
+    if not lengths.sum() / (20 * t.size) <= step < t[-1]:
+        raise InputError(
+            f"resample: a step of {step:g} s does not fit {t.size} samples in {t[-1]:g} s"
+        )
+    sizes = (lengths / step + 1 + EXACT).astype(int)
+    start = np.cumsum(sizes) - sizes
+    grid = np.repeat(t[first] - step * start, sizes) + step * np.arange(sizes.sum())
     known = np.isfinite(log.y[:, 0])
-    times, y = log.t[known], log.y[known, 0]
-    at = np.round(np.interp(t, times, np.arange(times.size)), 6)
-    last, following = np.floor(at).astype(int), np.ceil(at).astype(int)
-    silent = (y[last] == 0) | (y[following] == 0)  # between 0 and a reading lies none
-    new = y[last] + np.where(silent, np.rint(at) - last, at - last) * (y[following] - y[last])
-    apart = np.maximum(times[following] - times[last], np.abs(t - times[last]))
-    near = apart <= BRIDGED * usual * (1 + JITTER)
-    quantum = find_quantum(y)
-    new = np.rint(new / quantum) * quantum if quantum else new
-    remarks.append(
-        f"resampled to {step:.4g} s, which --resample changes: {near.sum()} readings from"
-        f" {times.size}, none in gaps beyond {BRIDGED:g} steps, {len(parts)} records"
+    times, y = t[known], log.y[known, 0]
+    at = np.round(np.interp(grid, times, np.arange(times.size)), 6)
+    beside = np.array([np.floor(at), np.ceil(at)], int)
+    silent = (y[beside] == 0).any(axis=0)  # between 0 and a reading lies none
+    new = (
+        y[beside[0]]
+        + (np.where(silent, np.rint(at), at) - beside[0]) * np.diff(y[beside], axis=0)[0]
     )
-    driving = np.hstack([log.u, log.r])[np.searchsorted(log.t, t + 1e-6 * step, side="right") - 1]
-    return _Piece(t, driving, np.where(near, new, np.nan), np.cumsum([0, *sizes[:-1]]))
+    apart = np.maximum(np.ptp(times[beside], axis=0), np.abs(grid - times[beside[0]]))
+    if is_regular:
+        near = apart < 0.5 * step
+        notes = {
+            f"readings missing in gaps of {log.source}; the input is held there": grid.size
+            - t.size,
+            f"gaps of {log.source} are longer than {LONG} steps or no multiple of one; a new record"
+            " begins after each": first.size - 1,
+        }
+        remarks += [f"{count} {words}" for words, count in notes.items() if count]
+    else:
+        near = apart <= BRIDGED * usual * (1 + JITTER)
+        quantum = find_quantum(y)
+        new = np.rint(new / quantum) * quantum if quantum else new
+        remarks.append(
+            f"resampled to {step:.4g} s, which --resample changes: {near.sum()} readings from"
+            f" {times.size}, none in gaps beyond {BRIDGED:g} steps, {first.size} records"
+        )
+    driving = np.hstack([log.u, log.r])[np.searchsorted(t, grid + 1e-6 * step, side="right") - 1]
+    begins = np.isin(np.arange(grid.size), start)
+    return _Piece(np.interp(grid, t, log.t), driving, np.where(near, new, np.nan), begins)
 
 
 def find_quantum(y: Floats) -> float:
@@ -378,12 +348,14 @@ def printed_step(values: Floats) -> float:
     Args:
         values: none missing.
     """
-    step = rounding_step(values)
-    off = 1e-9 * max(float(np.ptp(values)), 1e-300)
-    for digits in range(7):
-        if step == 0 and np.abs(values - np.round(values, digits)).max() < off:
-            step = 10.0**-digits
-    return step
+    return rounding_step(values) or last_decimal(values)
+
+
+def last_decimal(values: Floats) -> float:
+    """Return the unit of the last decimal that values (N) have, of six at most; else 0."""
+    off = 1e-9 * max(float(np.ptp(values)), 1e-300) + float(np.spacing(np.abs(values).max()))
+    units = (10.0**-k for k in range(7) if np.abs(values - np.round(values, k)).max() < off)
+    return next(units, 0.0)
 
 
 def common_spacing(values: Floats) -> float:

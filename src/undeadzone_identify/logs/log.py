@@ -6,28 +6,25 @@ Nothing in a file is ever executed.
 from __future__ import annotations
 
 import math
-import os
-from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any, Literal, NamedTuple, TypeVar, get_args, get_type_hints
 
 import msgspec
 import numpy as np
 
 from undeadzone.errors import FileError, InputError
-from undeadzone.logs.kinds import Title, kind_of
-from undeadzone.logs.names import Layout, layout_of_titles, numbers, parse_columns
+from undeadzone.logs.kinds import kind_of
+from undeadzone.logs.names import Layout, parse_columns
 from undeadzone.logs.samples import (
     MOST_UNREADABLE,
     REPEATED,
-    LogReader,
     Samples,
     count_in_words,
-    samples_of_text,
+    require_increasing,
     without_repeats,
 )
-from undeadzone.logs.whole import BINARY, samples_of
-from undeadzone.util.arrays import LARGEST, Floats
+from undeadzone.logs.whole import read_whole, samples_of_arrays
+from undeadzone.util.arrays import Floats
 from undeadzone.util.files import LARGEST_TABLE
 
 T = TypeVar("T", int, float)
@@ -101,11 +98,8 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         """
         if self.offset == "free":
             return None
-        try:
-            rms = float(self.offset)
-        except ValueError:
-            rms = math.nan
-        if not (math.isfinite(rms) and rms >= 0):
+        rms = (_parse_one_or_two(self.offset, ",", float) or [math.nan])[0]
+        if not 0 <= rms < math.inf:
             raise InputError(f"offset: expected an rms >= 0 or free, found {self.offset!r}")
         return rms
 
@@ -131,13 +125,27 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
     def require_usable(self) -> Options:
         """Return these options if every value is usable. Raise InputError."""
-        for name in ("noise", "place", "kind"):
-            words = get_args(get_type_hints(Options)[name])
-            if getattr(self, name) not in words:
-                found = getattr(self, name)
-                raise InputError(f"{name}: expected {', '.join(words)}, found {found!r}")
-        if self.integrators not in (0, 1, 2):
-            raise InputError(f"integrators: expected 0, 1 or 2, found {self.integrators}")
+        hints = get_type_hints(Options)
+        words = {name: get_args(hints[name]) for name in ("noise", "place", "kind")}
+        late = self.delay.isdigit() and int(self.delay) <= MOST_LATE
+        threshold = self.threshold or 0.0
+        for name, is_usable, expected in (
+            *(
+                (name, getattr(self, name) in known, ", ".join(known))
+                for name, known in words.items()
+            ),
+            ("integrators", self.integrators in (0, 1, 2), "0, 1 or 2"),
+            (
+                "delay",
+                late or self.delay in ("auto", AT_ONCE),
+                f"auto or {AT_ONCE} to {MOST_LATE} samples",
+            ),
+            ("zero", math.isfinite(self.zero), "a number"),
+            ("held_out", 0.1 <= self.held_out <= 0.5, "0.1 to 0.5"),
+            ("threshold", 0 <= threshold < math.inf, "a number >= 0"),
+        ):
+            if not is_usable:
+                raise InputError(f"{name}: expected {expected}, found {getattr(self, name)!r}")
         if self.place in ("actuator", "plant") and self.integrators:
             raise InputError(
                 f"place: {self.place} is not asked of a plant with --integrators. Leave it out: a"
@@ -145,21 +153,10 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
             )
         if self.kind == "jump" and self.integrators:
             raise InputError("kind: a jump sensor's readings show z. It has no --integrators")
-        is_known = self.delay == AT_ONCE or (self.delay.isdigit() and int(self.delay) <= MOST_LATE)
-        if self.delay != "auto" and not is_known:
-            raise InputError(
-                f"delay: expected auto or {AT_ONCE} to {MOST_LATE} samples, found {self.delay!r}"
-            )
-        if not math.isfinite(self.zero):
-            raise InputError(f"zero: expected a number, found {self.zero:g}")
         self.parse_orders()
         self.parse_offset_rms()
         self.parse_bounds("right")
         self.parse_bounds("left")
-        if not 0.1 <= self.held_out <= 0.5:
-            raise InputError(f"held_out: expected 0.1 to 0.5, found {self.held_out:g}")
-        if self.threshold is not None and not 0 <= self.threshold < math.inf:
-            raise InputError(f"threshold: must not be negative, found {self.threshold:g}")
         return self
 
 
@@ -186,7 +183,6 @@ class Log(NamedTuple):
         input_unit: unit of the inputs, "1" where none is named, or several differ.
         output_units: units of the readings (p), "1" where none is named.
         source: where the log came from, for messages.
-        lines: the line of each sample in its file (N), for messages; empty if there is none.
         counted: whether the times count samples, so that no rate in seconds is known.
         r: the reference (N x 1), NaN if it is missing; (N x 0) where none was recorded.
         remarks: on omissions, for the user.
@@ -201,7 +197,6 @@ class Log(NamedTuple):
     input_unit: str
     output_units: tuple[str, ...]
     source: str
-    lines: Any
     counted: bool
     r: Floats
     remarks: tuple[str, ...] = ()
@@ -242,25 +237,24 @@ def log_from_samples(samples: Samples, layout: Layout, source: str, strict: bool
     Raises:
         FileError: times that do not increase, a missing input, readings that are all missing.
     """
-    samples, repeated = without_repeats(samples)
     mended: list[str] = []
     if layout.time is None:
         samples = samples._replace(t=np.arange(samples.t.size, dtype=float))
+    samples, repeated = without_repeats(samples)
     if not strict:
         samples = _mend_times(_hold_inputs(samples, mended), mended)
-    t = samples.t
-    lines = samples.lines
+    require_increasing(samples, source)
     outputs = tuple(title.name for title in layout.reading_titles)
     inputs = tuple(title.name for title in layout.input_titles)
-    y = np.where(np.isfinite(samples.y), samples.y, np.nan)
-    _require_increasing(t, source, lines)
     u, r = np.split(samples.u, [len(inputs)], axis=1)
-    _require_finite_inputs(u, inputs, source, lines)
-    for name, column in zip(outputs, y.T, strict=True):
+    for row, column in np.argwhere(np.isnan(u))[:1]:
+        raise FileError(
+            f"{source}, line {samples.lines[row]}: input {inputs[column]!r} is missing or not a"
+            " usable number. An input must be known at every sample"
+        )
+    for name, column in zip((*outputs, "the reference"), np.hstack([samples.y, r]).T, strict=False):
         if np.isnan(column).all():
-            raise FileError(f"{source}: {name} holds no reading: every one is missing")
-        if np.nanmax(np.abs(column)) > LARGEST:
-            raise FileError(f"{source}: {name} holds numbers beyond {LARGEST:g}")
+            raise FileError(f"{source}: {name} holds no number: every one is missing")
     driving = layout.input_titles[: 1 if layout.has_current else None]
     units = {title.unit or "1" for title in driving}
     remarks = [f"{source}: {remark}" for remark in mended]
@@ -271,20 +265,17 @@ def log_from_samples(samples: Samples, layout: Layout, source: str, strict: bool
         remarks.append(
             f"{source}: {repeated} samples have the time of the one before, and are left out"
         )
-    if r.size and np.isnan(r).all():
-        raise FileError(f"{source}: the reference holds no number: every one is missing")
     return Log(
-        t,
+        samples.t,
         u,
-        y,
+        samples.y,
         inputs,
         outputs,
         units.pop() if len(units) == 1 else "1",
         tuple(title.unit or "1" for title in layout.reading_titles),
         source,
-        lines,
         layout.seconds is None or layout.time is None,
-        np.where(np.isfinite(r), r, np.nan),
+        r,
         tuple(remarks),
         layout.time is not None,
     )
@@ -335,41 +326,6 @@ def _mend_times(samples: Samples, remarks: list[str]) -> Samples:
     return samples.select_rows(rows)._replace(t=t + place * np.repeat(width, count))
 
 
-def sample_location(source: str, lines: Any, index: int) -> str:
-    """Return the place of a sample for messages: its line if the file has lines."""
-    if len(lines):
-        return f"{source}, line {int(lines[index])}"
-    return f"{source}, sample {index}"
-
-
-def _require_increasing(t: Floats, source: str, lines: Any) -> None:
-    """Require that every time is finite and later than the previous time. Raise FileError."""
-    bad = np.flatnonzero(~np.isfinite(t))
-    if bad.size:
-        raise FileError(
-            f"{sample_location(source, lines, bad[0])}: the time is missing or not finite"
-        )
-    back = np.flatnonzero(np.diff(t) <= 0)
-    if back.size:
-        index = int(back[0]) + 1
-        raise FileError(
-            f"{sample_location(source, lines, index)}: time does not increase: "
-            f"{t[index]:.9g} s after {t[index - 1]:.9g} s. Sort the "
-            "lines, or give logs of several runs as several files"
-        )
-
-
-def _require_finite_inputs(u: Floats, inputs: Sequence[str], source: str, lines: Any) -> None:
-    """Require that every input is finite and of sensible size. Raise FileError."""
-    bad = np.argwhere(~np.isfinite(u) | (np.abs(u) > LARGEST))
-    if bad.size:
-        row, column = bad[0]
-        raise FileError(
-            f"{sample_location(source, lines, int(row))}: input {inputs[column]!r} is "
-            "missing or not a usable number. An input must be known at every sample"
-        )
-
-
 # --- Where it comes from
 
 
@@ -387,52 +343,22 @@ def read_log(source: Any, columns: str | None = None, strict: bool = False) -> L
     Raises:
         FileError: the fault, with file and line if there are any.
     """
-    chosen = parse_columns(columns)
-    remarks: list[str] = []
-    if hasattr(source, "columns") and hasattr(source, "index"):
-        name = "DataFrame"
-        samples, layout = samples_of(source, None, None, chosen, name)
-    elif not isinstance(source, str | os.PathLike):
-        raise InputError(f"log: expected a path or a DataFrame, found {type(source).__name__}")
-    else:
-        path = Path(source)
-        name = str(source)
-        if path.suffix.lower() in BINARY:
-            samples, layout = samples_of(path, None, None, chosen, name)
-        else:
-            samples, layout = _read_csv_samples(path, chosen, strict, remarks)
-    log = log_from_samples(samples, layout, name, strict)
+    read = read_whole(source, None, None, parse_columns(columns), strict, LARGEST_TABLE)
+    samples, name, remarks = read.samples, read.source, list[str]()
+    if read.layout is None or not samples.t.size:
+        raise FileError(f"{name}: holds no samples")
+    if read.reader is not None and read.reader.ahead:
+        remarks.append(f"{name}: {count_in_words(read.reader.ahead)} ahead of the header skipped")
+    if read.reader is not None and read.reader.faults.unreadable:
+        faults = read.reader.faults
+        lines = f"{name}: {count_in_words(faults.unreadable)}"
+        if faults.unreadable > MOST_UNREADABLE * samples.t.size:
+            raise FileError(f"{lines} of {samples.t.size} cannot be read; {faults.why}")
+        remarks.append(f"{lines} cannot be read and count as missing; {faults.why}")
+        some = np.isfinite(np.column_stack([samples.t, samples.y, samples.u])).any(axis=1)
+        samples = samples.select_rows(some)
+    log = log_from_samples(samples, read.layout, name, strict)
     return log._replace(remarks=(*log.remarks, *remarks))
-
-
-def _read_csv_samples(
-    path: Path, chosen: Mapping[str, str], strict: bool, remarks: list[str]
-) -> tuple[Samples, Layout]:
-    """Read the samples of a CSV file, without unreadable lines. Raise FileError."""
-    reader = LogReader(str(path), None, None, chosen, strict)
-    samples = samples_of_text(reader, path, LARGEST_TABLE, math.inf)
-    if reader.layout is None or not samples.t.size:
-        raise FileError(f"{path}: holds no samples")
-    if reader.ahead:
-        remarks.append(f"{path}: {count_in_words(reader.ahead)} ahead of the header skipped")
-    if reader.faults.unreadable:
-        samples = _drop_unreadable(samples, reader, path)
-        remarks.append(
-            f"{path}: {count_in_words(reader.faults.unreadable)} cannot be read and count as "
-            f"missing; {reader.faults.why}"
-        )
-    return samples, reader.layout
-
-
-def _drop_unreadable(samples: Samples, reader: LogReader, path: Path) -> Samples:
-    """Return the samples with any readable value. Raise FileError if these are few."""
-    if reader.faults.unreadable > MOST_UNREADABLE * samples.t.size:
-        raise FileError(
-            f"{path}: {count_in_words(reader.faults.unreadable)} of {samples.t.size} cannot be "
-            f"read; {reader.faults.why}"
-        )
-    some = np.isfinite(np.column_stack([samples.t, samples.y, samples.u])).any(axis=1)
-    return Samples(*[part[some] for part in samples])
 
 
 def log_from_arrays(t: Any, u: Any, y: Any, r: Any = None) -> Log:
@@ -450,37 +376,5 @@ def log_from_arrays(t: Any, u: Any, y: Any, r: Any = None) -> Log:
     Raises:
         InputError: arrays of different lengths, or not numeric.
     """
-    readings = _to_rows("y", numbers("y", y, "iuf"))
-    inputs = _to_rows("u", numbers("u", u, "iuf"))
-    times = numbers("t", t, "iuf")
-    if times.ndim == 0:
-        times = float(times) * np.arange(len(readings))
-    times = times.ravel()
-    reference = np.empty((len(inputs), 0)) if r is None else _to_rows("r", numbers("r", r, "iuf"))
-    row_counts = [times.size, len(inputs), len(readings), len(reference)]
-    if len(set(row_counts)) > 1 or reference.shape[1] > 1:
-        shapes = f"{times.shape}, {inputs.shape}, {readings.shape}, {reference.shape}"
-        raise InputError(f"t, u, y, r: expected as many rows in each, one r, found {shapes}")
-    layout = _array_layout(readings.shape[1], inputs.shape[1])
-    samples = Samples(times, readings, np.hstack([inputs, reference]), np.empty(0, np.int64))
-    return log_from_samples(samples, layout, "arrays")
-
-
-def _array_layout(p: int, m: int) -> Layout:
-    """Return the column layout of arrays."""
-    titles = [Title("t", "s")]
-    for signal, count in (("y", p), ("u", m)):
-        names = [signal] if count == 1 else [f"{signal}[{i}]" for i in range(count)]
-        titles += [Title(name, "") for name in names]
-    return layout_of_titles(titles, p, m, {}, "arrays")
-
-
-def _to_rows(key: str, array: Any) -> Any:
-    """Return an array with a row for each sample. Raise InputError."""
-    if array.ndim == 1:
-        return array[:, None]
-    if array.ndim == 2 and 1 in array.shape and array.shape[1] != 1:
-        return array.T
-    if array.ndim != 2:
-        raise InputError(f"{key}: expected a row for each sample, found shape {array.shape}")
-    return array
+    samples, layout = samples_of_arrays({"t": t, "u": u, "y": y, "r": r})
+    return log_from_samples(samples, layout._replace(reference=None), "arrays")

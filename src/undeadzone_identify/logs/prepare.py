@@ -64,9 +64,12 @@ def select_readings(grid: Grid, remarks: list[str]) -> UsableReadings:
         grid: the log on its grid.
         remarks: each omission is added here, for the user.
     """
-    ok = grid.ok & ~_flag_spikes(grid, remarks)
-    ok &= ~_flag_dropouts(grid, ok, remarks)
-    ok &= ~_flag_stuck(grid, ok, remarks)
+    ok = grid.ok.copy()
+    for find, words in LEFT_OUT:
+        bad = find(grid, ok)
+        k = int(bad.argmax())
+        remarks += [words.format(bad.sum(), grid.t[k], grid.y[k])] * bool(bad.any())
+        ok[bad] = False
     ends = range_ends(grid.y, ok, grid.quantum)
     at = ends.find_readings_at_ends(grid.y, ok)
     visits = [bounds_of_runs(at & side)[0].size for side in (grid.y > 0, grid.y < 0)]
@@ -83,30 +86,25 @@ def select_readings(grid: Grid, remarks: list[str]) -> UsableReadings:
     return UsableReadings(most, ok & ~most, ends)
 
 
-def _flag_spikes(grid: Grid, remarks: list[str]) -> Flags:
+def _flag_spikes(grid: Grid, ok: Flags) -> Flags:
     """Return the flags of the few readings far beyond the rest, or beyond both neighbours (N)."""
     y, size = grid.y, np.abs(grid.y)
     change = np.diff(y)
-    known = grid.ok & np.roll(grid.ok, 1) & np.roll(grid.ok, -1)
+    beside = np.array([change[:-1], change[1:]])
+    known = ok & np.roll(ok, 1) & np.roll(ok, -1)
     lone = np.zeros_like(y)
-    lone[1:-1] = (change[:-1] * change[1:] < 0) * np.minimum(*np.abs([change[:-1], change[1:]]))
+    lone[1:-1] = (beside.prod(axis=0) < 0) * np.abs(beside).min(axis=0)
     lone[~known | (y == 0)] = 0.0
     usual = size[known & (y * np.roll(y, 1) > 0)]
     beyond = PASSING * np.quantile(usual, 0.1) if usual.size else 0.0  # not a passage of an edge
     steps = np.abs(change[known[1:] & (change != 0)])
-    least = SPIKE * max(np.quantile(lone, 0.99), float(np.median(steps)) if steps.size else 0.0)
+    least = SPIKE * max(float(np.quantile(lone, 0.99)), np.median(steps) if steps.size else 0.0)
     alone = (lone > least) & ((size > beyond) | (np.roll(y, 1) != 0))
     alone &= alone.sum() <= max(1, RARE * alone.size)
-    found = find_spikes(y, grid.ok) | alone
-    if found.any():
-        remarks.append(
-            f"{found.sum()} readings beyond {SPIKE:g} times the usual size, or alone so far from"
-            f" both neighbours, are taken as missing, the first at {grid.t[found][0]:.6g} s"
-        )
-    return found
+    return find_spikes(y, ok) | alone
 
 
-def _flag_dropouts(grid: Grid, ok: Flags, remarks: list[str]) -> Flags:
+def _flag_dropouts(grid: Grid, ok: Flags) -> Flags:
     """Return the flags of zeros between readings too large for the output to enter the zone
     (N).
 
@@ -135,16 +133,10 @@ def _flag_dropouts(grid: Grid, ok: Flags, remarks: list[str]) -> Flags:
     lasts = silent & (np.roll(silent, 1) | np.roll(silent, -1))
     if not grid.quantum and lasts.sum() <= LASTING * ok.sum():
         dropped |= silent & ~lasts
-    if not 0 < dropped.sum() <= DROPPED * ok.sum():
-        return np.zeros_like(ok)
-    remarks.append(
-        f"{dropped.sum()} zeros that no output explains are dropouts, and taken as missing, the"
-        f" first at {grid.t[dropped][0]:.6g} s"
-    )
-    return dropped
+    return dropped & (dropped.sum() <= DROPPED * ok.sum())
 
 
-def _flag_stuck(grid: Grid, ok: Flags, remarks: list[str]) -> Flags:
+def _flag_stuck(grid: Grid, ok: Flags) -> Flags:
     """Return the flags of constant readings, not 0 (N).
 
     They are some holds that end by a jump, of readings that else hardly repeat, or one long hold
@@ -173,14 +165,25 @@ def _flag_stuck(grid: Grid, ok: Flags, remarks: list[str]) -> Flags:
         moved = grid.u[part].std(axis=0)
         is_long = least <= lengths[k] < count / 2 and (moved > MOVING * grid.u.std(axis=0)).any()
         stuck[part] = is_long or (is_frozen and moved.any())
-    if stuck.any():
-        at = int(stuck.argmax())
-        remarks.append(
-            f"the reading is stuck at {y[at]:.6g} from {grid.t[at]:.6g} s on; {stuck.sum()} such"
-            " readings are taken as missing"
-        )
     return stuck
 
+
+LEFT_OUT = (  # and words for how many there are, when the first one is, and what it reads
+    (
+        _flag_spikes,
+        f"{{}} readings beyond {SPIKE:g} times the usual size, or alone so far from both"
+        " neighbours, are taken as missing, the first at {:.6g} s",
+    ),
+    (
+        _flag_dropouts,
+        "{} zeros that no output explains are dropouts, and taken as missing, the first at"
+        " {:.6g} s",
+    ),
+    (
+        _flag_stuck,
+        "the reading is stuck at {2:.6g} from {1:.6g} s on; {0} such readings are taken as missing",
+    ),
+)
 
 # --- The data of a fit
 
@@ -267,17 +270,18 @@ def prepare_log(grid: Grid, options: Options) -> PreparedLog:
     _require_informative(grid, y[ok], side, "; ".join(["", *remarks]))
     orders = _require_order(int(ok.sum()), options, remarks)
     ahead = _is_noise_ahead(y[ok], side[ok] == 0, options)
-    start = grid.start
+    u_scale, y_scale = grid.u.std(axis=0), root_mean_square(y[ok])
+    u = grid.u / u_scale
+    data = RecordData(u, y / y_scale, ok, grid.start, side, ahead, u_scale, y_scale)
     settles = True
     if options.integrators:
-        whole = RecordData(grid.u, y, ok, start, side, ahead, np.ones(grid.u.shape[1]), 1.0)
-        length, settles = _settled_length(whole, orders, options.integrators)
-        start = _split_records(grid, length, remarks)
-    u_scale = grid.u.std(axis=0)
-    y_scale = root_mean_square(y[ok])
-    u = grid.u / u_scale
-    y = y / y_scale
-    data = RecordData(u, y, ok, start, side, ahead, u_scale, y_scale, grid.climbs)
+        length, settles = _settled_length(data, orders, options.integrators)
+        data = data._replace(start=_first_samples(data.start, y.size, length))
+        remarks.append(
+            "disturbances add up in an integrating plant: the log is taken as"
+            f" {data.start.size} records with a state of their own each"
+        )
+    data = data._replace(climbs=grid.climbs)
     if options.kind == "jump":
         data, limits, jumps = to_dead_zone_data(data, options)
     else:
@@ -400,18 +404,15 @@ def _settled_length(data: RecordData, orders: list[int], integrators: int) -> tu
     """Return samples of a stretch in which the poles of a linear plant settle, and if they do.
 
     Args:
-        data: whole records, without scales.
+        data: whole records.
         orders: that will be tried.
         integrators: of the plant.
     """
     order = max(integrators + 1, min(orders))
-    u_scale = data.u.std(axis=0)
-    y_scale = root_mean_square(data.y[data.ok])
-    scaled = data._replace(u=data.u / u_scale, y=data.y / y_scale)
     length = STRETCH
     most = int(np.diff(np.append(data.start, data.y.size)).max())
     while True:
-        cut = scaled._replace(start=_first_samples(data.start, data.y.size, length))
+        cut = data._replace(start=_first_samples(data.start, data.y.size, length))
         fit = fit_linear(PlantSimulator(cut, order, integrators), data.ok)
         if not fit.objective.simulator.is_at_limit(fit.theta):
             return length, True
@@ -431,34 +432,21 @@ def _first_samples(start: Integers, size: int, length: int) -> Integers:
     return np.concatenate(starts)
 
 
-def _split_records(grid: Grid, length: int, remarks: list[str]) -> Integers:
-    """Return the first samples of stretches of about STRETCH samples of each record."""
-    start = _first_samples(grid.start, grid.t.size, length)
-    remarks.append(
-        f"disturbances add up in an integrating plant: the log is taken as {start.size} records"
-        " with a state of their own each"
-    )
-    return start
-
-
 def _width_limits(data: RecordData, options: Options) -> WidthLimits:
     """Return the limits of the widths, scaled; a missing edge is placed far away."""
-    limits = []
-    for name, sign in SIDES.items():
-        low, high = options.parse_bounds(name)
-        if low == np.inf:
-            _require_no_reading(data, sign, name)
-            low = high = FAR_EDGE * data.y_scale
-        limits.append((low / data.y_scale, high / data.y_scale))
+    right, left = (_scaled_bounds(data, options, name) for name in SIDES)
     tied = options.integrators > 0 and options.right is None and options.left is None
-    right, left = limits
     return WidthLimits(right, left, tied=tied)
 
 
-def _require_no_reading(data: RecordData, sign: int, name: str) -> None:
-    """Require that no reading lies beyond an edge that does not exist. Raise InputError."""
-    if np.any(data.side[data.ok] == sign):
+def _scaled_bounds(data: RecordData, options: Options, name: str) -> tuple[float, float]:
+    """Return the bounds of a width, scaled; a missing edge is far away. Raise InputError."""
+    low, high = options.parse_bounds(name)
+    if low < math.inf:
+        return low / data.y_scale, high / data.y_scale
+    if np.any(data.side[data.ok] == SIDES[name]):
         raise InputError(f"{name}: inf means that no edge exists, but readings lie beyond it")
+    return FAR_EDGE, FAR_EDGE
 
 
 # --- The edges of a jump sensor
@@ -485,28 +473,21 @@ def to_dead_zone_data(
             "kind: a jump sensor is silent inside its zone, and these readings have no exact zeros."
             " Give --threshold, |y| up to which a reading counts as silent"
         )
-    right, left = (_estimate_edge(data, sign, name, options) for name, sign in SIDES.items())
+    right, left = (_estimate_edge(data, name, options) for name in SIDES)
     shift = zone_offset(data.side, right.value, left.value)
     limits = WidthLimits((right.value, right.value), (left.value, left.value))
     return data._replace(y=(data.y - shift) * (data.side != 0)), limits, (right, left)
 
 
-def _estimate_edge(data: RecordData, sign: int, name: str, options: Options) -> JumpEdge:
+def _estimate_edge(data: RecordData, name: str, options: Options) -> JumpEdge:
     """Estimate an edge with its intervals, scaled. Raise InputError."""
-    least = _least_by_passage(data, sign)
-    low, high = options.parse_bounds(name)
-    if low == math.inf:
-        _require_no_reading(data, sign, name)
-    if not least.size and not low == high < math.inf:
-        return JumpEdge(*[FAR_EDGE] * 4)
-    if low == high and math.isfinite(low):
-        known = low / data.y_scale
-        if least.size and least[0] < known * (1 - 1e-9):
-            raise InputError(
-                f"{name}: {low:g} is given, but a reading of {least[0] * data.y_scale:.6g} lies"
-                " below it"
-            )
-        return JumpEdge(known, known, known, known)
+    least = _least_by_passage(data, SIDES[name])
+    low, high = _scaled_bounds(data, options, name)
+    if low == high and least.size and least[0] < low * (1 - 1e-9):
+        given, found = low * data.y_scale, least[0] * data.y_scale
+        raise InputError(f"{name}: {given:g} is given, but a reading of {found:.6g} lies below it")
+    if low == high or not least.size:
+        return JumpEdge(*[low if low == high else FAR_EDGE] * 4)
     if least.size < FEWEST:
         raise InputError(
             f"log: the {name} edge of the jump sensor is passed {least.size} times, and"

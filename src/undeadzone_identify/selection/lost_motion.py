@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undeadzone.errors import FileError
 from undeadzone.logs.kinds import split_words
 from undeadzone.util.arrays import Flags, Floats
 from undeadzone_identify.logs.grid import find_sample_time, printed_step
@@ -122,7 +121,7 @@ def needs_motion_test(log: Log) -> bool:
     Args:
         log: with one output.
     """
-    named = _is_alike(log) or _has_goal(log) or _is_summed(log) or not _has_grid(log)
+    named = _is_alike(log) or _has_goal(log) or _is_summed(log) or not find_sample_time(log)[1]
     return named or _follows(log)
 
 
@@ -133,15 +132,6 @@ def _follows(log: Log) -> bool:
     if min(np.std(u[there]), np.std(y[there])) == 0:
         return False
     return float(np.corrcoef(u[there], y[there])[0, 1]) ** 2 > SHARE
-
-
-def _has_grid(log: Log) -> bool:
-    """Return whether all times are multiples of one sample time, as the fit of a plant needs."""
-    try:
-        find_sample_time(log)
-    except FileError:
-        return False
-    return True
 
 
 def find_lost_motion(log: Log, options: Options) -> tuple[LostMotionAnswer | None, bool]:
@@ -209,7 +199,7 @@ def find_lost_motion(log: Log, options: Options) -> tuple[LostMotionAnswer | Non
     if not fits or not sure:
         word = "unclear"
         odds = odds if fits else {}
-    alone = found.structure == Structure() or not _has_grid(log)
+    alone = found.structure == Structure() or not find_sample_time(log)[1]
     certain = white and alone and is_gap and odds.get("play", 0.0) > CERTAIN
     stands = word != "unclear" and (positions or certain)
     answer = LostMotionAnswer(
@@ -357,7 +347,7 @@ def _widest(fit: MotionFit, found: LostMotion, others: list[LostMotion]) -> Inte
 def _may_float(log: Log, has_goal: bool, white: bool) -> bool:
     """Return whether a load may float in the gap between two positions that are read."""
     alike = _is_alike(log) and not has_goal and not white
-    return alike and log.t.size >= FEWEST_LATE and _has_grid(log)
+    return alike and log.t.size >= FEWEST_LATE and find_sample_time(log)[1]
 
 
 def _family(found: LostMotion, flat: LostMotion, curved: LostMotion, quantum: float) -> Family:

@@ -513,9 +513,7 @@ def test_a_stop_tells_the_speed_before_it() -> None:
 def test_identify_takes_them_for_missing_and_says_so() -> None:
     y, u = np.clip(SHAKY, -0.5, 0.7), np.cos(TIMES)[:, None]
     nothing = np.empty((y.size, 0))
-    log = Log(
-        TIMES, u, y[:, None], ("u",), ("y",), "1", ("1",), "a test", np.empty(0), False, nothing
-    )
+    log = Log(TIMES, u, y[:, None], ("u",), ("y",), "1", ("1",), "a test", False, nothing)
     prepared = prepare_log(to_grid([log]), Options())
     at_end = np.flatnonzero((y == -0.5) | (y == 0.7))
     beside = np.abs(np.subtract.outer(np.arange(y.size), at_end)).min(axis=1) <= NEAR
