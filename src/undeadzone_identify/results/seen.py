@@ -61,14 +61,13 @@ def _account_of_map(seen: RestMap, by: str, units: tuple[str, str]) -> Account:
     effects: dict[str, Numbers] = {}
     for effect, numbers in parts:
         effects.setdefault(effect, numbers)
-    unmet = tuple(side for side, rows in seen.met.items() if not rows and "loss" in effects)
     if effects:
         edges = [
             edge for part in seen.flats for edge in (part.left, part.right) if edge is not None
         ]
         grade = MEASURED if min(edge.rows for edge in edges) >= ENOUGH else INDICATED
         level = f"the reading rests at {seen.flats[0].level:.4g}"
-        return Account(grade, effects, f"{by}; {level}", units, unmet=unmet)
+        return Account(grade, effects, f"{by}; {level}", units)
     if seen.fold is not None:
         edge = Interval(seen.fold, seen.fold, seen.fold)
         return Account(INDICATED, {"fold": {"edge": edge}}, by, units)
