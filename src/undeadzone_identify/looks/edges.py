@@ -24,7 +24,7 @@ KNOWN = 4e-4  # of the range: no map is better known
 LEAP = 0.02  # of the range, from which a step at an edge is one
 SURE = 4.0  # times the residual, from which it is one
 MILD = 1.0  # numbers, by which a line with a jump is thought cheaper than one that bends more
-DEARER = 6.0  # price of an edge above that of the best, up to which it may be the edge
+DEARER = 8.0  # price of an edge above that of the best, up to which it may be the edge
 PLACES, PASSES = 81, 3  # edges that are compared, and how often ever closer ones
 
 
@@ -51,7 +51,7 @@ class Side(NamedTuple):
         edge: where it is.
         slope: of the reading just beyond the edge.
         step: height of the jump at the edge.
-        numbers: that the fit has beside the level.
+        numbers: of the fit beside its level.
         outer: what is left of each moving row.
         ahead: reading of the line at the first row.
         share: of the variance that is explained.
@@ -106,7 +106,7 @@ def fit_side(levels: Levels, inner: int) -> Side | None:
         edge=Interval(float(found), float(low), float(high)),
         slope=float(c[1]),
         step=float(c[-1]) * shape[1],
-        numbers=c.size,
+        numbers=c.size - 1,
         outer=residual[inner:],
         ahead=float(c[0] - c[1] * (found - x[0])),
         share=share,

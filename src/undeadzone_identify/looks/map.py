@@ -330,7 +330,8 @@ def _is_flat(levels: Levels, inside: Flags, fits: list[Side], residual: Floats) 
     if leans or not explains or hidden < max(HIDES * noise, LEAST):
         return False
     x, v, w = levels.cut(near)
-    own = price(np.mean((residual[near] * w) ** 2), x.size, sum(side.numbers for side in fits))
+    numbers = 1 + sum(side.numbers for side in fits)
+    own = price(np.mean((residual[near] * w) ** 2), x.size, numbers)
     curves = [np.polynomial.Polynomial.fit(x, v, degree, w=w)(x) for degree in CURVES]
     return n < 3 or all(
         own < price(np.mean(((v - curve) * w) ** 2), x.size, degree + 1)
@@ -355,10 +356,10 @@ def _edge(
     still, moves = float(view.x[end - 1]), float(view.x[end])
     rounding = find_quantum(view.v - level) / 2 / max(abs(side.slope), 1e-9)
     value = (still + moves) / 2 if side.step else side.edge.value
-    cell = 0.25 * (moves - still)
-    places = [side.edge.low - rounding, side.edge.high + rounding, value - cell, value + cell]
-    if side.step or inner < 3 or moves - still > UNVISITED:
-        places += [still, moves]
+    spare = max(0.25 * (moves - still), rounding)
+    is_between = side.step or inner < 3 or moves - still > UNVISITED
+    places = [still, moves] if is_between else [value - spare, value + spare]
+    places += [side.edge.low, side.edge.high]
     own = [edge for leg in legs if (edge := _edge_of_leg(leg.face(way), level)) is not None]
     places += np.quantile(own, [0.05, 0.95]).tolist() if own else []
     edge = Edge(Interval(value, min(places), max(places)), bool(side.step), view.x.size - end)
