@@ -23,7 +23,6 @@ BEYOND = 3  # moving rows between an edge and the first bend, at least
 KNOWN = 4e-4  # of the range: no map is better known
 LEAP = 0.02  # of the range, from which a step at an edge is one
 SURE = 4.0  # times the residual, from which it is one
-MILD = 1.0  # numbers, by which a line with a jump is thought cheaper than one that bends more
 DEARER = 8.0  # price of an edge above that of the best, up to which it may be the edge
 PLACES, PASSES = 81, 3  # edges that are compared, and how often ever closer ones
 
@@ -98,7 +97,9 @@ def fit_side(levels: Levels, inner: int) -> Side | None:
         edges = np.linspace(
             edges[max(near[0] - 1, 0)], edges[min(near[-1] + 1, PLACES - 1)], PLACES
         )
-        shapes = [one for one, dear in zip(shapes, prices.min(axis=1) >= limit, strict=True) if not dear]
+        shapes = [
+            one for one, dear in zip(shapes, prices.min(axis=1) >= limit, strict=True) if not dear
+        ]
     c, residual = fits[k][1][best], fits[k][2][best] / w
     mean = np.average(v, weights=w**2)
     share = 1 - float(w**2 @ residual**2 / (w**2 @ (v - mean) ** 2))
@@ -113,7 +114,7 @@ def fit_side(levels: Levels, inner: int) -> Side | None:
     )
 
 
-def price(loss: Floats | float, rows: int, numbers: float) -> Floats:
+def price(loss: Floats | float, rows: int, numbers: int) -> Floats:
     """Return Bayes' criterion of fits by their mean squares: the less, the better."""
     return np.asarray(rows * np.log(loss + KNOWN**2) + numbers * np.log(rows))
 
@@ -140,7 +141,7 @@ def _prices(
     mean = c[:, 1 : 2 + len(bends)] @ np.array([1.0, *(1 - place for place in bends)])
     least = np.maximum(LEAP, SURE * np.sqrt(loss)) if jumps else RISES * np.abs(mean)
     is_edge = c[:, -1 if jumps else 1] * np.sign(mean) > least
-    return np.where(is_edge, price(loss, x.size, len(columns) - MILD * jumps), np.inf), c, residual
+    return np.where(is_edge, price(loss, x.size, len(columns)), np.inf), c, residual
 
 
 def find_runs(v: Floats, tolerance: float, least: int) -> list[tuple[int, int]]:

@@ -15,7 +15,14 @@ from scipy.signal import savgol_filter
 from undeadzone.util.arrays import Flags, Floats, bounds_of_runs
 from undeadzone_identify.logs.grid import find_quantum
 from undeadzone_identify.looks.edges import KNOWN, Levels, Side, find_runs, fit_side, price
-from undeadzone_identify.looks.rows import LEVELS, Rows, known_samples, noise_of, rows_at_rest, turns
+from undeadzone_identify.looks.rows import (
+    LEVELS,
+    Rows,
+    known_samples,
+    noise_of,
+    rows_at_rest,
+    turns,
+)
 from undeadzone_identify.models.estimates import Interval
 
 # Half and double of a number below change no part and no edge of the tests' maps:

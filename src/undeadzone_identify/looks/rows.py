@@ -16,7 +16,6 @@ LEVELS = 6  # least number of different commands
 HOLD = 6  # samples in a row at one command, from which it is held
 TABLE = 160  # rows of a table that someone has written down, at most
 SLOW = 0.03  # of the reading's range: its median spread at one command, in a slow sweep
-SELDOM = 4.0  # times as much: the spread that a tenth of the commands may exceed
 SETTLED = 0.004  # of the reading's spread, by which the last quarter of a hold may still move
 FASTER = 0.7  # of the quarter before, by which the last quarter of a hold moves at most
 COMING = 0.15  # of the reading's spread, by which it moves at most
@@ -144,7 +143,7 @@ def _sweep_rows(u: Floats, y: Floats, came: Floats) -> Rows | None:
     ways = [order[came[order] >= 0], order[came[order] < 0]]
     for some in ([order], ways):
         spread = np.concatenate([_spread_at_commands(y[one]) for one in some]) / _range(y[order])
-        if np.median(spread) < SLOW and np.quantile(spread, 0.9) < SELDOM * SLOW:
+        if np.median(spread) < SLOW:
             return Rows(u, y, came, "sweep")
     return None
 
