@@ -11,7 +11,7 @@ from undeadzone_identify.logs.log import Log
 from undeadzone_identify.looks.map import RestMap, map_at_rest, map_of_rate
 from undeadzone_identify.looks.pushes import FrictionLevel, friction_level
 from undeadzone_identify.looks.rests import FreePlay, free_play_between_rests
-from undeadzone_identify.looks.stillness import Stillness, longest_stillness
+from undeadzone_identify.looks.stillness import longest_stillness
 from undeadzone_identify.looks.valley import Valley, gap_between_valleys
 
 
@@ -21,7 +21,7 @@ class Looks(NamedTuple):
     Attributes:
         at_rest: the map of readings over commands at rest.
         of_rate: the map of the reading's rate, of an output that integrates.
-        stillness: the longest stretch in which the reading stands still while the command travels.
+        stillness: largest travel of the command while the reading stood still [u].
         rests: two rests at one goal.
         valley: least readings on the way up and on the way down.
         friction: level of the friction that a torque overcomes.
@@ -29,7 +29,7 @@ class Looks(NamedTuple):
 
     at_rest: RestMap | None = None
     of_rate: RestMap | None = None
-    stillness: Stillness | None = None
+    stillness: float = 0.0
     rests: FreePlay | None = None
     valley: Valley | None = None
     friction: FrictionLevel | None = None

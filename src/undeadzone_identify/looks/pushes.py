@@ -41,20 +41,11 @@ class FrictionLevel(NamedTuple):
 
     Attributes:
         level: with the hull of its intervals by models, and of slow and fast motion [torque].
-        slow, fast: level of the slower and of the faster half of the motion [torque].
-        rest: g, half way between the levels of both ways [torque].
         explained: share of the torque that the fit explains.
-        gain: share of what is left without sign(v), that it explains.
-        samples: that move.
     """
 
     level: Interval
-    slow: float
-    fast: float
-    rest: float
     explained: float
-    gain: float
-    samples: int
 
     @property
     def is_measured(self) -> bool:
@@ -150,7 +141,4 @@ class _Fit:
         high = max(*halves, *(one.high for one in found))
         if min(explained - EXPLAINED, gain - PAYS, low) <= 0:
             return None
-        level = found[-1]._replace(low=low, high=high)
-        rest = float(self.numbers(full, self.every)[1])
-        slow, quick = halves
-        return FrictionLevel(level, slow, quick, rest, explained, gain, self.torque.size)
+        return FrictionLevel(found[-1]._replace(low=low, high=high), explained)

@@ -39,14 +39,12 @@ class FreePlay(NamedTuple):
         flips: changes from one rest to the other at an unchanged goal.
         is_sharp: whether both rests are as narrow as the noise.
         goal: at which the rests are [u].
-        samples: still samples at it.
     """
 
     play: Interval
     flips: int
     is_sharp: bool
     goal: float
-    samples: int
 
     @property
     def is_measured(self) -> bool:
@@ -106,4 +104,4 @@ def _two_rests(goal: float, y: Floats, hold: Integers, noise: float) -> FreePlay
     half = student_quantile(flips - 1.0) * error
     widest = apart if is_sharp else float(np.ptp(ends))
     play = Interval(apart, apart - half, widest + half)
-    return FreePlay(play, flips, is_sharp, goal, y.size)
+    return FreePlay(play, flips, is_sharp, goal)

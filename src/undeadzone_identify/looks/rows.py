@@ -16,7 +16,6 @@ LEVELS = 6  # least number of different commands
 HOLD = 6  # samples in a row at one command, from which it is held
 TABLE = 160  # rows of a table that someone has written down, at most
 SLOW = 0.03  # of the reading's range: its median spread at one command, in a slow sweep
-SELDOM = 4.0  # times as much: the spread that a tenth of the commands may exceed
 SETTLED = 0.004  # of the reading's spread, by which the last quarter of a hold may still move
 FASTER = 0.7  # of the quarter before, by which the last quarter of a hold moves at most
 COMING = 0.15  # of the reading's spread, by which it moves at most
@@ -29,16 +28,12 @@ class Rows(NamedTuple):
         u: commands (R).
         y: readings (R).
         came: sign of the last change of the command, 0 for none (R).
-        counts: number of readings behind each row (R).
-        spread: standard deviation of these readings, 0 for a single one (R) [y].
         how: "table", "holds" or "sweep".
     """
 
     u: Floats
     y: Floats
     came: Floats
-    count: Integers  # type: ignore[assignment]  # of the readings, in place of the tuple's
-    spread: Floats
     how: str
 
 
@@ -60,7 +55,7 @@ def rows_at_rest(t: Floats | None, u: Floats, y: Floats, levels: int = LEVELS) -
     if length[length >= HOLD].sum() >= u.size / 2:
         return _settled_rows(u, y, came, cut, levels) or _sweep_rows(u, y, came)
     if u.size < TABLE:
-        return Rows(u, y, came, np.ones(u.size, int), np.zeros(u.size), "table")
+        return Rows(u, y, came, "table")
     return _sweep_rows(u, y, came)
 
 
@@ -123,20 +118,20 @@ def _settled_rows(u: Floats, y: Floats, came: Floats, cut: Integers, levels: int
         )
         moved, earlier = late.mean() - before.mean(), before.mean() - first.mean()
         error = noise * math.sqrt(1 / late.size + 1 / before.size)
-        row = [u[a], np.median(late), came[a], late.size, late.std()]
+        row = [u[a], np.median(late), came[a]]
         if abs(moved) < 3 * error + still:
             rows.append(row)
             coming.append(row)
         elif 0 < moved * np.sign(earlier) < min(FASTER * abs(earlier), COMING * np.std(y)):
             rest = moved / (earlier / moved - 1)
-            coming.append([u[a], late.mean() + rest, came[a], late.size, abs(rest)])
+            coming.append([u[a], late.mean() + rest, came[a]])
     rows = rows if len(rows) >= max(LEVELS, len(held) / 2) else coming
     if len(rows) < max(LEVELS, len(held) / 2):
         return None
-    u, y, came, count, spread = np.array(rows).T
+    u, y, came = np.array(rows).T
     if np.unique(u).size < levels or np.ptp(y) == 0:
         return None
-    return Rows(u, y, came, count.astype(int), spread, "holds")
+    return Rows(u, y, came, "holds")
 
 
 def _sweep_rows(u: Floats, y: Floats, came: Floats) -> Rows | None:
@@ -148,8 +143,8 @@ def _sweep_rows(u: Floats, y: Floats, came: Floats) -> Rows | None:
     ways = [order[came[order] >= 0], order[came[order] < 0]]
     for some in ([order], ways):
         spread = np.concatenate([_spread_at_commands(y[one]) for one in some]) / _range(y[order])
-        if np.median(spread) < SLOW and np.quantile(spread, 0.9) < SELDOM * SLOW:
-            return Rows(u, y, came, np.ones(u.size, int), np.zeros(u.size), "sweep")
+        if np.median(spread) < SLOW:
+            return Rows(u, y, came, "sweep")
     return None
 
 

@@ -6,8 +6,6 @@ and no null may be below its travel, whatever a model says.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from undeadzone.util.arrays import Floats
@@ -22,26 +20,10 @@ BESIDE = 2.5  # tolerances, by which the reading moves before and after
 STEP = 0.25  # of the travel: a single change of the command that is left out
 
 
-class Stillness(NamedTuple):
-    """The longest rest of a reading under a travelling command.
+def longest_stillness(t: Floats | None, u: Floats, y: Floats) -> float:
+    """Return the largest travel of the command during a rest of the reading; 0 without one [u].
 
-    Attributes:
-        travel: of the command, without its largest step [u].
-        edges: commands at both ends of the stretch [u].
-        level: reading at rest [y].
-        lag: of the reading behind the command, which is taken off the stretch [samples].
-        stretches: number of such rests.
-    """
-
-    travel: float
-    edges: tuple[float, float]
-    level: float
-    lag: int
-    stretches: int
-
-
-def longest_stillness(t: Floats | None, u: Floats, y: Floats) -> Stillness | None:
-    """Return the longest rest of a reading under a travelling command; None if there is none.
+    The largest step of the command, and what the lag of the reading explains, do not count.
 
     Args:
         t: times (N); None for samples in the order of their record.
@@ -51,26 +33,23 @@ def longest_stillness(t: Floats | None, u: Floats, y: Floats) -> Stillness | Non
     _, u, y = known_samples(t, u, y)
     u, y = (signal[:: 1 + u.size // MOST] for signal in (u, y))
     if u.size < 4 * SHORTEST:
-        return None
+        return 0.0
     blur = max(BLUR * noise_of(y), 1.01 * find_quantum(y), 1e-9 * float(np.ptp(y)))
     if not 0 < blur < TOO_NOISY * np.ptp(y):
-        return None
+        return 0.0
     lag = _find_lag(u, y)
-    found = []
+    longest = 0.0
     for first, end in _stretches(y, 2 * blur, SHORTEST + lag):
         level = float(np.median(y[first:end]))
         before = level - y[max(first - SHORTEST, 0)]
         after = y[min(end + SHORTEST, y.size - 1)] - level
-        asked = u[first : end - lag]
-        change = np.diff(asked)
-        travel = abs(float(change.sum()))
-        largest = float(np.abs(change).max(initial=0.0))
+        change = np.abs(np.diff(u[first : end - lag]))
+        travel = abs(float(u[end - lag - 1] - u[first]))
+        largest = float(change.max(initial=0.0))
         goes_on = before * after > 0 and min(abs(before), abs(after)) > BESIDE * blur
-        if goes_on and np.abs(change).sum() < 1.2 * travel:
-            travel -= largest * (largest > STEP * travel)
-            found.append(Stillness(travel, (float(asked[0]), float(asked[-1])), level, lag, 0))
-    longest = max(found, default=None)
-    return longest and longest._replace(stretches=len(found))
+        if goes_on and change.sum() < 1.2 * travel:
+            longest = max(longest, travel - largest * (largest > STEP * travel))
+    return longest
 
 
 def _find_lag(u: Floats, y: Floats) -> int:

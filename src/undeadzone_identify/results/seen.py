@@ -5,6 +5,9 @@ from __future__ import annotations
 from undeadzone_identify.logs.log import Log
 from undeadzone_identify.looks.first import Looks
 from undeadzone_identify.looks.map import FlatPart, RestMap
+from undeadzone_identify.looks.pushes import FrictionLevel
+from undeadzone_identify.looks.rests import FreePlay
+from undeadzone_identify.looks.valley import Valley
 from undeadzone_identify.models.estimates import Interval
 from undeadzone_identify.results.account import (
     BOUNDED,
@@ -17,10 +20,6 @@ from undeadzone_identify.results.account import (
 )
 
 ENOUGH = 6  # rows beside an edge, from which it is measured
-CLOSE = 0.75  # share of the torque that friction and motion explain, from which it is measured
-HARDLY = 0.5  # share below which a torque and a motion are hardly related
-FLIPS = 8  # changes between two rests, from which the play is measured
-SWEEPS = 4  # from which a gap between least readings is measured
 EDGES = {"left": "lower", "right": "upper"}
 
 
@@ -34,24 +33,24 @@ def account_of_looks(log: Log, looks: Looks) -> Account | None:
     units = (log.input_unit, log.output_units[0])
     seen = looks.friction
     if seen is not None:
-        hull = seen.level
-        small = hull.high - hull.low < hull.value / 2
-        grade = MEASURED if seen.explained > CLOSE and small else INDICATED
-        return Account(grade, {"friction": {"level": hull}}, "torque along the motion", units)
+        effects: dict[str, Numbers] = {"friction": {"level": seen.level}}
+        return Account(_grade(seen), effects, "torque along the motion", units)
     if looks.rests is not None:
-        one = looks.rests
-        sure = one.flips >= FLIPS and one.is_sharp
-        effects = {"free play": {"gap": one.play}}
-        return Account(MEASURED if sure else INDICATED, effects, "rests at one goal", units)
+        effects = {"free play": {"gap": looks.rests.play}}
+        return Account(_grade(looks.rests), effects, "rests at one goal", units)
     if looks.valley is not None and looks.valley.gap.low > 0:
-        grade = MEASURED if looks.valley.sweeps >= SWEEPS else INDICATED
         effects = {"input reversal": {"gap": looks.valley.gap}}
-        return Account(grade, effects, "least readings of sweeps up and down", units)
+        return Account(_grade(looks.valley), effects, "least readings of sweeps up and down", units)
     if looks.at_rest is not None:
         return _account_of_map(looks.at_rest, "map at rest", units)
     if looks.of_rate is not None:
         return _account_of_map(looks.of_rate, "map of the rate at rest", units)
     return None
+
+
+def _grade(seen: FrictionLevel | FreePlay | Valley) -> str:
+    """Return the grade of what a look sees."""
+    return MEASURED if seen.is_measured else INDICATED
 
 
 def _account_of_map(seen: RestMap, by: str, units: tuple[str, str]) -> Account:
@@ -61,14 +60,13 @@ def _account_of_map(seen: RestMap, by: str, units: tuple[str, str]) -> Account:
     effects: dict[str, Numbers] = {}
     for effect, numbers in parts:
         effects.setdefault(effect, numbers)
-    unmet = tuple(side for side, rows in seen.met.items() if not rows and "loss" in effects)
     if effects:
         edges = [
             edge for part in seen.flats for edge in (part.left, part.right) if edge is not None
         ]
         grade = MEASURED if min(edge.rows for edge in edges) >= ENOUGH else INDICATED
         level = f"the reading rests at {seen.flats[0].level:.4g}"
-        return Account(grade, effects, f"{by}; {level}", units, unmet=unmet)
+        return Account(grade, effects, f"{by}; {level}", units)
     if seen.fold is not None:
         edge = Interval(seen.fold, seen.fold, seen.fold)
         return Account(INDICATED, {"fold": {"edge": edge}}, by, units)
@@ -127,9 +125,8 @@ def choose_account(fitted: Account, seen: Account | None, looks: Looks) -> Accou
             return seen._replace(others=others | fitted.others)
     if seen is not None and fitted.grade == OPEN and seen.grade == BOUNDED:
         return seen
-    travel = 0.0 if looks.stillness is None else looks.stillness.travel
     limits = {
-        key: max(one, travel) if key.startswith("input") else one
+        key: max(one, looks.stillness) if key.startswith("input") else one
         for key, one in fitted.limits.items()
     }
     return fitted._replace(limits=limits)
