@@ -21,7 +21,6 @@ from undeadzone_identify.models.likelihood import root_mean_square
 from undeadzone_identify.models.plant import MANY, Layout, PlantSimulator
 from undeadzone_identify.models.shape import SensorShape, measure_shape
 from undeadzone_identify.models.zone_fit import ZoneFit
-from undeadzone_identify.results.loop_words import describe_loop
 from undeadzone_identify.selection.alternatives import (
     Element,
     Findings,
@@ -32,7 +31,6 @@ from undeadzone_identify.selection.decision import (
     CANNOT_TELL,
     LARGER,
     MODELS,
-    UNEXPLAINED,
     VALVE,
     Case,
     Feedback,
@@ -50,7 +48,7 @@ from undeadzone_identify.selection.orders import (
     is_white,
     training_samples,
 )
-from undeadzone_identify.selection.valve import BUMP, ValveFindings
+from undeadzone_identify.selection.valve import ValveFindings
 from undeadzone_identify.selection.widths import (
     FEW_VISITS,
     Excitation,
@@ -326,10 +324,7 @@ def _with_valve(answer: Answer, valve: ValveFindings) -> Answer:
     if doubt:
         found = answer.found._replace(odds={})
         return answer._replace(verdict="undecided", reasons=[doubt], found=found)
-    reasons = describe_loop(answer.case, answer.verdict, valve)
-    if answer.verdict == "operating_point" or not reasons:
-        reasons = [*answer.reasons, *reasons]
-    return answer._replace(width=valve.stick if is_faulty else None, reasons=reasons)
+    return answer._replace(width=valve.stick if is_faulty else None)
 
 
 def _odds_of_word(case: Case, found: Findings) -> dict[str, float]:
@@ -366,17 +361,9 @@ def withhold_poor_fit(found: Findings, share: float) -> Findings:
     word = found.verdict.word
     if word in WITHHELD or share >= LEAST_SHARE:
         return found
-    part = f"{100 * max(share, 0.0):.0f} % of the other readings"
-    likeliest = f"{MODELS[ODDS_OF.get(word, word)]} is the likeliest"
-    if found.valve is not None:
-        reason = f"{likeliest}, but it predicts only {part} one sample ahead: nothing is named"
-        verdict = build_verdict("unclear", reason, BUMP)
-    else:
-        fitted = f"fitted to a part of the log it explains {part}"
-        verdict = build_verdict(
-            "unclear", f"{likeliest}, but {fitted}: nothing is named{UNEXPLAINED}"
-        )
-    return found._replace(verdict=verdict, element=None, odds={})
+    part = f"{100 * max(share, 0.0):.0f} % of the held-out readings"
+    reason = f"{MODELS[ODDS_OF.get(word, word)]}, the likeliest, explains {part}"
+    return found._replace(verdict=build_verdict("unclear", reason), element=None, odds={})
 
 
 def _validate_findings(case: Case, found: Findings) -> OrderFit:

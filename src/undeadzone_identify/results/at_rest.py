@@ -92,10 +92,8 @@ class IdentifiedAtRest:
         names = f"{log.inputs[0]} [{log.input_unit}], {log.outputs[0]} [{log.output_units[0]}]"
         lines: dict[str, Any] = {
             "record": f"{log.t.size} samples, {names}",
-            "found": self.headline(),
-            "by": self.account.by,
         }
-        lines |= self.account.summary()
+        lines |= self.account.summary() | {"by": self.account.by}
         if log.remarks:
             lines["note"] = [*log.remarks]
         return lines

@@ -36,7 +36,7 @@ from undeadzone_identify.results.next_log import NextLog, best_next_log
 from undeadzone_identify.results.speech import account_of_answer
 from undeadzone_identify.results.to_continuous import observer_matrices
 from undeadzone_identify.results.to_scenario import scenario_text
-from undeadzone_identify.results.words import answer_numbers, headline, summarise_answer
+from undeadzone_identify.results.words import answer_numbers, summarise_answer
 
 WRITTEN = (
     "play",
@@ -333,7 +333,7 @@ class Identified:
 
     def headline(self) -> str:
         """Return the finding in one line."""
-        return headline(self.answer, self.account)
+        return self.account.headline()
 
     def blocks(self) -> list[Block]:
         """Return the table that `undeadzone identify` prints."""
