@@ -316,12 +316,12 @@ class Identified:
 
         Returns:
             Times, inputs, and what they are for: the width whose interval narrows most, and the
-            share that is left of it with both logs; or the two names that they part.
+            share that is left of it with both logs.
 
         Raises:
             InputError: nothing would be gained.
         """
-        return best_next_log(self.answer)
+        return best_next_log(self.answer, self.account)
 
     def numbers(self) -> dict[str, Any]:
         """Return all numbers of the answer, as `--json` prints."""
