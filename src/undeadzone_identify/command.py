@@ -156,12 +156,10 @@ def identify(
     with progress("identifying", None) as advance:
         names = [str(path) for path in logs]
         answer = identified(names, progress=advance, keep=keep, resume=resume, **options)
-        wanted = options["kind"].replace("backlash", "play")
         motion = answer if isinstance(answer, IdentifiedMotion | IdentifiedAtRest) else None
-        is_found = answer.verdict in ("dead_zone", "play" if motion else wanted)
         written: list[Path] = [] if folder is None else [answer.save(folder / "identify.json")]
         reason = None
-        if motion is None and (is_found or answer.verdict in (*WRITTEN, "jump")):
+        if motion is None and answer.verdict in (*WRITTEN, "dead_zone", "jump"):
             scenario, reason = _write_scenario_file(answer, path, force)
             written = scenario + written
         best, why = (None, {}) if further is None else _propose_next_input(answer)
@@ -181,7 +179,7 @@ def identify(
     if folder is not None and lines:
         few = shell_command("undeadzone", "export", folder / "identify.json", "--to", "snippet")
         why |= {"few lines": f"{few} writes these in C, Python and Structured Text"}
-    is_done = is_written or answer.account.says_something
+    is_done = answer.account.says_something
     chain_numbers = {}
     if chain is not None:
         scenario_file = path if is_written else None
@@ -276,12 +274,10 @@ def _next_commands(
 
 def _propose_next_input(answer: Answers) -> tuple[NextLog | None, dict[str, str]]:
     """Return the input to record next and its description, or None and the reason."""
-    from undeadzone_identify.results.result import Identified, IdentifiedOutputs
+    from undeadzone_identify.results.result import Identified
 
-    if not isinstance(answer, Identified | IdentifiedOutputs):
-        return None, {"no next log": "two positions: move slowly, with 10 reversals or more"}
     if not isinstance(answer, Identified):
-        return None, {"no next log": "several outputs: ask it of one, named by --columns"}
+        return None, {"no next log": "it takes the plant of one output, named by --columns"}
     try:
         best = answer.next_log()
     except InputError as error:

@@ -11,7 +11,6 @@ from undeadzone.report import ink
 from undeadzone.report.style import create_panels, escape_formulas, finish_panel
 from undeadzone.util.text import HALF_95, label_with_unit
 from undeadzone_identify.models.kalman_fit import filter_innovations as filtered
-from undeadzone_identify.models.plant import MANY
 from undeadzone_identify.models.zone_fit import mean_reading
 from undeadzone_identify.results.next_log import NextLog
 from undeadzone_identify.results.result import Identified
@@ -22,7 +21,6 @@ from undeadzone_identify.selection.orders import (
     one_step_residuals,
     training_samples,
 )
-from undeadzone_identify.selection.widths import profile_likelihood
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -37,7 +35,6 @@ if TYPE_CHECKING:
 WITHIN = 0.9  # of the crossings that a figure is sure to show
 MAPS = {"jump": "jump sensor"}  # by verdict, what the fitted sensor is called
 LAGS = 25
-POINTS = 9  # of a profile
 MOST = 4000  # samples of a figure over time; of a longer log the last ones are drawn
 MOST_AT_END = 600  # the same of a figure of the end of a log
 NAMES = {"play": "the play", "both": "play and dead zone", "two_zones": "the dead zone"}
@@ -60,9 +57,9 @@ def build_figures(found_log: Identified, further: NextLog | None = None) -> dict
         further: the proposed record; None: not asked.
 
     Returns:
-        Figures by name: overview, residual_map, residual, and where there is a zone hidden and, of
-        a log that is not long, profiles; of a play, or of an input zone, overview and element, and
-        of a servo crossings; next, the input to record.
+        Figures by name: overview, residual_map, residual, and where there is a zone hidden; of a
+        play, or of an input zone, overview and element, and of a servo crossings; next, the input
+        to record.
     """
     return _build_answer_figures(found_log) | (
         {} if further is None else {"next": _plot_next_input(found_log, further)}
@@ -97,9 +94,6 @@ def _build_answer_figures(found_log: Identified) -> dict[str, Figure]:
     }
     if found_log.right is not None:
         drawn["hidden"] = _plot_hidden_output(found_log)
-        short = found_log.answer.fit.objective.data.y.size <= MANY
-        if found_log.verdict == "dead_zone" and short:  # each point of a profile is a fit
-            drawn["profiles"] = _plot_profiles(found_log)
     return drawn
 
 
@@ -393,27 +387,6 @@ def _plot_stems(axes: Axes, lags: object, values: object, band: float) -> None:
     axes.vlines(lags, 0, values, color=ink.ESTIMATE)  # type: ignore[arg-type]
     axes.plot(lags, values, "o", color=ink.ESTIMATE, markersize=3)  # type: ignore[arg-type]
     axes.set_xlim(0, LAGS + 1)
-
-
-def _plot_profiles(found_log: Identified) -> Figure:
-    """Plot the profile likelihoods of both widths."""
-    answer = found_log.answer
-    figure, panels = create_panels([["right", "left"]], "Profile likelihoods", height=2.8)
-    for name, colour in (("right", ink.PRINTED), ("left", ink.OTHER)):
-        interval = getattr(found_log, name)
-        axes = panels[name]
-        if interval is not None and interval.half_width > 0:
-            own = answer.fit.right if name == "right" else answer.fit.left
-            reach = 1.5 * interval.half_width / answer.scale
-            values = own + np.linspace(-reach, reach, POINTS)
-            fall = profile_likelihood(answer.fit, name, values)
-            axes.axvspan(interval.low, interval.high, color=ink.ZONE, alpha=0.2, linewidth=0)
-            axes.axvline(interval.value, color=ink.TRUTH, linewidth=0.8)
-            good = np.isfinite(fall)
-            axes.plot((values * answer.scale)[good], fall[good], "o-", color=colour, markersize=3)
-        finish_panel(axes, f"d_{name[0]}; shaded: printed interval", "log likelihood less its top",
-               label_with_unit(f"$d_{name[0]}$", _unit_of_output(found_log)), legend=0)  # fmt: skip
-    return figure
 
 
 def _name_of(element: Element) -> str:

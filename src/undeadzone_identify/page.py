@@ -7,10 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from undeadzone.report import html
-from undeadzone.util.text import HALF_95, format_with_interval, label_with_unit
 from undeadzone_identify.chain import compensating_lines
 from undeadzone_identify.figures import at_rest, build_figures, lost_motion
 from undeadzone_identify.results.account import Account
@@ -18,12 +15,8 @@ from undeadzone_identify.results.at_rest import IdentifiedAtRest
 from undeadzone_identify.results.lost_motion import IdentifiedMotion
 from undeadzone_identify.results.next_log import NextLog
 from undeadzone_identify.results.result import Identified
-from undeadzone_identify.results.words import (
-    crossing_columns,
-    describe_rivals,
-)
+from undeadzone_identify.results.words import describe_rivals
 from undeadzone_identify.selection.adequacy import DEPENDS
-from undeadzone_identify.selection.orders import OrderFit, is_fit_at_limit
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -35,16 +28,13 @@ CAPTIONS = {
     " nonlinearity.",
     "residual": "Correlation of the one-step residual, and of it with past inputs, with 95 % bands"
     " for white residuals: what stands out is not in the model.",
-    "profiles": "How much the log likelihood falls as one width is held elsewhere; the"
-    " printed interval is shaded. Under a coloured disturbance it is wider than the curve alone.",
     "next": "The input that would tell most of what is known least, from rest.",
     "hidden": "z^ with its 95 % band against the reading: inside the zone it is the product.",
 }
 
 # Lines that stand on the first screen; the others say how it was decided.
 FIRST = re.compile(
-    r"[bcdf]_(right|left)|([bcd] )?width|friction|input|shape|odds|plant|note"
-    r"|pays|remedy|not decided|at most|doubt"
+    r"found|pays|remedy|not decided|at most|doubt|record next|input|shape|odds|plant|note"
 )
 
 OF_ELEMENT = {  # in place of these
@@ -126,7 +116,6 @@ def build_identified_page(
     return html.build_page(
         f"Identified: {source}",
         head,
-        *map(html.build_paragraph, () if found_log.account.doubts else answer.reasons),
         html.build_section(
             "The answer",
             html.build_table(("what", "value"), first),
@@ -134,8 +123,7 @@ def build_identified_page(
         ),
         html.build_section("Hidden output", *html.pick_pictures(shown, "hidden")),
         html.build_section("What it is", *html.pick_pictures(shown, "element")),
-        *_crossings_section(found_log, shown),
-        *([html.build_section("What to record next", shown["next"])] if "next" in shown else []),
+        *_own_sections(shown),
         html.build_section(
             "How it was decided",
             html.build_table(("what", "value"), rest),
@@ -219,20 +207,11 @@ def _build_motion_page(
     )
 
 
-def _crossings_section(found_log: Identified, shown: dict[str, html.Html]) -> list[html.Html]:
-    """Return the section with every crossing of a servo's gap; empty without a servo."""
-    columns = crossing_columns(found_log.answer)
-    if not columns:
-        return []
-    columns = columns | {"side": np.where(columns["side"] > 0, "right", "left")}
-    heads = ("t [s]", "to the", "speed", "duration [s]", "y", "gap")
-    rows = zip(*(column.tolist() for column in columns.values()), strict=True)
+def _own_sections(shown: dict[str, html.Html]) -> list[html.Html]:
+    """Return the sections of the pictures that only some answers have."""
+    titles = {"crossings": "The gap at each crossing", "next": "What to record next"}
     return [
-        html.build_section(
-            "The gap at each crossing",
-            *html.pick_pictures(shown, "crossings"),
-            html.build_table(heads, rows),
-        )
+        html.build_section(title, shown[name]) for name, title in titles.items() if name in shown
     ]
 
 
@@ -243,14 +222,7 @@ def _fit_sections(found_log: Identified, shown: dict[str, html.Html]) -> list[ht
     if found_log.answer.element is not None:
         return []
     return [
-        html.build_section(
-            "How sure are the widths?",
-            _stages_table(found_log),
-            *html.pick_pictures(shown, "profiles"),
-        ),
-        html.build_section(
-            "Order and residual", _orders_table(found_log), *html.pick_pictures(shown, "residual")
-        ),
+        html.build_section("What is left one step ahead", *html.pick_pictures(shown, "residual")),
     ]
 
 
@@ -269,56 +241,3 @@ def _rivals_table(found_log: Identified) -> list[html.Html]:
         html.build_table(("what may be there", "odds", "behind, nats a reading"), rivals),
         html.build_paragraph(words),
     ]
-
-
-def _stages_table(found_log: Identified) -> html.Html:
-    """Return the table of widths by stage of the fit."""
-    answer = found_log.answer
-    if answer.case.jump_edges is not None:
-        return html.build_paragraph(
-            "The edges of a jump sensor come from the least readings of their passages; plant and"
-            " likelihoods take them as known."
-        )
-    names = {
-        "L1": "single samples",
-        "L2": "Kalman filter",
-    }
-    rows = []
-    for name, (right, left) in answer.widths.stages.items():
-        halves = answer.widths.halves[name]
-        cells = []
-        for edge, value in (("right", right), ("left", left)):
-            std = halves[edge] * answer.scale / HALF_95
-            cells.append(format_with_interval(value * answer.scale, std))
-        rows.append((names[name], *cells))
-    unit = answer.case.grid.output_unit
-    heads = [label_with_unit(edge, unit) for edge in ("d_r", "d_l")]
-    return html.build_table(("likelihood of", *heads), rows)
-
-
-def _orders_table(found_log: Identified) -> html.Html:
-    """Return the table of the orders that were tried."""
-    answer = found_log.answer
-    least = min(one.fit.bic for one in answer.case.fitted.fits)
-    rows = []
-    for one in answer.case.fitted.fits:
-        rows.append(
-            (
-                one.n,
-                one.fit.bic - least,
-                one.error * answer.scale,
-                one.fit.right * answer.scale,
-                one.fit.left * answer.scale,
-                _order_remark(found_log, one),
-            )
-        )
-    return html.build_table(
-        ("order", "BIC above the least", "held-out error", "d_r", "d_l", ""), rows
-    )
-
-
-def _order_remark(found_log: Identified, one: OrderFit) -> str:
-    """Return a remark on an order: chosen, or too slow for the log; empty otherwise."""
-    if one.n == found_log.order:
-        return "chosen"
-    return "a pole does not settle within the log" if is_fit_at_limit(one.fit) else ""

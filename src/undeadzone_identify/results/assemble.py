@@ -63,6 +63,10 @@ from undeadzone_identify.servo.gap import ServoGap
 SURE = 0.999  # level of the ranges that an observer is told
 WITHHELD = ("undecided", "unclear")  # words that withhold a name
 ODDS_OF = {"operating_point": "none", "unreached": "dead_zone"}  # words with odds of another
+CLOSED = (
+    "the input answers to the readings: the log is of a closed loop, where the interval of a play"
+    " may be too narrow"
+)
 LEAST = 1e-6  # of a width, by which its range is wide at least
 
 DisplayedWidths = dict[str, Interval | None]  # right, left, width, centre
@@ -384,7 +388,7 @@ def _add_edges(answer: Answer) -> Answer:
     has_residual = has_input_residual(answer.fit)
     intervals = _jump_widths(answer.case) or _log_unit_widths(answer, 2.0 if has_residual else 1.0)
     remarks = [*_delay_remarks(answer), *_edge_remarks(answer, intervals, has_residual)]
-    remarks += _widen_rare_edges(answer, intervals)
+    _widen_rare_edges(answer, intervals)
     doubt = _doubt_of_zero(intervals) or _doubt_of_unmoved(answer, intervals)
     if doubt:
         found = answer.found._replace(odds={})  # the likeliest model's own test denies it
@@ -440,15 +444,11 @@ def _add_feedback(answer: Answer) -> Answer:
     """Return the answer with the evidence of feedback and its consequences."""
     servo = answer.servo
     loop = detect_feedback(answer.case)
-    holds = "Widths of a sensor's zone and of the input's hold in a loop; those of a play may be"
-    holds += " off by more than their intervals where a disturbance is strong"
+    is_closed = loop.is_closed
     if servo is not None:
         loop = loop._replace(chance=servo.log.loop)
-        what = "gap" if answer.verdict == "play" else "friction"
-        holds = f"The {what} holds in it: each error is that of one prediction"
-    is_closed = loop.is_closed or (servo is not None and servo.log.is_closed_loop)
-    remark = f"the input answers to the readings: the log is of a closed loop. {holds}"
-    remarks = [remark] if is_closed else []
+        is_closed = loop.is_closed or servo.log.is_closed_loop
+    remarks = [CLOSED] if is_closed else []
     if answer.case.options.delay == AT_ONCE:
         remarks.append(
             "the input acts within its own sample, or is written a sample late: it is taken one"
@@ -489,11 +489,6 @@ def _edge_remarks(answer: Answer, intervals: DisplayedWidths, has_residual: bool
         )
     for name in absent_edges(answer.case):
         remarks.append(f"no reading lies beyond a {name} edge: the sensor is taken to have none")
-    for name in answer.case.unreached:
-        remarks.append(
-            f"no reading lies beyond the {name} edge: record with a larger input, or say"
-            f" --{name} inf if there is none"
-        )
     if _has_tied_edges(answer):
         remarks.append(
             "z of an integrating plant has no zero of its own: it counts from the middle of the"
@@ -514,11 +509,10 @@ def _has_tied_edges(answer: Answer) -> bool:
     return answer.fit.objective.limits.tied
 
 
-def _widen_rare_edges(answer: Answer, intervals: DisplayedWidths) -> list[str]:
-    """Return remarks on rarely passed edges. Their `intervals` are widened in place."""
-    remarks: list[str] = []
+def _widen_rare_edges(answer: Answer, intervals: DisplayedWidths) -> None:
+    """Widen the intervals of rarely passed edges in place, by their profile likelihood."""
     if answer.case.jump_edges or _has_tied_edges(answer):
-        return remarks
+        return
     for name, visits in zip(("right", "left"), answer.excitation.visits, strict=True):
         edge = intervals[name]
         if not 0 < visits < FEW_VISITS or edge is None or not edge.low < edge.high < math.inf:
@@ -529,11 +523,6 @@ def _widen_rare_edges(answer: Answer, intervals: DisplayedWidths) -> list[str]:
         for sum_of_both, further in (("width", more), ("centre", [max(more) / 2] * 2)):
             interval = intervals[sum_of_both]
             intervals[sum_of_both] = None if interval is None else interval.extend_by(*further)
-        remarks.append(
-            f"the {name} edge is passed {visits} times only: hardly known; its interval is that of"
-            " the profile likelihood where that is wider"
-        )
-    return remarks
 
 
 def _jump_widths(case: Case) -> DisplayedWidths:

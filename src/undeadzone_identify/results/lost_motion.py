@@ -9,38 +9,34 @@ from typing import Any
 import numpy as np
 
 from undeadzone.errors import InputError
-from undeadzone.util import shown
 from undeadzone.util.arrays import to_json_value
-from undeadzone.util.shown import Block
 from undeadzone.util.text import HALF_95, bracket_interval
 from undeadzone_identify.models.estimates import Interval
 from undeadzone_identify.results.account import Account
 from undeadzone_identify.results.formats import unit_suffix
-from undeadzone_identify.results.result import save_numbers
+from undeadzone_identify.results.result import Spoken
 from undeadzone_identify.results.speech import account_of_motion
 from undeadzone_identify.results.words import describe_shares
 from undeadzone_identify.selection.lost_motion import LostMotionAnswer
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class IdentifiedMotion:
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class IdentifiedMotion(Spoken):
     """Motion that is lost between two positions, with its interval.
 
     Attributes:
         answer: every value; the properties below are its most used ones.
-        spoken: account of the log where another instrument gave it.
 
     See Also:
         identify
     """
 
     answer: LostMotionAnswer
-    spoken: Account | None = None
 
     @functools.cached_property
     def account(self) -> Account:
         """Return effect, cost, remedy, what is not decided, and the largest that could hide."""
-        return self.spoken or account_of_motion(self.answer)
+        return account_of_motion(self.answer)
 
     @property
     def verdict(self) -> str:
@@ -121,10 +117,6 @@ class IdentifiedMotion:
             )
         )
 
-    def headline(self) -> str:
-        """Return the finding, in one line."""
-        return self.account.headline()
-
     def summary(self) -> dict[str, Any]:
         """Return the answer in words, as the command prints."""
         one = self.answer
@@ -153,15 +145,4 @@ class IdentifiedMotion:
             lines["note"] = one.remarks
         return lines
 
-    def blocks(self) -> list[Block]:
-        """Return the table that `undeadzone identify` prints."""
-        return [self.summary()]
-
-    __repr__ = shown.format_result
-    _repr_html_ = shown.result_to_html
-
     drawn = ("undeadzone_identify.figures", "lost_motion", "both_flanks")
-    plot = shown.plot
-    """Draw it."""
-
-    save = save_numbers

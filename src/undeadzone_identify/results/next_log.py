@@ -141,18 +141,18 @@ def _least_known_width(answer: Answer, account: Account) -> tuple[str, ModelAcco
     servo, element = answer.case.servo, answer.element
     if element is None and servo is not None and servo.has_few_reversals:
         element = build_servo_element(answer.case, servo)
-    model, widths = _zone_account(answer.fit), {one: getattr(answer, one) for one in DIRECTIONS}
+    numbers = next(iter(account.effects.values()), {})
+    model = _zone_account(answer.fit)
     if element is not None:
-        model, widths = _element_account(element), element.widths
+        model, numbers = _element_account(element), element.widths
     elif answer.verdict != "dead_zone":
-        fits = (
-            (fit_of(answer.case, answer.found, word), account.effects[effect])
-            for word, effect in EFFECT_OF.items()
-            if effect in account.effects
+        words = (word for word, effect in EFFECT_OF.items() if effect in account.effects)
+        fits = (fit_of(answer.case, answer.found, word) for word in words)
+        fit = next(filter(None, fits), None)
+        model, numbers = (
+            (model, {}) if fit is None else (ModelAccount(fit.model, fit.theta), numbers)
         )
-        fit, numbers = next((one for one in fits if one[0] is not None), (None, {}))
-        widths = {"width": numbers.get("gap", numbers.get("level"))} | numbers
-        model = model if fit is None else ModelAccount(fit.model, fit.theta)
+    widths = {"width": numbers.get("gap", numbers.get("level"))} | numbers
     half = {}
     for name in ("width", "right", "left"):
         interval = widths.get(name)

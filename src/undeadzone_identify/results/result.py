@@ -94,8 +94,38 @@ def save_numbers(found: HasNumbers, path: str | os.PathLike[str]) -> Path:
     return write_text(text + "\n", path)
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Identified:
+class Summarised(Protocol):
+    """Answer with an account and a summary."""
+
+    @property
+    def account(self) -> Account:
+        """Return the account."""
+
+    def summary(self) -> dict[str, Any]:
+        """Return the answer in words."""
+
+
+class Spoken:
+    """Answer to a log that its account says in one line."""
+
+    def headline(self: Summarised) -> str:
+        """Return the finding in one line."""
+        return self.account.headline()
+
+    def blocks(self: Summarised) -> list[Block]:
+        """Return the table that `undeadzone identify` prints."""
+        return [self.summary()]
+
+    __repr__ = shown.format_result
+    _repr_html_ = shown.result_to_html
+    plot = shown.plot
+    """Draw it."""
+
+    save = save_numbers
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class Identified(Spoken):
     """Estimate of plant and dead zone from a log, with its products.
 
     Attributes:
@@ -331,22 +361,7 @@ class Identified:
         """Return the answer in words, as the command prints."""
         return summarise_answer(self.answer, self.account)
 
-    def headline(self) -> str:
-        """Return the finding in one line."""
-        return self.account.headline()
-
-    def blocks(self) -> list[Block]:
-        """Return the table that `undeadzone identify` prints."""
-        return [self.summary()]
-
-    __repr__ = shown.format_result
-    _repr_html_ = shown.result_to_html
-
     drawn = ("undeadzone_identify.figures", "overview", "signals")
-    plot = shown.plot
-    """Draw it."""
-
-    save = save_numbers
 
 
 def _simulate_states(simulator: PlantSimulator, theta: Floats) -> Floats:
@@ -365,8 +380,8 @@ def _simulate_states(simulator: PlantSimulator, theta: Floats) -> Floats:
     return x
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class IdentifiedOutputs:
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class IdentifiedOutputs(Spoken):
     """Answers for several outputs, each with a separate plant from all inputs.
 
     Attributes:
@@ -432,11 +447,4 @@ class IdentifiedOutputs:
             blocks += [{"output": name, **one.summary()}]
         return blocks
 
-    __repr__ = shown.format_result
-    _repr_html_ = shown.result_to_html
-
     drawn = ("undeadzone_identify.figures", "of_outputs", "plot_first_fit")
-    plot = shown.plot
-    """Draw it."""
-
-    save = save_numbers

@@ -116,7 +116,10 @@ def account_of_answer(answer: Answer) -> Account:
         effects["output loss"] = {"width": element.zone}
     limits = {} if effects else _find_limits(answer)
     buys = _buys_of_word(answer) if answer.servo is None else None
-    return Account(NAMED, effects, DYNAMICS, units, buys, limits=limits, name=NAMES[word])
+    unmet = answer.case.unreached
+    return Account(
+        NAMED, effects, DYNAMICS, units, buys, unmet=unmet, limits=limits, name=NAMES[word]
+    )
 
 
 def account_of_motion(motion: LostMotionAnswer) -> Account:

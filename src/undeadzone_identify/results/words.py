@@ -98,7 +98,7 @@ def describe_crossings(answer: Answer, unit: str) -> str:
     middle, low, high = np.quantile(gaps, [0.5, 0.1, 0.9])
     return (
         f"all {gaps.size}: median {middle:.4g}{unit}, 80 % within {low:.4g} to {high:.4g}{unit};"
-        " each is in the page and in the JSON"
+        " each is in the JSON"
     )
 
 
@@ -244,14 +244,9 @@ def summarise_answer(answer: Answer, account: Account) -> dict[str, Any]:
 
 def _describe_shape(shape: SensorShape, unit: str) -> str:
     """Describe rounding, slopes and lag of a sensor."""
-    rounding = f"edges round over at most {shape.rounding.high:.3g}{unit}"
-    if shape.rounding.low > 0:
-        rounding = f"edges round over {describe_interval(shape.rounding, unit)}"
-    slope = describe_interval(shape.slope, "")
-    lag = f"at most {max(shape.lag.high, 0.0):.3g} s"
-    if shape.lag.low > 0:
-        lag = describe_interval(shape.lag, " s")
-    return f"{rounding}; slope of the left side over the right {slope}; smoothed by a lag of {lag}"
+    rounding, slope = describe_interval(shape.rounding, unit), describe_interval(shape.slope, "")
+    lag = describe_interval(shape.lag, " s")
+    return f"edges round over {rounding}; slope of the left side over the right {slope}; lag {lag}"
 
 
 def _describe_record(answer: Answer) -> str:
@@ -307,10 +302,7 @@ def describe_shares(odds: dict[str, float]) -> str:
 def _describe_disturbance(answer: Answer, unit: str) -> str:
     """Describe rms and correlation time of the disturbance."""
     disturbance = answer.disturbance
-    where = "at z" if disturbance.ahead else "behind the zone"
-    if not disturbance.ahead and not answer.zone:
-        where = "in what the plant leaves of the readings"
-    text = f"rms {disturbance.rms:.3g}{unit} {where}"
+    text = f"rms {disturbance.rms:.3g}{unit} {'at z' if disturbance.ahead else 'of the readings'}"
     if disturbance.correlation_time is not None:
         unit_of_time = "samples" if answer.case.grid.counted else "s"
         text += f", correlation time {disturbance.correlation_time:.2g} {unit_of_time}"
