@@ -10,17 +10,12 @@ import numpy as np
 from undeadzone.report import ink
 from undeadzone.report.style import create_panels, escape_formulas, finish_panel
 from undeadzone.util.text import HALF_95, label_with_unit
-from undeadzone_identify.models.kalman_fit import filter_innovations as filtered
 from undeadzone_identify.models.zone_fit import mean_reading
 from undeadzone_identify.results.next_log import NextLog
 from undeadzone_identify.results.result import Identified
 from undeadzone_identify.results.words import crossing_columns
 from undeadzone_identify.selection.decision import MODELS
-from undeadzone_identify.selection.orders import (
-    known_autocorrelation,
-    one_step_residuals,
-    training_samples,
-)
+from undeadzone_identify.selection.orders import training_samples
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -32,9 +27,8 @@ if TYPE_CHECKING:
     from undeadzone_identify.results.result import IdentifiedOutputs
     from undeadzone_identify.selection.alternatives import Element
 
-WITHIN = 0.9  # of the crossings that a figure is sure to show
+WITHIN = 0.95  # quantile of the crossings that a figure is sure to show
 MAPS = {"jump": "jump sensor"}  # by verdict, what the fitted sensor is called
-LAGS = 25
 MOST = 4000  # samples of a figure over time; of a longer log the last ones are drawn
 MOST_AT_END = 600  # the same of a figure of the end of a log
 NAMES = {"play": "the play", "both": "play and dead zone", "two_zones": "the dead zone"}
@@ -57,7 +51,7 @@ def build_figures(found_log: Identified, further: NextLog | None = None) -> dict
         further: the proposed record; None: not asked.
 
     Returns:
-        Figures by name: overview, residual_map, residual, and where there is a zone hidden; of a
+        Figures by name: overview, residual_map, and where there is a zone hidden; of a
         play, or of an input zone, overview and element, and of a servo crossings; next, the input
         to record.
     """
@@ -90,7 +84,6 @@ def _build_answer_figures(found_log: Identified) -> dict[str, Figure]:
     drawn = {
         "overview": overview(found_log),
         "residual_map": _plot_by_output(found_log),
-        "residual": _plot_residual_correlation(found_log),
     }
     if found_log.right is not None:
         drawn["hidden"] = _plot_hidden_output(found_log)
@@ -234,7 +227,7 @@ def at_rest(result: IdentifiedAtRest) -> Figure:
 
 
 def map_at_rest(axes: Axes, result: IdentifiedAtRest) -> None:
-    """Draw the map at rest, or the readings over the commands, with shaded bands.
+    """Draw the map at rest, or the readings over the commands, with shaded edges.
 
     Args:
         axes: where to.
@@ -245,16 +238,10 @@ def map_at_rest(axes: Axes, result: IdentifiedAtRest) -> None:
     seen = result.looks.at_rest
     if seen is not None:
         axes.plot(seen.x, seen.predict(seen.x), color=ink.ESTIMATE, label="map at rest")
-    for part in () if seen is None else seen.flats:
-        ends = [edge.interval for edge in (part.left, part.right) if edge is not None]
-        inside = [one.value for one in ends]
-        limits = axes.get_xlim()
-        low = inside[0] if part.left is not None else limits[0]
-        high = inside[-1] if part.right is not None else limits[1]
-        axes.axvspan(low, high, color=ink.ESTIMATE, alpha=0.12, lw=0)
-        for one in ends:
-            axes.axvspan(one.low, one.high, color=ink.ESTIMATE, alpha=0.3, lw=0)
-        axes.set_xlim(limits)
+    for name in ("lower", "upper"):
+        edge = next(iter(result.account.effects.values()), {}).get(name)
+        if edge is not None:
+            axes.axvspan(edge.low, edge.high, color=ink.ESTIMATE, alpha=0.3, lw=0)
     labels = (
         label_with_unit(log.outputs[0], log.output_units[0]),
         label_with_unit(log.inputs[0], log.input_unit),
@@ -353,42 +340,6 @@ def _sensor_characteristic(found_log: Identified) -> tuple[Floats, Floats]:
     return z, np.where((z > right) | (z < -left), z, 0.0)
 
 
-def _plot_residual_correlation(found_log: Identified) -> Figure:
-    """Plot the correlation of the one-step residual with itself and with the input."""
-    fit = found_log.answer.fit
-    data = fit.objective.data
-    kalman = found_log.answer.found.kalman
-    if kalman:
-        value = filtered(kalman[0])
-        use = data.ok & (data.side != 0)
-    else:
-        value, use = one_step_residuals(fit, data.ok)
-    figure, panels = create_panels(
-        [["auto", "cross"]], "Is the one-step residual white?", height=2.8
-    )
-    band = HALF_95 / math.sqrt(max(int(use.sum()), 1))
-    lags = np.arange(1, LAGS + 1)
-    _plot_stems(panels["auto"], lags, known_autocorrelation(value, use, LAGS), band)
-    finish_panel(panels["auto"], "Residual with itself", "correlation", "lag [samples]", legend=0)
-    u = data.u[:, 0] - data.u[:, 0].mean()
-    centred = (value - value[use].mean()) * use
-    power = math.sqrt(float(centred @ centred) * float(u @ u)) + 1e-300
-    cross = [float(centred[lag:] @ u[: u.size - lag]) / power for lag in lags]
-    _plot_stems(panels["cross"], lags, np.array(cross), HALF_95 / math.sqrt(u.size))
-    finish_panel(
-        panels["cross"], "Residual with past input", "correlation", "lag [samples]", legend=0
-    )
-    return figure
-
-
-def _plot_stems(axes: Axes, lags: object, values: object, band: float) -> None:
-    """Plot correlations as stems over the 95 % band of white noise."""
-    axes.axhspan(-band, band, color=ink.ZONE, alpha=0.25, linewidth=0)
-    axes.vlines(lags, 0, values, color=ink.ESTIMATE)  # type: ignore[arg-type]
-    axes.plot(lags, values, "o", color=ink.ESTIMATE, markersize=3)  # type: ignore[arg-type]
-    axes.set_xlim(0, LAGS + 1)
-
-
 def _name_of(element: Element) -> str:
     """Return the name of an element in a legend."""
     return NAMES.get(element.kind, MODELS[element.kind])
@@ -404,17 +355,16 @@ def _plot_crossings(found_log: Identified, columns: dict[str, Floats]) -> Figure
         "y": label_with_unit("y", unit),
         "duration": "duration [s]",
     }
-    middle = float(np.median(columns["gap"]))
-    reach = float(np.quantile(np.abs(columns["gap"] - middle), WITHIN))
+    middle, *ends = np.quantile(columns["gap"], [0.5, 1 - WITHIN, WITHIN])
+    reach = 2 * float(np.ptp(ends))
     for name, x_label in places.items():
         axes = panels[name]
         if width is not None:
             axes.axhspan(width.low, width.high, color=ink.ZONE, alpha=0.3, linewidth=0)
-            reach = max(reach, width.half_width)
         for side, colour, word in ((1, ink.ESTIMATE, "to the right"), (-1, ink.OTHER, "left")):
             own = columns["side"] == side
             axes.plot(columns[name][own], columns["gap"][own], ".", color=colour, label=word)
-        axes.set_ylim(middle - 2 * reach, middle + 2 * reach)
+        axes.set_ylim(middle - reach, middle + reach)
         finish_panel(axes, f"By {name}", label_with_unit("gap", unit), x_label)
     return figure
 

@@ -26,8 +26,6 @@ CAPTIONS = {
     " shaded parts checked a fit of the others. Below: which side each reading shows.",
     "residual_map": "What the zone leaves of the readings, by z^: a curve here is another"
     " nonlinearity.",
-    "residual": "Correlation of the one-step residual, and of it with past inputs, with 95 % bands"
-    " for white residuals: what stands out is not in the model.",
     "next": "The input that would tell most of what is known least, from rest.",
     "hidden": "z^ with its 95 % band against the reading: inside the zone it is the product.",
 }
@@ -53,8 +51,7 @@ OF_POSITIONS = {
 }
 
 AT_REST = {
-    "overview": "Readings over commands at rest; the band in which the reading stands still is"
-    " shaded, with the 95 % intervals of its edges.",
+    "overview": "Readings over commands at rest; the 95 % intervals of its edges are shaded.",
 }
 
 
@@ -130,7 +127,6 @@ def build_identified_page(
             *_rivals_table(found_log),
             *html.pick_pictures(shown, "residual_map"),
         ),
-        *_fit_sections(found_log, shown),
         *_few_lines_section(found_log.numbers(), source),
         origin=origin,
     )
@@ -212,17 +208,6 @@ def _own_sections(shown: dict[str, html.Html]) -> list[html.Html]:
     titles = {"crossings": "The gap at each crossing", "next": "What to record next"}
     return [
         html.build_section(title, shown[name]) for name, title in titles.items() if name in shown
-    ]
-
-
-def _fit_sections(found_log: Identified, shown: dict[str, html.Html]) -> list[html.Html]:
-    """Return the sections on stages and orders of the sensor-zone fit; empty for other
-    elements.
-    """
-    if found_log.answer.element is not None:
-        return []
-    return [
-        html.build_section("What is left one step ahead", *html.pick_pictures(shown, "residual")),
     ]
 
 

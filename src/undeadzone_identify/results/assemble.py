@@ -460,13 +460,10 @@ def _add_feedback(answer: Answer) -> Answer:
 
 def _reference_remarks(grid: Grid, ok: Flags, loop: Feedback) -> list[str]:
     """Return the remarks on a recorded reference."""
-    if not grid.r.shape[1]:
-        return []
-    if loop.answered is None:
-        return ["the reference never moves: it is not used"]
-    if loop.answered == 0:
-        return ["the reference alone makes the input: no loop is closed"]
-    if feedback_share(grid.r, grid.y, ok, grid.r[:, :0], grid.start)[1] > CHANCE:
+    if (
+        not loop.answered
+        or feedback_share(grid.r, grid.y, ok, grid.r[:, :0], grid.start)[1] > CHANCE
+    ):
         return []
     words = "the reference answers to the readings as well: an outer loop makes it, or columns are"
     return [f"{words} exchanged (--columns); then nothing of this holds"]

@@ -130,8 +130,6 @@ class IdentifiedMotion(Spoken):
             f" [{one.log.output_units[0]}]",
         }
         lines |= self.account.summary()
-        if one.reasons and not self.account.doubts:
-            lines["why"] = one.reasons
         if one.odds:
             lines["odds"] = describe_shares(one.odds)
         half = HALF_95 * one.gain_error

@@ -13,7 +13,7 @@ Noise is taken for white.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,6 +23,7 @@ from undeadzone.errors import InputError
 from undeadzone.nonlinearities.sensor import DIRECTIONS
 from undeadzone.util.arrays import Floats
 from undeadzone_identify.models.elements import MapModel, PlayModel, dead_zone_map
+from undeadzone_identify.models.estimates import Interval
 from undeadzone_identify.models.least_squares import FittedModel
 from undeadzone_identify.models.measured import level_slopes
 from undeadzone_identify.models.plant import RecordData
@@ -141,7 +142,7 @@ def _least_known_width(answer: Answer, account: Account) -> tuple[str, ModelAcco
     servo, element = answer.case.servo, answer.element
     if element is None and servo is not None and servo.has_few_reversals:
         element = build_servo_element(answer.case, servo)
-    numbers = next(iter(account.effects.values()), {})
+    numbers: Mapping[str, Interval | None] = next(iter(account.effects.values()), {})
     model = _zone_account(answer.fit)
     if element is not None:
         model, numbers = _element_account(element), element.widths
@@ -152,7 +153,7 @@ def _least_known_width(answer: Answer, account: Account) -> tuple[str, ModelAcco
         model, numbers = (
             (model, {}) if fit is None else (ModelAccount(fit.model, fit.theta), numbers)
         )
-    widths = {"width": numbers.get("gap", numbers.get("level"))} | numbers
+    widths = {"width": numbers.get("gap", numbers.get("level")), **numbers}
     half = {}
     for name in ("width", "right", "left"):
         interval = widths.get(name)

@@ -435,16 +435,12 @@ class IdentifiedOutputs(Spoken):
 
     def numbers(self) -> dict[str, Any]:
         """Return all numbers of the answers, as `--json` prints."""
-        each = {}
-        for name, one in zip(self.names, self.outputs, strict=True):
-            each[name] = one.numbers()
+        each = dict(zip(self.names, (one.numbers() for one in self.outputs), strict=True))
         return dict(to_json_value({"zone": self.zone, "verdict": self.verdict, "outputs": each}))
 
     def blocks(self) -> list[Block]:
         """Return the tables that `undeadzone identify` prints, one for each output."""
-        blocks: list[Block] = []
-        for name, one in zip(self.names, self.outputs, strict=True):
-            blocks += [{"output": name, **one.summary()}]
-        return blocks
+        each = zip(self.names, self.outputs, strict=True)
+        return [{"output": name, **one.summary()} for name, one in each]
 
     drawn = ("undeadzone_identify.figures", "of_outputs", "plot_first_fit")

@@ -18,7 +18,6 @@ from undeadzone_identify.results.account import (
 
 ENOUGH = 6  # rows beside an edge, from which it is measured
 CLOSE = 0.75  # share of the torque that friction and motion explain, from which it is measured
-HARDLY = 0.5  # share below which a torque and a motion are hardly related
 FLIPS = 8  # changes between two rests, from which the play is measured
 SWEEPS = 4  # from which a gap between least readings is measured
 EDGES = {"left": "lower", "right": "upper"}
@@ -32,21 +31,20 @@ def account_of_looks(log: Log, looks: Looks) -> Account | None:
         looks: what is seen.
     """
     units = (log.input_unit, log.output_units[0])
-    seen = looks.friction
-    if seen is not None:
-        hull = seen.level
-        small = hull.high - hull.low < hull.value / 2
-        grade = MEASURED if seen.explained > CLOSE and small else INDICATED
-        return Account(grade, {"friction": {"level": hull}}, "torque along the motion", units)
-    if looks.rests is not None:
-        one = looks.rests
-        sure = one.flips >= FLIPS and one.is_sharp
-        effects = {"free play": {"gap": one.play}}
-        return Account(MEASURED if sure else INDICATED, effects, "rests at one goal", units)
-    if looks.valley is not None and looks.valley.gap.low > 0:
-        grade = MEASURED if looks.valley.sweeps >= SWEEPS else INDICATED
-        effects = {"input reversal": {"gap": looks.valley.gap}}
-        return Account(grade, effects, "least readings of sweeps up and down", units)
+    friction, rests, valley = looks.friction, looks.rests, looks.valley
+    sure, effects, by = False, {}, ""
+    if friction is not None:
+        hull = friction.level
+        sure = friction.explained > CLOSE and hull.high - hull.low < hull.value / 2
+        effects, by = {"friction": {"level": hull}}, "torque along the motion"
+    elif rests is not None:
+        sure = rests.flips >= FLIPS and rests.is_sharp
+        effects, by = {"free play": {"gap": rests.play}}, "rests at one goal"
+    elif valley is not None and valley.gap.low > 0:
+        sure = valley.sweeps >= SWEEPS
+        effects, by = {"input reversal": {"gap": valley.gap}}, "least readings of sweeps"
+    if effects:
+        return Account(MEASURED if sure else INDICATED, effects, by, units)
     if looks.at_rest is not None:
         return _account_of_map(looks.at_rest, "map at rest", units)
     if looks.of_rate is not None:

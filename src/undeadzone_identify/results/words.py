@@ -219,8 +219,6 @@ def summarise_answer(answer: Answer, account: Account) -> dict[str, Any]:
     unit = unit_suffix(grid.output_unit)
     lines: dict[str, Any] = {"record": _describe_record(answer), "plant": _describe_plant(answer)}
     lines |= account.summary()
-    if answer.reasons and not account.doubts:
-        lines["why"] = answer.reasons
     if answer.found.odds:
         lines["odds"] = describe_shares(answer.found.odds)
     if answer.zone and answer.element is None:
