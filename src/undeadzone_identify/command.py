@@ -298,18 +298,15 @@ def _write_scenario_file(answer: Answers, path: Path, force: bool) -> tuple[list
 def _write_pages(answer: Answers, folder: Path, source: str, best: NextLog | None) -> list[Path]:
     """Write a page with figures for each output to a folder; return the paths."""
     from undeadzone.results.mjcf import write_gears
-    from undeadzone_identify.page import write_identified, write_identified_motion
-    from undeadzone_identify.results.at_rest import IdentifiedAtRest
-    from undeadzone_identify.results.lost_motion import IdentifiedMotion
-    from undeadzone_identify.results.result import Identified
+    from undeadzone_identify.page import write_identified
+    from undeadzone_identify.results.result import Identified, IdentifiedOutputs
     from undeadzone_identify.results.words import servo_joints
 
-    if isinstance(answer, IdentifiedMotion | IdentifiedAtRest):
-        return write_identified_motion(answer, folder, source, build_origin(None))
+    written = []
     if isinstance(answer, Identified):
         written = write_gears(servo_joints(answer.answer), folder)
+    if not isinstance(answer, IdentifiedOutputs):
         return written + write_identified(answer, folder, source, build_origin(None), best)
-    written = []
     for k, (name, one) in enumerate(zip(answer.names, answer.outputs, strict=True)):
         written += write_identified(
             one, folder / f"output-{k}", f"{source}, {name}", build_origin(None)

@@ -32,18 +32,11 @@ MAPS = {"jump": "jump sensor"}  # by verdict, what the fitted sensor is called
 MOST = 4000  # samples of a figure over time; of a longer log the last ones are drawn
 MOST_AT_END = 600  # the same of a figure of the end of a log
 NAMES = {"play": "the play", "both": "play and dead zone", "two_zones": "the dead zone"}
-SIDES = {
-    "play": "Contact",
-    "both": "Contact",
-    "input_play": "Motion behind the play",
-    "input_zone": "Side of the input",
-    "two_zones": "Side of the reading",
-    "filtered_zone": "Side of the reading",
-}
-MIDDLES = {"play": "holds", "both": "holds", "input_play": "holds"}
 
 
-def build_figures(found_log: Identified, further: NextLog | None = None) -> dict[str, Figure]:
+def build_figures(
+    found_log: Identified | IdentifiedMotion | IdentifiedAtRest, further: NextLog | None = None
+) -> dict[str, Figure]:
     """Build the figures that apply to an answer.
 
     Args:
@@ -51,10 +44,12 @@ def build_figures(found_log: Identified, further: NextLog | None = None) -> dict
         further: the proposed record; None: not asked.
 
     Returns:
-        Figures by name: overview, residual_map, and where there is a zone hidden; of a
-        play, or of an input zone, overview and element, and of a servo crossings; next, the input
-        to record.
+        Figures by name: overview, residual_map, and where there is a zone hidden; of a play, or of
+        an input zone, overview and element, and of a servo crossings; next, the input to record;
+        without a plant overview alone.
     """
+    if not isinstance(found_log, Identified):
+        return {"overview": found_log.plot()}
     return _build_answer_figures(found_log) | (
         {} if further is None else {"next": _plot_next_input(found_log, further)}
     )
@@ -107,38 +102,11 @@ def _time_label(found_log: Identified) -> str:
 
 
 def overview(found_log: Identified) -> Figure:
-    """Plot z^, y and what lies between them over time, the held-out parts shaded, with the sides
-    below.
-    """
+    """Plot z^, y and what lies between them over time, the held-out parts shaded."""
     part = _time_window(found_log, MOST if found_log.answer.element is None else MOST_AT_END)
-    figure, panels = create_panels(
-        [["signals"], ["signals"], ["sides"]], "The log and its fit", height=1.9
-    )
+    figure, panels = create_panels([["signals"]], "The log and its fit", height=3.6)
     signals(panels["signals"], found_log, part)
-    _shade_held_out(panels["sides"], found_log, part)
-    title, side, middle = _sides_of(found_log)
-    _plot_sides(panels["sides"], found_log.answer.case.grid.t[part], side[part], middle)
-    finish_panel(panels["sides"], title, "", _time_label(found_log), legend=0)
     return figure
-
-
-def _sides_of(found_log: Identified) -> tuple[str, Floats, str]:
-    """Return the title of the sides of a log, the sides (N), and the word for 0."""
-    fit = found_log.answer.fit
-    element = found_log.answer.element
-    if element is not None:
-        title = SIDES.get(element.kind, "Sign of the reading")
-        return title, 1.0 * element.side, MIDDLES.get(element.kind, "silent")
-    behind = fit.objective.kind == "behind"  # readings inside the zone are noise
-    side = np.where(fit.objective.data.ok, fit.objective.branch_sides(fit.theta), np.nan)
-    return "Side of ẑ" if behind else "Side of the readings", side, "silent"
-
-
-def _plot_sides(axes: Axes, t: Floats, side: Floats | Integers, middle: str) -> None:
-    """Plot a side (-1, 0 or 1) over time; `middle` labels the value 0."""
-    axes.plot(t, side, color=ink.TRUTH, linewidth=0.8, drawstyle="steps-post")
-    axes.set_yticks([-1, 0, 1], ["left", middle, "right"])
-    axes.set_ylim(-1.3, 1.3)
 
 
 def signals(axes: Axes, found_log: Identified, part: slice, of: str = "") -> None:
@@ -162,7 +130,9 @@ def signals(axes: Axes, found_log: Identified, part: slice, of: str = "") -> Non
         axes.plot(t, expected, color=ink.OTHER, linewidth=1.0, label=f"{_name_of(element)} of it")
     _shade_held_out(axes, found_log, part)
     title = f"Output{of} and reading; shaded: held out"
-    finish_panel(axes, title, label_with_unit("z, y", _unit_of_output(found_log)), "")
+    finish_panel(
+        axes, title, label_with_unit("z, y", _unit_of_output(found_log)), _time_label(found_log)
+    )
 
 
 def _plot_readings(axes: Axes, found_log: Identified, part: slice) -> None:

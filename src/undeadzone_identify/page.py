@@ -5,12 +5,11 @@ from __future__ import annotations
 import re
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from undeadzone.report import html
 from undeadzone_identify.chain import compensating_lines
-from undeadzone_identify.figures import at_rest, build_figures, lost_motion
-from undeadzone_identify.results.account import Account
+from undeadzone_identify.figures import build_figures
 from undeadzone_identify.results.at_rest import IdentifiedAtRest
 from undeadzone_identify.results.lost_motion import IdentifiedMotion
 from undeadzone_identify.results.next_log import NextLog
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
 
 CAPTIONS = {
     "overview": "Output z^ of the fitted plant, reading y and the zone with its 95 % bands;"
-    " shaded parts checked a fit of the others. Below: which side each reading shows.",
+    " shaded parts checked a fit of the others.",
     "residual_map": "What the zone leaves of the readings, by z^: a curve here is another"
     " nonlinearity.",
     "next": "The input that would tell most of what is known least, from rest.",
@@ -37,7 +36,7 @@ FIRST = re.compile(
 
 OF_ELEMENT = {  # in place of these
     "overview": "Output z^ of the fitted plant, what is read of it, and the reading y at the end of"
-    " the log. Below: in which contact the play is, or on which side of its zone the input.",
+    " the log.",
     "element": "Left: readings by z^, and the path that the fitted element takes. Right: what it"
     " leaves of the readings; a curve there is something that it does not hold.",
     "crossings": "The gap that each reversal shows, with the printed interval shaded. A trend with"
@@ -45,18 +44,26 @@ OF_ELEMENT = {  # in place of these
 }
 
 
-OF_POSITIONS = {
-    "overview": "Above: the second position and its fit. Below: what it lags behind the first, by"
-    " the first; the lines are both flanks of the gap.",
+OF_OTHERS = {  # in place of these, of answers without a plant
+    IdentifiedMotion: {
+        "overview": "Above: the second position and its fit. Below: what it lags behind the first,"
+        " by the first; the lines are both flanks of the gap.",
+    },
+    IdentifiedAtRest: {
+        "overview": "Readings over commands at rest; the 95 % intervals of its edges are shaded.",
+    },
 }
-
-AT_REST = {
-    "overview": "Readings over commands at rest; the 95 % intervals of its edges are shaded.",
+SECTIONS = {  # titles of the pictures that only some answers have
+    "hidden": "Hidden output",
+    "element": "What it is",
+    "crossings": "The gap at each crossing",
+    "next": "What to record next",
 }
+OneAnswer: TypeAlias = Identified | IdentifiedMotion | IdentifiedAtRest
 
 
 def write_identified(
-    found_log: Identified,
+    found_log: OneAnswer,
     folder: Path,
     source: str,
     origin: html.Origin | None = None,
@@ -77,13 +84,12 @@ def write_identified(
     Raises:
         FileError: a file cannot be written.
     """
-
     text = partial(build_identified_page, found_log, source=source, origin=origin)
     return html.write_page(build_figures(found_log, further), folder, text)
 
 
 def build_identified_page(
-    found_log: Identified,
+    found_log: OneAnswer,
     images: Mapping[str, bytes],
     source: str,
     origin: html.Origin | None = None,
@@ -99,42 +105,38 @@ def build_identified_page(
     Returns:
         HTML that needs nothing but itself.
     """
-    answer = found_log.answer
-    head = html.build_paragraph(
-        html.build_tag("span", found_log.headline(), _colour(found_log.account))
-    )
     first: list[tuple[str, str]] = []
     rest: list[tuple[str, str]] = []
     for name, text in _summary_rows(found_log.summary()):
         room = name != "note" or len(first) < html.MOST
         (first if room and FIRST.fullmatch(name) else rest).append((name, text))
-    captions = CAPTIONS if answer.element is None else CAPTIONS | OF_ELEMENT
+    captions, rivals = CAPTIONS | OF_OTHERS.get(type(found_log), {}), []
+    if isinstance(found_log, Identified):
+        captions |= {} if found_log.answer.element is None else OF_ELEMENT
+        rivals = _rivals_table(found_log)
     shown = html.encode_pictures(images, captions)
+    colour = "yes" if found_log.account.says_something else "no"
     return html.build_page(
         f"Identified: {source}",
-        head,
+        html.build_paragraph(html.build_tag("span", found_log.headline(), colour)),
         html.build_section(
             "The answer",
             html.build_table(("what", "value"), first),
             *html.pick_pictures(shown, "overview"),
         ),
-        html.build_section("Hidden output", *html.pick_pictures(shown, "hidden")),
-        html.build_section("What it is", *html.pick_pictures(shown, "element")),
-        *_own_sections(shown),
+        *(
+            html.build_section(title, *html.pick_pictures(shown, name))
+            for name, title in SECTIONS.items()
+        ),
         html.build_section(
             "How it was decided",
             html.build_table(("what", "value"), rest),
-            *_rivals_table(found_log),
+            *rivals,
             *html.pick_pictures(shown, "residual_map"),
         ),
         *_few_lines_section(found_log.numbers(), source),
         origin=origin,
     )
-
-
-def _colour(account: Account) -> str:
-    """Return the class of a headline: whether it holds a number or a bound."""
-    return "yes" if account.says_something else "no"
 
 
 def _summary_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
@@ -153,62 +155,6 @@ def _few_lines_section(numbers: dict[str, Any], source: str) -> list[html.Html]:
         return []
     parts = [html.build_tag("pre", text.rstrip()) for text in lines.values()]
     return [html.build_section("A few lines that compensate it", *parts)]
-
-
-def write_identified_motion(
-    found: IdentifiedMotion | IdentifiedAtRest,
-    folder: Path,
-    source: str,
-    origin: html.Origin | None = None,
-) -> list[Path]:
-    """Write the figure of two positions, or of a map at rest, as SVG and report.html to a folder.
-
-    Args:
-        found: the answer.
-        folder: where to.
-        source: name of the log.
-        origin: how to compute the same again; None: it cannot be.
-
-    Returns:
-        The files.
-
-    Raises:
-        FileError: a file cannot be written.
-    """
-    text = partial(_build_motion_page, found, source=source, origin=origin)
-    figure = lost_motion(found) if isinstance(found, IdentifiedMotion) else at_rest(found)
-    return html.write_page({"overview": figure}, folder, text)
-
-
-def _build_motion_page(
-    found: IdentifiedMotion | IdentifiedAtRest,
-    images: Mapping[str, bytes],
-    source: str,
-    origin: html.Origin | None = None,
-) -> str:
-    """Build the HTML page of two positions, or of a map at rest."""
-    head = html.build_tag("span", found.headline(), _colour(found.account))
-    captions = OF_POSITIONS if isinstance(found, IdentifiedMotion) else AT_REST
-    shown = html.encode_pictures(images, captions)
-    return html.build_page(
-        f"Identified: {source}",
-        html.build_paragraph(head),
-        html.build_section(
-            "The answer",
-            html.build_table(("what", "value"), _summary_rows(found.summary())),
-            *html.pick_pictures(shown, "overview"),
-        ),
-        *_few_lines_section(found.numbers(), source),
-        origin=origin,
-    )
-
-
-def _own_sections(shown: dict[str, html.Html]) -> list[html.Html]:
-    """Return the sections of the pictures that only some answers have."""
-    titles = {"crossings": "The gap at each crossing", "next": "What to record next"}
-    return [
-        html.build_section(title, shown[name]) for name, title in titles.items() if name in shown
-    ]
 
 
 def _rivals_table(found_log: Identified) -> list[html.Html]:

@@ -71,12 +71,12 @@ def shape_in_words(valve: ValveFindings, grid: Grid) -> str:
         valve: findings on the valve.
         grid: the log.
     """
-    how = "swings regularly" if valve.swings else "does not swing regularly"
-    period = f"period {valve.period * grid.step:.3g} {'samples' if grid.counted else 's'}"
+    how = "does not swing regularly"
+    if valve.swings:
+        unit = "samples" if grid.counted else "s"
+        how = f"swings regularly, period {valve.period * grid.step:.3g} {unit}"
     wide = f"{grid.output} over {grid.inputs[0]} is an ellipse {100 * valve.shape:.0f} % as wide as"
-    return (
-        f"{how} (r {min(valve.regularity, 99):.2g}, {period}); {wide} the range of {grid.inputs[0]}"
-    )
+    return f"{how} (r {min(valve.regularity, 99):.2g}); {wide} the range of {grid.inputs[0]}"
 
 
 def loop_numbers(case: Case, valve: ValveFindings) -> dict[str, Any]:

@@ -252,7 +252,7 @@ def _buys_of_word(answer: Answer) -> Buys | None:
     """Return the held-out errors of the named class and of a straight plant; None if unknown."""
     named = _compare(answer, answer.verdict)
     line = _compare(answer, "none")
-    if named is None or line is None or answer.verdict == "none":
+    if named is None or line is None or answer.verdict in ("none", "saturation"):
         return None
     model, test = named
     straight = line[0]
