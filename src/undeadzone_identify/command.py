@@ -132,7 +132,7 @@ def identify(
     The answer has a grade: named, measured, indicated (a number with its doubts), or bounded (the
     largest effect that could hide). A table of commands and readings needs no times.
 
-    Exit code 1: neither a number nor a bound can be given, or the firmware is refused.
+    Exit code 1: the answer lacks number and bound, or the firmware is refused.
     """
     from undeadzone.logs.names import require_table
     from undeadzone.util.own_files import require_own_file

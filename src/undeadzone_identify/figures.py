@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from undeadzone.util.arrays import Floats, Integers
+    from undeadzone.util.arrays import Floats
     from undeadzone_identify.results.at_rest import IdentifiedAtRest
     from undeadzone_identify.results.lost_motion import IdentifiedMotion
     from undeadzone_identify.results.result import IdentifiedOutputs

@@ -271,7 +271,9 @@ class Account(NamedTuple):
 
 def _numbers_to_json(numbers: Numbers) -> dict[str, list[float | None]]:
     """Return numbers as [value, low, high], what is not finite as None."""
-    return {
-        name: [float(one) if math.isfinite(one) else None for one in interval]
-        for name, interval in numbers.items()
-    }
+    return {name: [*map(_finite_or_none, interval)] for name, interval in numbers.items()}
+
+
+def _finite_or_none(number: float) -> float | None:
+    """Return a number, or None where it is not finite."""
+    return float(number) if math.isfinite(number) else None

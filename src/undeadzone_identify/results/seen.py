@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import chain
+
 from undeadzone_identify.logs.log import Log
 from undeadzone_identify.looks.first import Looks
 from undeadzone_identify.looks.map import FlatPart, RestMap
@@ -61,10 +63,9 @@ def _account_of_map(seen: RestMap, by: str, units: tuple[str, str]) -> Account:
         effects.setdefault(effect, numbers)
     unmet = tuple(side for side, rows in seen.met.items() if not rows and "loss" in effects)
     if effects:
-        edges = [
-            edge for part in seen.flats for edge in (part.left, part.right) if edge is not None
-        ]
-        grade = MEASURED if min(edge.rows for edge in edges) >= ENOUGH else INDICATED
+        edges = chain.from_iterable((part.left, part.right) for part in seen.flats)
+        rows = min(edge.rows for edge in filter(None, edges))
+        grade = MEASURED if rows >= ENOUGH else INDICATED
         level = f"the reading rests at {seen.flats[0].level:.4g}"
         return Account(grade, effects, f"{by}; {level}", units, unmet=unmet)
     if seen.fold is not None:
@@ -126,8 +127,5 @@ def choose_account(fitted: Account, seen: Account | None, looks: Looks) -> Accou
     if seen is not None and fitted.grade == OPEN and seen.grade == BOUNDED:
         return seen
     travel = 0.0 if looks.stillness is None else looks.stillness.travel
-    limits = {
-        key: max(one, travel) if key.startswith("input") else one
-        for key, one in fitted.limits.items()
-    }
+    limits = {key: max(one, travel * key.startswith("input")) for key, one in fitted.limits.items()}
     return fitted._replace(limits=limits)
