@@ -244,7 +244,7 @@ def test_play_ahead_of_the_plant_has_its_gap(kind: str, gap: float) -> None:
     assert answer.width is not None
     assert answer.width.low < gap < answer.width.high
     assert answer.width.value == pytest.approx(gap, rel=0.03)
-    assert "c width" in str(answer.summary())
+    assert answer.headline().startswith("Backlash ahead of the plant: gap ")
     assert len(answer.answer.poles) == answer.order
 
 
@@ -340,20 +340,18 @@ def test_friction_that_falls_has_an_interval() -> None:
     assert answer.numbers()["right"][1] < level < answer.numbers()["right"][2]
 
 
-def test_classes_that_remain_have_widths_and_an_option_that_decides() -> None:
-    """A short log: a zone of the input or a curve; the option that is named gives that answer."""
+def test_an_undecided_log_has_the_likeliest_width() -> None:
+    """A short log: a zone of the input or a curve; the width of the zone is indicated."""
     rng = np.random.default_rng(1)
     u = walk(rng, 300)
     y = lags(zone(u, 0.4, 0.3)) + 0.1 * rng.standard_normal(u.size)
     answer = identify_log(u, y)
     assert answer.verdict == "undecided"
-    levels = answer.numbers()["levels"]
-    assert set(levels) == {"input_zone"}
-    assert "use --place actuator" in str(answer.summary())
+    assert answer.account.grade == "indicated"
     placed = identify_log(u, y, place="actuator")
     assert placed.verdict == "input_zone"
     assert placed.width is not None
-    low, high = levels["input_zone"]["width"][1:]
+    low, high = answer.account.effects["input loss"]["width"][1:]
     assert low < placed.width.value < high
 
 

@@ -227,8 +227,8 @@ def summarise_answer(answer: Answer, account: Account) -> dict[str, Any]:
         lines["passed"] = f"right edge {right}; left edge {left}"
     if answer.found.valve is not None:
         lines["loop"] = shape_in_words(answer.found.valve, grid)
-    if answer.verdict == "input_zone" and answer.right is not None and answer.left is not None:
-        lines["input"] = describe_ends(grid.zero or 0.0, answer.left, answer.right)
+    if grid.zero is not None and answer.left is not None and answer.right is not None:
+        lines["input"] = describe_ends(grid.zero, answer.left, answer.right)
     if answer.shape is not None:
         lines["shape"] = _describe_shape(answer.shape, unit)
     if crossing_columns(answer):
