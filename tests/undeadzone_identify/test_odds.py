@@ -241,7 +241,6 @@ def test_a_zone_at_both_ends_is_not_sold_as_the_sensors() -> None:
     unsure = to_answer(case, answer.answer.found._replace(element=doubted))
     assert (unsure.verdict, unsure.width) == ("undecided", None)
     assert "holds 0: 0.1 [-0.1, 0.3]" in unsure.reasons[0]
-    assert "two_zones" not in answer.numbers()["levels"]
 
 
 def test_steps_of_an_encoder_are_no_zone_beside_the_inputs() -> None:
