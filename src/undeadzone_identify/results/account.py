@@ -249,7 +249,7 @@ class Account(NamedTuple):
         if self.doubts:
             lines["doubt"] = [*self.doubts]
         if self.grade in (INDICATED, OPEN):
-            wanted = [EFFECTS[effect].record for effect in self.effects]
+            wanted = [EFFECTS[effect].record for effect in self.effects or self.others]
             lines["record next"] = [*dict.fromkeys(wanted or [STEPS])]
         return lines
 

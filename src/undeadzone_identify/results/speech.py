@@ -144,8 +144,10 @@ def account_of_motion(motion: LostMotionAnswer) -> Account:
 
 
 def _open(answer: Answer, units: tuple[str, str]) -> Account:
-    """Return the account without a number, with the reasons."""
-    return Account(OPEN, {}, DYNAMICS, units, doubts=tuple(answer.reasons))
+    """Return the account without a number, with the reasons and what remains possible."""
+    words = [word for word in answer.found.odds if word in EFFECT_OF][:OTHERS]
+    others: dict[str, Numbers] = {EFFECT_OF[word]: {} for word in words}
+    return Account(OPEN, {}, DYNAMICS, units, others=others, doubts=tuple(answer.reasons))
 
 
 def _named_numbers(answer: Answer) -> Numbers:
