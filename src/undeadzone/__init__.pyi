@@ -106,6 +106,7 @@ Check = undeadzone_design.Check
 Ensemble = undeadzone_studies.Ensemble
 Exported = undeadzone_export.Exported
 Identified = undeadzone_identify.Identified
+IdentifiedAtRest = undeadzone_identify.IdentifiedAtRest
 IdentifiedMotion = undeadzone_identify.IdentifiedMotion
 IdentifiedOutputs = undeadzone_identify.IdentifiedOutputs
 Sweep = undeadzone_studies.Sweep

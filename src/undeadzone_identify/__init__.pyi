@@ -1,4 +1,5 @@
 from .pipeline import identify as identify
+from .results.at_rest import IdentifiedAtRest as IdentifiedAtRest
 from .results.lost_motion import IdentifiedMotion as IdentifiedMotion
 from .results.result import Identified as Identified
 from .results.result import IdentifiedOutputs as IdentifiedOutputs

@@ -132,7 +132,7 @@ def identify(
     The answer has a grade: named, measured, indicated (a number with its doubts), or bounded (the
     largest effect that could hide). A table of commands and readings needs no times.
 
-    Exit code 1: neither a number nor a bound can be given, or the firmware is refused.
+    Exit code 1: the answer lacks number and bound, or the firmware is refused.
     """
     from undeadzone.logs.names import require_table
     from undeadzone.util.own_files import require_own_file
@@ -156,12 +156,10 @@ def identify(
     with progress("identifying", None) as advance:
         names = [str(path) for path in logs]
         answer = identified(names, progress=advance, keep=keep, resume=resume, **options)
-        wanted = options["kind"].replace("backlash", "play")
         motion = answer if isinstance(answer, IdentifiedMotion | IdentifiedAtRest) else None
-        is_found = answer.verdict in ("dead_zone", "play" if motion else wanted)
         written: list[Path] = [] if folder is None else [answer.save(folder / "identify.json")]
         reason = None
-        if motion is None and (is_found or answer.verdict in (*WRITTEN, "jump")):
+        if motion is None and answer.verdict in (*WRITTEN, "dead_zone", "jump"):
             scenario, reason = _write_scenario_file(answer, path, force)
             written = scenario + written
         best, why = (None, {}) if further is None else _propose_next_input(answer)
@@ -181,7 +179,7 @@ def identify(
     if folder is not None and lines:
         few = shell_command("undeadzone", "export", folder / "identify.json", "--to", "snippet")
         why |= {"few lines": f"{few} writes these in C, Python and Structured Text"}
-    is_done = is_written or answer.account.says_something
+    is_done = answer.account.says_something
     chain_numbers = {}
     if chain is not None:
         scenario_file = path if is_written else None
@@ -276,12 +274,10 @@ def _next_commands(
 
 def _propose_next_input(answer: Answers) -> tuple[NextLog | None, dict[str, str]]:
     """Return the input to record next and its description, or None and the reason."""
-    from undeadzone_identify.results.result import Identified, IdentifiedOutputs
+    from undeadzone_identify.results.result import Identified
 
-    if not isinstance(answer, Identified | IdentifiedOutputs):
-        return None, {"no next log": "two positions: move slowly, with 10 reversals or more"}
     if not isinstance(answer, Identified):
-        return None, {"no next log": "several outputs: ask it of one, named by --columns"}
+        return None, {"no next log": "it takes the plant of one output, named by --columns"}
     try:
         best = answer.next_log()
     except InputError as error:
@@ -302,18 +298,15 @@ def _write_scenario_file(answer: Answers, path: Path, force: bool) -> tuple[list
 def _write_pages(answer: Answers, folder: Path, source: str, best: NextLog | None) -> list[Path]:
     """Write a page with figures for each output to a folder; return the paths."""
     from undeadzone.results.mjcf import write_gears
-    from undeadzone_identify.page import write_identified, write_identified_motion
-    from undeadzone_identify.results.at_rest import IdentifiedAtRest
-    from undeadzone_identify.results.lost_motion import IdentifiedMotion
-    from undeadzone_identify.results.result import Identified
+    from undeadzone_identify.page import write_identified
+    from undeadzone_identify.results.result import Identified, IdentifiedOutputs
     from undeadzone_identify.results.words import servo_joints
 
-    if isinstance(answer, IdentifiedMotion | IdentifiedAtRest):
-        return write_identified_motion(answer, folder, source, build_origin(None))
+    written = []
     if isinstance(answer, Identified):
         written = write_gears(servo_joints(answer.answer), folder)
+    if not isinstance(answer, IdentifiedOutputs):
         return written + write_identified(answer, folder, source, build_origin(None), best)
-    written = []
     for k, (name, one) in enumerate(zip(answer.names, answer.outputs, strict=True)):
         written += write_identified(
             one, folder / f"output-{k}", f"{source}, {name}", build_origin(None)

@@ -10,49 +10,33 @@ import numpy as np
 from undeadzone.report import ink
 from undeadzone.report.style import create_panels, escape_formulas, finish_panel
 from undeadzone.util.text import HALF_95, label_with_unit
-from undeadzone_identify.models.kalman_fit import filter_innovations as filtered
-from undeadzone_identify.models.plant import MANY
 from undeadzone_identify.models.zone_fit import mean_reading
 from undeadzone_identify.results.next_log import NextLog
 from undeadzone_identify.results.result import Identified
 from undeadzone_identify.results.words import crossing_columns
 from undeadzone_identify.selection.decision import MODELS
-from undeadzone_identify.selection.orders import (
-    known_autocorrelation,
-    one_step_residuals,
-    training_samples,
-)
-from undeadzone_identify.selection.widths import profile_likelihood
+from undeadzone_identify.selection.orders import training_samples
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from undeadzone.util.arrays import Floats, Integers
+    from undeadzone.util.arrays import Floats
     from undeadzone_identify.results.at_rest import IdentifiedAtRest
     from undeadzone_identify.results.lost_motion import IdentifiedMotion
     from undeadzone_identify.results.result import IdentifiedOutputs
     from undeadzone_identify.selection.alternatives import Element
 
-WITHIN = 0.9  # of the crossings that a figure is sure to show
+WITHIN = 0.95  # quantile of the crossings that a figure is sure to show
 MAPS = {"jump": "jump sensor"}  # by verdict, what the fitted sensor is called
-LAGS = 25
-POINTS = 9  # of a profile
 MOST = 4000  # samples of a figure over time; of a longer log the last ones are drawn
 MOST_AT_END = 600  # the same of a figure of the end of a log
 NAMES = {"play": "the play", "both": "play and dead zone", "two_zones": "the dead zone"}
-SIDES = {
-    "play": "Contact",
-    "both": "Contact",
-    "input_play": "Motion behind the play",
-    "input_zone": "Side of the input",
-    "two_zones": "Side of the reading",
-    "filtered_zone": "Side of the reading",
-}
-MIDDLES = {"play": "holds", "both": "holds", "input_play": "holds"}
 
 
-def build_figures(found_log: Identified, further: NextLog | None = None) -> dict[str, Figure]:
+def build_figures(
+    found_log: Identified | IdentifiedMotion | IdentifiedAtRest, further: NextLog | None = None
+) -> dict[str, Figure]:
     """Build the figures that apply to an answer.
 
     Args:
@@ -60,10 +44,12 @@ def build_figures(found_log: Identified, further: NextLog | None = None) -> dict
         further: the proposed record; None: not asked.
 
     Returns:
-        Figures by name: overview, residual_map, residual, and where there is a zone hidden and, of
-        a log that is not long, profiles; of a play, or of an input zone, overview and element, and
-        of a servo crossings; next, the input to record.
+        Figures by name: overview, residual_map, and where there is a zone hidden; of a play, or of
+        an input zone, overview and element, and of a servo crossings; next, the input to record;
+        without a plant overview alone.
     """
+    if not isinstance(found_log, Identified):
+        return {"overview": found_log.plot()}
     return _build_answer_figures(found_log) | (
         {} if further is None else {"next": _plot_next_input(found_log, further)}
     )
@@ -93,13 +79,9 @@ def _build_answer_figures(found_log: Identified) -> dict[str, Figure]:
     drawn = {
         "overview": overview(found_log),
         "residual_map": _plot_by_output(found_log),
-        "residual": _plot_residual_correlation(found_log),
     }
     if found_log.right is not None:
         drawn["hidden"] = _plot_hidden_output(found_log)
-        short = found_log.answer.fit.objective.data.y.size <= MANY
-        if found_log.verdict == "dead_zone" and short:  # each point of a profile is a fit
-            drawn["profiles"] = _plot_profiles(found_log)
     return drawn
 
 
@@ -120,38 +102,11 @@ def _time_label(found_log: Identified) -> str:
 
 
 def overview(found_log: Identified) -> Figure:
-    """Plot z^, y and what lies between them over time, the held-out parts shaded, with the sides
-    below.
-    """
+    """Plot z^, y and what lies between them over time, the held-out parts shaded."""
     part = _time_window(found_log, MOST if found_log.answer.element is None else MOST_AT_END)
-    figure, panels = create_panels(
-        [["signals"], ["signals"], ["sides"]], "The log and its fit", height=1.9
-    )
+    figure, panels = create_panels([["signals"]], "The log and its fit", height=3.6)
     signals(panels["signals"], found_log, part)
-    _shade_held_out(panels["sides"], found_log, part)
-    title, side, middle = _sides_of(found_log)
-    _plot_sides(panels["sides"], found_log.answer.case.grid.t[part], side[part], middle)
-    finish_panel(panels["sides"], title, "", _time_label(found_log), legend=0)
     return figure
-
-
-def _sides_of(found_log: Identified) -> tuple[str, Floats, str]:
-    """Return the title of the sides of a log, the sides (N), and the word for 0."""
-    fit = found_log.answer.fit
-    element = found_log.answer.element
-    if element is not None:
-        title = SIDES.get(element.kind, "Sign of the reading")
-        return title, 1.0 * element.side, MIDDLES.get(element.kind, "silent")
-    behind = fit.objective.kind == "behind"  # readings inside the zone are noise
-    side = np.where(fit.objective.data.ok, fit.objective.branch_sides(fit.theta), np.nan)
-    return "Side of ẑ" if behind else "Side of the readings", side, "silent"
-
-
-def _plot_sides(axes: Axes, t: Floats, side: Floats | Integers, middle: str) -> None:
-    """Plot a side (-1, 0 or 1) over time; `middle` labels the value 0."""
-    axes.plot(t, side, color=ink.TRUTH, linewidth=0.8, drawstyle="steps-post")
-    axes.set_yticks([-1, 0, 1], ["left", middle, "right"])
-    axes.set_ylim(-1.3, 1.3)
 
 
 def signals(axes: Axes, found_log: Identified, part: slice, of: str = "") -> None:
@@ -175,7 +130,9 @@ def signals(axes: Axes, found_log: Identified, part: slice, of: str = "") -> Non
         axes.plot(t, expected, color=ink.OTHER, linewidth=1.0, label=f"{_name_of(element)} of it")
     _shade_held_out(axes, found_log, part)
     title = f"Output{of} and reading; shaded: held out"
-    finish_panel(axes, title, label_with_unit("z, y", _unit_of_output(found_log)), "")
+    finish_panel(
+        axes, title, label_with_unit("z, y", _unit_of_output(found_log)), _time_label(found_log)
+    )
 
 
 def _plot_readings(axes: Axes, found_log: Identified, part: slice) -> None:
@@ -240,7 +197,7 @@ def at_rest(result: IdentifiedAtRest) -> Figure:
 
 
 def map_at_rest(axes: Axes, result: IdentifiedAtRest) -> None:
-    """Draw the map at rest, or the readings over the commands, with shaded bands.
+    """Draw the map at rest, or the readings over the commands, with shaded edges.
 
     Args:
         axes: where to.
@@ -251,16 +208,10 @@ def map_at_rest(axes: Axes, result: IdentifiedAtRest) -> None:
     seen = result.looks.at_rest
     if seen is not None:
         axes.plot(seen.x, seen.predict(seen.x), color=ink.ESTIMATE, label="map at rest")
-    for part in () if seen is None else seen.flats:
-        ends = [edge.interval for edge in (part.left, part.right) if edge is not None]
-        inside = [one.value for one in ends]
-        limits = axes.get_xlim()
-        low = inside[0] if part.left is not None else limits[0]
-        high = inside[-1] if part.right is not None else limits[1]
-        axes.axvspan(low, high, color=ink.ESTIMATE, alpha=0.12, lw=0)
-        for one in ends:
-            axes.axvspan(one.low, one.high, color=ink.ESTIMATE, alpha=0.3, lw=0)
-        axes.set_xlim(limits)
+    for name in ("lower", "upper"):
+        edge = next(iter(result.account.effects.values()), {}).get(name)
+        if edge is not None:
+            axes.axvspan(edge.low, edge.high, color=ink.ESTIMATE, alpha=0.3, lw=0)
     labels = (
         label_with_unit(log.outputs[0], log.output_units[0]),
         label_with_unit(log.inputs[0], log.input_unit),
@@ -359,63 +310,6 @@ def _sensor_characteristic(found_log: Identified) -> tuple[Floats, Floats]:
     return z, np.where((z > right) | (z < -left), z, 0.0)
 
 
-def _plot_residual_correlation(found_log: Identified) -> Figure:
-    """Plot the correlation of the one-step residual with itself and with the input."""
-    fit = found_log.answer.fit
-    data = fit.objective.data
-    kalman = found_log.answer.found.kalman
-    if kalman:
-        value = filtered(kalman[0])
-        use = data.ok & (data.side != 0)
-    else:
-        value, use = one_step_residuals(fit, data.ok)
-    figure, panels = create_panels(
-        [["auto", "cross"]], "Is the one-step residual white?", height=2.8
-    )
-    band = HALF_95 / math.sqrt(max(int(use.sum()), 1))
-    lags = np.arange(1, LAGS + 1)
-    _plot_stems(panels["auto"], lags, known_autocorrelation(value, use, LAGS), band)
-    finish_panel(panels["auto"], "Residual with itself", "correlation", "lag [samples]", legend=0)
-    u = data.u[:, 0] - data.u[:, 0].mean()
-    centred = (value - value[use].mean()) * use
-    power = math.sqrt(float(centred @ centred) * float(u @ u)) + 1e-300
-    cross = [float(centred[lag:] @ u[: u.size - lag]) / power for lag in lags]
-    _plot_stems(panels["cross"], lags, np.array(cross), HALF_95 / math.sqrt(u.size))
-    finish_panel(
-        panels["cross"], "Residual with past input", "correlation", "lag [samples]", legend=0
-    )
-    return figure
-
-
-def _plot_stems(axes: Axes, lags: object, values: object, band: float) -> None:
-    """Plot correlations as stems over the 95 % band of white noise."""
-    axes.axhspan(-band, band, color=ink.ZONE, alpha=0.25, linewidth=0)
-    axes.vlines(lags, 0, values, color=ink.ESTIMATE)  # type: ignore[arg-type]
-    axes.plot(lags, values, "o", color=ink.ESTIMATE, markersize=3)  # type: ignore[arg-type]
-    axes.set_xlim(0, LAGS + 1)
-
-
-def _plot_profiles(found_log: Identified) -> Figure:
-    """Plot the profile likelihoods of both widths."""
-    answer = found_log.answer
-    figure, panels = create_panels([["right", "left"]], "Profile likelihoods", height=2.8)
-    for name, colour in (("right", ink.PRINTED), ("left", ink.OTHER)):
-        interval = getattr(found_log, name)
-        axes = panels[name]
-        if interval is not None and interval.half_width > 0:
-            own = answer.fit.right if name == "right" else answer.fit.left
-            reach = 1.5 * interval.half_width / answer.scale
-            values = own + np.linspace(-reach, reach, POINTS)
-            fall = profile_likelihood(answer.fit, name, values)
-            axes.axvspan(interval.low, interval.high, color=ink.ZONE, alpha=0.2, linewidth=0)
-            axes.axvline(interval.value, color=ink.TRUTH, linewidth=0.8)
-            good = np.isfinite(fall)
-            axes.plot((values * answer.scale)[good], fall[good], "o-", color=colour, markersize=3)
-        finish_panel(axes, f"d_{name[0]}; shaded: printed interval", "log likelihood less its top",
-               label_with_unit(f"$d_{name[0]}$", _unit_of_output(found_log)), legend=0)  # fmt: skip
-    return figure
-
-
 def _name_of(element: Element) -> str:
     """Return the name of an element in a legend."""
     return NAMES.get(element.kind, MODELS[element.kind])
@@ -431,17 +325,16 @@ def _plot_crossings(found_log: Identified, columns: dict[str, Floats]) -> Figure
         "y": label_with_unit("y", unit),
         "duration": "duration [s]",
     }
-    middle = float(np.median(columns["gap"]))
-    reach = float(np.quantile(np.abs(columns["gap"] - middle), WITHIN))
+    middle, *ends = np.quantile(columns["gap"], [0.5, 1 - WITHIN, WITHIN])
+    reach = 2 * float(np.ptp(ends))
     for name, x_label in places.items():
         axes = panels[name]
         if width is not None:
             axes.axhspan(width.low, width.high, color=ink.ZONE, alpha=0.3, linewidth=0)
-            reach = max(reach, width.half_width)
         for side, colour, word in ((1, ink.ESTIMATE, "to the right"), (-1, ink.OTHER, "left")):
             own = columns["side"] == side
             axes.plot(columns[name][own], columns["gap"][own], ".", color=colour, label=word)
-        axes.set_ylim(middle - 2 * reach, middle + 2 * reach)
+        axes.set_ylim(middle - reach, middle + reach)
         finish_panel(axes, f"By {name}", label_with_unit("gap", unit), x_label)
     return figure
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import json
+import re
 import subprocess
 from pathlib import Path
 from typing import Any
@@ -74,7 +75,8 @@ def test_a_verdict_of_no_gap_has_a_bound(make: Any) -> None:
         assert found.verdict == "none"
         assert found.width is None
         assert 0 < found.gap.high < 0.02
-        assert f"a gap above {found.gap.high:.4g}" in found.headline()
+        assert found.account.limits == {"input reversal": found.gap.high}
+        assert f"{found.gap.high:.3g}" in found.summary()["at most"][0]
 
 
 def test_a_servo_loses_gap_and_friction_together_and_a_current_tells_them_apart() -> None:
@@ -88,11 +90,11 @@ def test_a_servo_loses_gap_and_friction_together_and_a_current_tells_them_apart(
     assert parts.gap.low <= log.gap <= parts.gap.high
     assert parts.friction.low <= log.lost - log.gap <= parts.friction.high
     assert both.headline().startswith("Backlash: ")
-    assert both.summary()["gap"].endswith(" rad")
+    assert re.search(r"gap .* rad, friction .* rad$", both.headline())
     del log.columns["current [A]"]
     alone = identified(log)
     assert alone.answer.parts is None
-    assert alone.headline().endswith("gap and friction of the servo together")
+    assert alone.headline().startswith("Lost motion, gap and friction together: gap ")
     assert alone.numbers()["lost_motion"]["with_friction"]
     assert alone.gap.low <= log.lost <= alone.gap.high
 

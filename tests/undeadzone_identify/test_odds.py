@@ -232,18 +232,15 @@ def test_a_zone_at_both_ends_is_not_sold_as_the_sensors() -> None:
         ):
             assert low <= width <= high
             assert abs(value - width) < 0.03
-    assert "b_right" in str(answer.summary())
     first = build_identified_page(answer, {}, "log.csv").split("How it was decided</h2>")[0]
-    assert [
-        name for name in answer.summary() if name.startswith(("d_", "b_")) and name in first
-    ] == ["d_right", "d_left", "b_right", "b_left"]
+    assert answer.headline() in first
+    assert answer.headline().count("right 0.") == 2, "of the sensor, and of the actuator"
     case = answer.answer.case
     narrow = Interval(0.1, -0.1, 0.3)
     doubted = answer.answer.found.element._replace(input={"width": narrow})
     unsure = to_answer(case, answer.answer.found._replace(element=doubted))
     assert (unsure.verdict, unsure.width) == ("undecided", None)
     assert "holds 0: 0.1 [-0.1, 0.3]" in unsure.reasons[0]
-    assert "two_zones" not in answer.numbers()["levels"]
 
 
 def test_steps_of_an_encoder_are_no_zone_beside_the_inputs() -> None:
@@ -681,9 +678,7 @@ def test_with_a_column_of_the_reference_the_zone_is_identified(loop: loop_logs.L
     case = answer.answer.case
     still = case._replace(grid=case.grid._replace(r=0 * case.grid.r + 2))
     assert detect_feedback(still).answered is None
-    assert _reference_remarks(still.grid, case.record_data.ok, detect_feedback(still)) == [
-        "the reference never moves: it is not used"
-    ]
+    assert not _reference_remarks(still.grid, case.record_data.ok, detect_feedback(still))
     swapped = case.grid._replace(y=case.grid.r[:, 0], r=case.grid.y[:, None])
     assert "exchanged" in " ".join(
         _reference_remarks(swapped, case.record_data.ok, detect_feedback(case))

@@ -346,7 +346,7 @@ def test_nothing_is_recorded_next_where_nothing_is_gained() -> None:
     rng = np.random.default_rng(0)
     u = np.repeat(rng.standard_normal(60), 15)
     y = np.array(lag(u)) + 0.02 * rng.standard_normal(u.size)
-    with pytest.raises(uz.InputError, match="of the verdict none there is no interval to narrow"):
+    with pytest.raises(uz.InputError, match="of the grade named there is no interval to narrow"):
         uz.identify(t=STEP, u=u, y=y, order=1, delay=0).next_log()
 
 

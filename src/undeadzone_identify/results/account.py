@@ -23,86 +23,111 @@ CERTAIN = (NAMED, MEASURED)  # grades for which code and a scenario are written
 LEADS = {MEASURED: "Measured: ", INDICATED: "Indicated, not certain: "}
 
 
+INPUT, OUTPUT, TIME, NONE = range(4)  # ends of whose units numbers are
+STEPS = "steps of several sizes up and down past both edges, each held until the reading rests"
+TURNS = "ten slow reversals or more, in both directions"
+AGAIN = "a longer stretch without a change of the set point"
+
+
 class Effect(NamedTuple):
     """Effect of a nonlinearity, whatever its cause.
 
     Attributes:
         words: what happens.
         remedy: what helps against it; empty if nothing does.
-        of_input: whether its numbers have the unit of the input.
+        end: whose unit its numbers have: INPUT, OUTPUT, TIME or NONE.
+        record: what to record next if it is not certain.
     """
 
     words: str
     remedy: str
-    of_input: bool
+    end: int
+    record: str = STEPS
 
 
 KEEP = "keep commands inside these limits"
 ADD_EDGE = "add the edge to each command that shall move it: u + upper, u - lower"
+ADD_GAP = "add the gap after each reversal of the command"
 EFFECTS = {
-    "input loss": Effect("a band of the input moves nothing", ADD_EDGE, True),
+    "input loss": Effect("a band of the input moves nothing", ADD_EDGE, INPUT),
     "input threshold": Effect(
         "the output starts at a threshold of the input",
         "command at least the threshold, and nothing beyond it is shifted",
-        True,
+        INPUT,
     ),
     "input reversal": Effect(
-        "motion is lost after each reversal of the input",
-        "add the gap after each reversal of the command",
-        True,
+        "motion is lost after each reversal of the input", ADD_GAP, INPUT, TURNS
     ),
-    "input range": Effect("the input acts within limits", KEEP, True),
-    "input shape": Effect("the input acts along a curve", "invert the curve", True),
+    "input range": Effect("the input acts within limits", KEEP, INPUT),
+    "input shape": Effect("the input acts along a curve", "invert the curve", INPUT),
     "input rate": Effect(
-        "the input acts at a limited rate", "command no faster than the limit", True
+        "the input acts at a limited rate", "command no faster than the limit", INPUT
+    ),
+    "stick": Effect(
+        "the valve sticks, then jumps",
+        "see to packing, positioner and size of the actuator: tuning does not cure it",
+        INPUT,
+        "the controller in manual, its output up and down by 1, 2 and 4 %, each step held",
     ),
     "output loss": Effect(
         "a band of the output is not read",
         "take a silent reading as an interval, and add the edge to every other reading",
-        False,
+        OUTPUT,
     ),
     "output threshold": Effect(
         "the reading is silent up to a threshold",
         "take a silent reading as an interval; other readings are right as they are",
-        False,
+        OUTPUT,
     ),
     "output reversal": Effect(
         "motion is lost between output and reading at each reversal",
         "add half of the gap to the reading, against the direction of motion",
-        False,
+        OUTPUT,
+        TURNS,
     ),
-    "output range": Effect("the reading ends at limits", "discard readings at the limits", False),
-    "output shape": Effect("the reading follows a curve", "invert the curve", False),
+    "output range": Effect("the reading ends at limits", "discard readings at the limits", OUTPUT),
+    "output shape": Effect("the reading follows a curve", "invert the curve", OUTPUT),
     "loss": Effect(
         "the reading rests over a band of the command, at which end cannot be decided here",
         ADD_EDGE,
-        True,
+        INPUT,
     ),
     "low end": Effect(
-        "below an edge of the command the reading stays at its least value", KEEP, True
+        "below an edge of the command the reading stays at its least value", KEEP, INPUT
     ),
     "high end": Effect(
-        "above an edge of the command the reading stays at its largest value", KEEP, True
+        "above an edge of the command the reading stays at its largest value", KEEP, INPUT
     ),
-    "fold": Effect("a reading stands for two commands beyond a fold", KEEP, True),
+    "fold": Effect("a reading stands for two commands beyond a fold", KEEP, INPUT),
     "friction": Effect(
-        "friction resists the motion", "feed its level forward in the direction of motion", True
+        "friction resists the motion",
+        "feed its level forward in the direction of motion",
+        INPUT,
+        TURNS,
     ),
     "free play": Effect(
         "the position rests anywhere in a gap at one goal",
         "no command helps: measure behind the gear, or load one side",
-        False,
+        OUTPUT,
+        "many rests at one goal, with the load on either side",
     ),
     "outside": Effect(
         "an oscillation from outside swings the loop",
-        "look upstream for another loop of this period",
-        False,
+        "look for another loop of this period upstream",
+        TIME,
+        AGAIN,
     ),
-    "tuning": Effect("the loop is tuned too tightly", "divide the gain of the controller", False),
+    "tuning": Effect(
+        "the loop is tuned too tightly",
+        "divide the gain of the controller",
+        NONE,
+        AGAIN,
+    ),
     "storage": Effect(
         "only changes of the reading are stored",
         "record every sample: set the dead band of the recorder to 0",
-        False,
+        OUTPUT,
+        "every sample, with the dead band of the recorder at 0",
     ),
 }
 
@@ -143,6 +168,7 @@ class Account(NamedTuple):
         doubts: why it is not certain.
         unmet: sides that the log never tried.
         limits: the largest effect that could hide (95 %), by effect.
+        name: of the class that is named, in place of the effects' words; empty without.
     """
 
     grade: str
@@ -154,11 +180,12 @@ class Account(NamedTuple):
     doubts: tuple[str, ...] = ()
     unmet: tuple[str, ...] = ()
     limits: dict[str, float] = {}
+    name: str = ""
 
     @property
     def remedies(self) -> list[str]:
-        """Return what helps, a line for each effect."""
-        return [EFFECTS[effect].remedy for effect in self.effects]
+        """Return what helps, each remedy once."""
+        return [*dict.fromkeys(EFFECTS[effect].remedy for effect in self.effects)]
 
     @property
     def is_certain(self) -> bool:
@@ -176,30 +203,32 @@ class Account(NamedTuple):
 
     def unit_of(self, effect: str) -> str:
         """Return the unit of an effect's numbers."""
-        return self.units[0 if EFFECTS[effect].of_input else 1]
+        return (*self.units, "s", "1")[EFFECTS[effect].end]
 
     def headline(self) -> str:
         """Return grade, effects and numbers in one line."""
         if not self.effects:
             held = self.grade == BOUNDED
-            return "Nothing hidden was found" if held else "No number can be given"
-        return LEADS.get(self.grade, "") + "; ".join(self._describe(self.effects))
+            return self.name or ("Nothing hidden was found" if held else "No number can be given")
+        texts = self._describe(self.effects)
+        if self.name:
+            numbers = "; ".join(filter(None, (text.partition(": ")[2] for text in texts)))
+            return ": ".join(filter(None, [self.name, numbers]))
+        return LEADS.get(self.grade, "") + "; ".join(texts)
 
     def _describe(self, effects: dict[str, Numbers]) -> list[str]:
         """Return effects with their numbers as texts."""
         texts = []
         for effect, numbers in effects.items():
             suffix = unit_suffix(self.unit_of(effect))
-            known = ", ".join(
-                f"{name} {describe_interval(one, suffix)}" for name, one in numbers.items()
-            )
-            texts.append(": ".join(filter(None, [EFFECTS[effect].words, known])))
+            known = [f"{name} {describe_interval(one, suffix)}" for name, one in numbers.items()]
+            texts.append(": ".join(filter(None, [EFFECTS[effect].words, ", ".join(known)])))
         return texts
 
     def summary(self) -> dict[str, Any]:
-        """Return the parts beside the headline as lines of the terminal."""
+        """Return headline and parts as lines of the terminal."""
         output = unit_suffix(self.units[1])
-        lines: dict[str, Any] = {}
+        lines: dict[str, Any] = {"found": self.headline()}
         if self.buys is not None:
             lines["pays"] = (
                 f"held-out error {self.buys.without:.4g}{output} without it,"
@@ -219,6 +248,9 @@ class Account(NamedTuple):
             ]
         if self.doubts:
             lines["doubt"] = [*self.doubts]
+        if self.grade in (INDICATED, OPEN):
+            wanted = [EFFECTS[effect].record for effect in self.effects or self.others]
+            lines["record next"] = [*dict.fromkeys(wanted or [STEPS])]
         return lines
 
     def to_json(self) -> dict[str, Any]:
@@ -239,7 +271,9 @@ class Account(NamedTuple):
 
 def _numbers_to_json(numbers: Numbers) -> dict[str, list[float | None]]:
     """Return numbers as [value, low, high], what is not finite as None."""
-    return {
-        name: [float(one) if math.isfinite(one) else None for one in interval]
-        for name, interval in numbers.items()
-    }
+    return {name: [*map(_finite_or_none, interval)] for name, interval in numbers.items()}
+
+
+def _finite_or_none(number: float) -> float | None:
+    """Return a number, or None where it is not finite."""
+    return float(number) if math.isfinite(number) else None

@@ -21,7 +21,6 @@ from undeadzone_identify.models.likelihood import root_mean_square
 from undeadzone_identify.models.plant import MANY, Layout, PlantSimulator
 from undeadzone_identify.models.shape import SensorShape, measure_shape
 from undeadzone_identify.models.zone_fit import ZoneFit
-from undeadzone_identify.results.loop_words import describe_loop
 from undeadzone_identify.selection.alternatives import (
     Element,
     Findings,
@@ -32,7 +31,6 @@ from undeadzone_identify.selection.decision import (
     CANNOT_TELL,
     LARGER,
     MODELS,
-    UNEXPLAINED,
     VALVE,
     Case,
     Feedback,
@@ -50,7 +48,7 @@ from undeadzone_identify.selection.orders import (
     is_white,
     training_samples,
 )
-from undeadzone_identify.selection.valve import BUMP, ValveFindings
+from undeadzone_identify.selection.valve import ValveFindings
 from undeadzone_identify.selection.widths import (
     FEW_VISITS,
     Excitation,
@@ -65,6 +63,10 @@ from undeadzone_identify.servo.gap import ServoGap
 SURE = 0.999  # level of the ranges that an observer is told
 WITHHELD = ("undecided", "unclear")  # words that withhold a name
 ODDS_OF = {"operating_point": "none", "unreached": "dead_zone"}  # words with odds of another
+CLOSED = (
+    "the input answers to the readings: the log is of a closed loop, where the interval of a play"
+    " may be too narrow"
+)
 LEAST = 1e-6  # of a width, by which its range is wide at least
 
 DisplayedWidths = dict[str, Interval | None]  # right, left, width, centre
@@ -326,10 +328,7 @@ def _with_valve(answer: Answer, valve: ValveFindings) -> Answer:
     if doubt:
         found = answer.found._replace(odds={})
         return answer._replace(verdict="undecided", reasons=[doubt], found=found)
-    reasons = describe_loop(answer.case, answer.verdict, valve)
-    if answer.verdict == "operating_point" or not reasons:
-        reasons = [*answer.reasons, *reasons]
-    return answer._replace(width=valve.stick if is_faulty else None, reasons=reasons)
+    return answer._replace(width=valve.stick if is_faulty else None)
 
 
 def _odds_of_word(case: Case, found: Findings) -> dict[str, float]:
@@ -366,17 +365,9 @@ def withhold_poor_fit(found: Findings, share: float) -> Findings:
     word = found.verdict.word
     if word in WITHHELD or share >= LEAST_SHARE:
         return found
-    part = f"{100 * max(share, 0.0):.0f} % of the other readings"
-    likeliest = f"{MODELS[ODDS_OF.get(word, word)]} is the likeliest"
-    if found.valve is not None:
-        reason = f"{likeliest}, but it predicts only {part} one sample ahead: nothing is named"
-        verdict = build_verdict("unclear", reason, BUMP)
-    else:
-        fitted = f"fitted to a part of the log it explains {part}"
-        verdict = build_verdict(
-            "unclear", f"{likeliest}, but {fitted}: nothing is named{UNEXPLAINED}"
-        )
-    return found._replace(verdict=verdict, element=None, odds={})
+    part = f"{100 * max(share, 0.0):.0f} % of the held-out readings"
+    reason = f"{MODELS[ODDS_OF.get(word, word)]}, the likeliest, explains {part}"
+    return found._replace(verdict=build_verdict("unclear", reason), element=None, odds={})
 
 
 def _validate_findings(case: Case, found: Findings) -> OrderFit:
@@ -397,7 +388,7 @@ def _add_edges(answer: Answer) -> Answer:
     has_residual = has_input_residual(answer.fit)
     intervals = _jump_widths(answer.case) or _log_unit_widths(answer, 2.0 if has_residual else 1.0)
     remarks = [*_delay_remarks(answer), *_edge_remarks(answer, intervals, has_residual)]
-    remarks += _widen_rare_edges(answer, intervals)
+    _widen_rare_edges(answer, intervals)
     doubt = _doubt_of_zero(intervals) or _doubt_of_unmoved(answer, intervals)
     if doubt:
         found = answer.found._replace(odds={})  # the likeliest model's own test denies it
@@ -453,15 +444,11 @@ def _add_feedback(answer: Answer) -> Answer:
     """Return the answer with the evidence of feedback and its consequences."""
     servo = answer.servo
     loop = detect_feedback(answer.case)
-    holds = "Widths of a sensor's zone and of the input's hold in a loop; those of a play may be"
-    holds += " off by more than their intervals where a disturbance is strong"
+    is_closed = loop.is_closed
     if servo is not None:
         loop = loop._replace(chance=servo.log.loop)
-        what = "gap" if answer.verdict == "play" else "friction"
-        holds = f"The {what} holds in it: each error is that of one prediction"
-    is_closed = loop.is_closed or (servo is not None and servo.log.is_closed_loop)
-    remark = f"the input answers to the readings: the log is of a closed loop. {holds}"
-    remarks = [remark] if is_closed else []
+        is_closed = loop.is_closed or servo.log.is_closed_loop
+    remarks = [CLOSED] if is_closed else []
     if answer.case.options.delay == AT_ONCE:
         remarks.append(
             "the input acts within its own sample, or is written a sample late: it is taken one"
@@ -473,13 +460,10 @@ def _add_feedback(answer: Answer) -> Answer:
 
 def _reference_remarks(grid: Grid, ok: Flags, loop: Feedback) -> list[str]:
     """Return the remarks on a recorded reference."""
-    if not grid.r.shape[1]:
-        return []
-    if loop.answered is None:
-        return ["the reference never moves: it is not used"]
-    if loop.answered == 0:
-        return ["the reference alone makes the input: no loop is closed"]
-    if feedback_share(grid.r, grid.y, ok, grid.r[:, :0], grid.start)[1] > CHANCE:
+    if (
+        not loop.answered
+        or feedback_share(grid.r, grid.y, ok, grid.r[:, :0], grid.start)[1] > CHANCE
+    ):
         return []
     words = "the reference answers to the readings as well: an outer loop makes it, or columns are"
     return [f"{words} exchanged (--columns); then nothing of this holds"]
@@ -502,11 +486,6 @@ def _edge_remarks(answer: Answer, intervals: DisplayedWidths, has_residual: bool
         )
     for name in absent_edges(answer.case):
         remarks.append(f"no reading lies beyond a {name} edge: the sensor is taken to have none")
-    for name in answer.case.unreached:
-        remarks.append(
-            f"no reading lies beyond the {name} edge: record with a larger input, or say"
-            f" --{name} inf if there is none"
-        )
     if _has_tied_edges(answer):
         remarks.append(
             "z of an integrating plant has no zero of its own: it counts from the middle of the"
@@ -527,11 +506,10 @@ def _has_tied_edges(answer: Answer) -> bool:
     return answer.fit.objective.limits.tied
 
 
-def _widen_rare_edges(answer: Answer, intervals: DisplayedWidths) -> list[str]:
-    """Return remarks on rarely passed edges. Their `intervals` are widened in place."""
-    remarks: list[str] = []
+def _widen_rare_edges(answer: Answer, intervals: DisplayedWidths) -> None:
+    """Widen the intervals of rarely passed edges in place, by their profile likelihood."""
     if answer.case.jump_edges or _has_tied_edges(answer):
-        return remarks
+        return
     for name, visits in zip(("right", "left"), answer.excitation.visits, strict=True):
         edge = intervals[name]
         if not 0 < visits < FEW_VISITS or edge is None or not edge.low < edge.high < math.inf:
@@ -542,11 +520,6 @@ def _widen_rare_edges(answer: Answer, intervals: DisplayedWidths) -> list[str]:
         for sum_of_both, further in (("width", more), ("centre", [max(more) / 2] * 2)):
             interval = intervals[sum_of_both]
             intervals[sum_of_both] = None if interval is None else interval.extend_by(*further)
-        remarks.append(
-            f"the {name} edge is passed {visits} times only: hardly known; its interval is that of"
-            " the profile likelihood where that is wider"
-        )
-    return remarks
 
 
 def _jump_widths(case: Case) -> DisplayedWidths:

@@ -6,18 +6,16 @@ import dataclasses
 from typing import Any
 
 from undeadzone.errors import InputError
-from undeadzone.util import shown
 from undeadzone.util.arrays import to_json_value
-from undeadzone.util.shown import Block
 from undeadzone_identify.logs.log import Log
 from undeadzone_identify.looks.first import Looks
 from undeadzone_identify.models.estimates import Interval
 from undeadzone_identify.results.account import Account
-from undeadzone_identify.results.result import save_numbers
+from undeadzone_identify.results.result import Spoken
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class IdentifiedAtRest:
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class IdentifiedAtRest(Spoken):
     """Effect that a log shows without any dynamics, such as a band in its map at rest.
 
     Attributes:
@@ -64,10 +62,6 @@ class IdentifiedAtRest:
         """Raise InputError: no plant was fitted."""
         raise InputError("scenario: the map at rest has no plant: record steps of the command")
 
-    def headline(self) -> str:
-        """Return the finding in one line."""
-        return self.account.headline()
-
     def numbers(self) -> dict[str, Any]:
         """Return all numbers of the answer, as `--json` prints."""
         log = self.log
@@ -92,23 +86,10 @@ class IdentifiedAtRest:
         names = f"{log.inputs[0]} [{log.input_unit}], {log.outputs[0]} [{log.output_units[0]}]"
         lines: dict[str, Any] = {
             "record": f"{log.t.size} samples, {names}",
-            "found": self.headline(),
-            "by": self.account.by,
         }
-        lines |= self.account.summary()
+        lines |= self.account.summary() | {"by": self.account.by}
         if log.remarks:
             lines["note"] = [*log.remarks]
         return lines
 
-    def blocks(self) -> list[Block]:
-        """Return the table that `undeadzone identify` prints."""
-        return [self.summary()]
-
-    __repr__ = shown.format_result
-    _repr_html_ = shown.result_to_html
-
     drawn = ("undeadzone_identify.figures", "at_rest", "map_at_rest")
-    plot = shown.plot
-    """Draw it."""
-
-    save = save_numbers

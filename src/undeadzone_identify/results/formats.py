@@ -30,6 +30,16 @@ def describe_interval(interval: Interval, unit: str) -> str:
             return "unknown: an offset would shift it"
         return f"at least {low:.4g}{unit}: no reading lies beyond this edge"
     if high == low:
-        return f"{value:.6g}{unit}  (given)"
+        return f"{value:.6g}{unit}"
     digits = max(0, int(np.ceil(-np.log10(max(high - low, 1e-300)))) + 2)
     return f"{bracket_interval(value, low, high, f'.{min(digits, 12)}f')}{unit}"
+
+
+def describe_ends(middle: float, left: Interval, right: Interval) -> str:
+    """Describe the ends of an input's zone in the log.
+
+    Args:
+        middle: input from which the widths count.
+        left, right: widths.
+    """
+    return f"nothing happens between {middle - left.value:.6g} and {middle + right.value:.6g}"

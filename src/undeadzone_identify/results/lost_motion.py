@@ -9,38 +9,34 @@ from typing import Any
 import numpy as np
 
 from undeadzone.errors import InputError
-from undeadzone.util import shown
 from undeadzone.util.arrays import to_json_value
-from undeadzone.util.shown import Block
 from undeadzone.util.text import HALF_95, bracket_interval
 from undeadzone_identify.models.estimates import Interval
-from undeadzone_identify.results.account import INDICATED, MEASURED, Account
-from undeadzone_identify.results.formats import describe_interval, unit_suffix
-from undeadzone_identify.results.result import save_numbers
+from undeadzone_identify.results.account import Account
+from undeadzone_identify.results.formats import unit_suffix
+from undeadzone_identify.results.result import Spoken
 from undeadzone_identify.results.speech import account_of_motion
 from undeadzone_identify.results.words import describe_shares
 from undeadzone_identify.selection.lost_motion import LostMotionAnswer
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class IdentifiedMotion:
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class IdentifiedMotion(Spoken):
     """Motion that is lost between two positions, with its interval.
 
     Attributes:
         answer: every value; the properties below are its most used ones.
-        spoken: account of the log where another instrument gave it.
 
     See Also:
         identify
     """
 
     answer: LostMotionAnswer
-    spoken: Account | None = None
 
     @functools.cached_property
     def account(self) -> Account:
         """Return effect, cost, remedy, what is not decided, and the largest that could hide."""
-        return self.spoken or account_of_motion(self.answer)
+        return account_of_motion(self.answer)
 
     @property
     def verdict(self) -> str:
@@ -121,46 +117,21 @@ class IdentifiedMotion:
             )
         )
 
-    def headline(self) -> str:
-        """Return the finding, in one line."""
-        one = self.answer
-        unit = unit_suffix(one.log.input_unit)
-        if self.account.grade in (MEASURED, INDICATED):
-            return self.account.headline()
-        if one.verdict == "none":
-            return f"No lost motion: a gap above {one.gap.high:.4g}{unit} is excluded"
-        if one.verdict != "play":
-            return "Nothing can be said"
-        if one.parts is not None:
-            return f"Backlash: {describe_interval(one.parts.gap, unit)}"
-        lost = describe_interval(one.gap, unit)
-        if one.is_goal:
-            return f"Lost motion: {lost}, gap and friction of the servo together"
-        return f"Backlash: {lost}"
-
     def summary(self) -> dict[str, Any]:
         """Return the answer in words, as the command prints."""
         one = self.answer
         found = self.answer.found
-        of_input = unit_suffix(one.log.input_unit)
         of_output = unit_suffix(one.log.output_units[0])
-        names = f"{one.log.inputs[0]}{_bracketed(one.log.input_unit)}, {one.log.outputs[0]}"
+        names = f"{one.log.inputs[0]} [{one.log.input_unit}], {one.log.outputs[0]}"
         steps = np.diff(one.log.t)
         lines: dict[str, Any] = {
             "record": f"{one.log.t.size} samples, {np.median(steps):.4g} s"
             f" ({steps.min():.4g} to {steps.max():.4g}), {names}"
-            f"{_bracketed(one.log.output_units[0])}",
-            "found": self.headline(),
+            f" [{one.log.output_units[0]}]",
         }
         lines |= self.account.summary()
-        if not self.account.doubts:
-            lines["why"] = one.reasons
         if one.odds:
             lines["odds"] = describe_shares(one.odds)
-        if one.parts is not None:
-            lines["gap"] = describe_interval(one.parts.gap, of_input)
-            lines["friction 2 f/kp"] = describe_interval(one.parts.friction, of_input)
-            lines["lost in all"] = describe_interval(one.gap, of_input)
         half = HALF_95 * one.gain_error
         lines["gain"] = bracket_interval(found.gain, found.gain - half, found.gain + half, ".5g")
         if found.delay or found.lag:
@@ -172,20 +143,4 @@ class IdentifiedMotion:
             lines["note"] = one.remarks
         return lines
 
-    def blocks(self) -> list[Block]:
-        """Return the table that `undeadzone identify` prints."""
-        return [self.summary()]
-
-    __repr__ = shown.format_result
-    _repr_html_ = shown.result_to_html
-
     drawn = ("undeadzone_identify.figures", "lost_motion", "both_flanks")
-    plot = shown.plot
-    """Draw it."""
-
-    save = save_numbers
-
-
-def _bracketed(unit: str) -> str:
-    """Return a unit in brackets behind a name."""
-    return f" [{unit}]"

@@ -1,4 +1,4 @@
-"""Input to record next: it narrows the widest interval most, or separates two classes best.
+"""Input to record next: it narrows the widest interval of the account most, however sure that is.
 
 Candidates are steps of both signs, slow triangles and sweeps of sines. They stay within the
 amplitude of the log's own input, change no faster than it did, and move z no further. With the
@@ -7,15 +7,13 @@ sd (w' (J'J)^-1 w)^1/2 is given by both logs to within
 
     sd (w' (J'J + K'K)^-1 w)^1/2,   K the derivatives along the candidate.                     (N1)
 
-Of two models, the second is moved to where it differs least from the first along the candidate, at
-what it costs along the log; half the squares that are left, over the noise, are the nats by which
-the next log parts them. Noise is taken for white.
+Noise is taken for white.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,13 +22,16 @@ from scipy.signal import chirp, sawtooth
 from undeadzone.errors import InputError
 from undeadzone.nonlinearities.sensor import DIRECTIONS
 from undeadzone.util.arrays import Floats
-from undeadzone_identify.models.elements import MapModel, PlayModel, dead_zone_map, identity_map
+from undeadzone_identify.models.elements import MapModel, PlayModel, dead_zone_map
+from undeadzone_identify.models.estimates import Interval
 from undeadzone_identify.models.least_squares import FittedModel
 from undeadzone_identify.models.measured import level_slopes
 from undeadzone_identify.models.plant import RecordData
-from undeadzone_identify.models.zone_fit import ZoneFit, fit_linear
+from undeadzone_identify.models.zone_fit import ZoneFit
+from undeadzone_identify.results.account import Account
 from undeadzone_identify.results.assemble import Answer
-from undeadzone_identify.selection.alternatives import Element
+from undeadzone_identify.results.speech import EFFECT_OF
+from undeadzone_identify.selection.alternatives import Element, fit_of
 from undeadzone_identify.selection.servo import build_servo_element
 
 SECONDS = 30.0  # that the next log lasts
@@ -41,7 +42,6 @@ PERIODS = (1.0, 4.0, 16.0)  # of candidates, in the slowest time constant of the
 SIZES = (1.0, 0.5, 0.25)  # of the amplitude of the log's input
 FURTHER = 1.2  # than z moved in the log, that it may move
 GAINS = 0.9  # of an interval that is left, from which nothing is worth a record
-PARTS_THEM = 3.0  # nats from which two names are parted
 
 
 class NextLog(NamedTuple):
@@ -51,9 +51,8 @@ class NextLog(NamedTuple):
         t: times (N) [s].
         u: inputs (N x m) [u].
         name: of the signal.
-        what: that it is for: the number whose interval narrows, or the names that it parts.
-        left: share of the interval that is left with both logs; None if names are parted.
-        nats: by which it parts two names; None if an interval narrows.
+        what: that it is for: the number whose interval narrows.
+        left: share of the interval that is left with both logs.
         heads: of its columns, with units.
     """
 
@@ -61,17 +60,13 @@ class NextLog(NamedTuple):
     u: Floats
     name: str
     what: str
-    left: float | None
-    nats: float | None
+    left: float
     heads: tuple[str, ...]
 
     @property
     def description(self) -> str:
         """Return the signal and its expected gain in words."""
-        if self.left is None:
-            gain = f"{self.what}: {self.nats:.3g} nats apart"
-        else:
-            gain = f"{self.what}: {100 * self.left:.0f} % of its interval are left with both logs"
+        gain = f"{self.what}: {100 * self.left:.0f} % of its interval are left with both logs"
         return f"{self.name} from rest, {self.t[-1]:.4g} s; {gain}"
 
     @property
@@ -96,21 +91,18 @@ class ModelAccount(NamedTuple):
         own = self.model.simulator.layout
         return ModelAccount(model, layout.at_rest(own, self.theta))
 
-    def information_rows(self, begins_at_rest: bool) -> tuple[Floats, Floats]:
-        """Return the readings (N) and their derivatives without those by the start (N x
-        K).
-        """
+    def information_rows(self, begins_at_rest: bool) -> Floats:
+        """Return the derivatives of the readings without those by the start (N x K)."""
         model = self.model
         x0 = self.model.simulator.layout.x0
-        ok = model.simulator.data.ok
-        y, slopes = (part[ok] for part in model.slopes(self.theta))
+        slopes = model.slopes(self.theta)[1][model.simulator.data.ok]
         of_start = (model.free >= x0.start) & (model.free < x0.stop)
         rows = slopes[:, ~of_start]
-        unknown = [np.ones((len(y), 1))] if model.has_level else [np.zeros((len(y), 0))]
+        unknown = [np.ones((len(rows), int(model.has_level)))]
         if not begins_at_rest:
             unknown.append(slopes[:, of_start])
         basis = np.linalg.qr(np.hstack(unknown))[0]
-        return y - basis @ (basis.T @ y) if begins_at_rest else y, rows - basis @ (basis.T @ rows)
+        return rows - basis @ (basis.T @ rows)
 
     def interval_weights(self, name: str) -> Floats:
         """Return the row of right, left, width or centre, parameters of the start left
@@ -122,34 +114,21 @@ class ModelAccount(NamedTuple):
         return np.asarray(row[(model.free < x0.start) | (model.free >= x0.stop)])
 
 
-def best_next_log(answer: Answer) -> NextLog:
+def best_next_log(answer: Answer, account: Account) -> NextLog:
     """Return the candidate input that narrows the interval of the least known width most.
-
-    If the log is undecided, it is the one that best separates the two likeliest classes.
 
     Args:
         answer: of the identification of one output.
+        account: of it.
 
     Raises:
-        InputError: there are neither an interval nor two classes, or no candidate helps.
+        InputError: there is no interval, or no candidate helps.
     """
-    least_known = _least_known_width(answer)
-    if least_known is not None:
-        name, account = least_known
-        scored = _score_by_interval(answer, name, account)
-        return _require_gain(min(scored, key=lambda one: one.left or 0.0, default=None), name)
-    first, second = _likeliest_pair(answer)
-    scored = _score_by_separation(answer, first, second)
-    names = f"{first} from {second}"
-    return _require_gain(max(scored, key=lambda one: one.nats or 0.0, default=None), names)
-
-
-def _require_gain(best: NextLog | None, what: str) -> NextLog:
-    """Require that the best candidate gains something. Raise InputError."""
-    gains = best is not None and (best.left or 0.0) < GAINS
-    if best is None or not gains or (best.nats is not None and best.nats < PARTS_THEM):
+    name, model = _least_known_width(answer, account)
+    best = min(_score_by_interval(answer, name, model), key=lambda one: one.left, default=None)
+    if best is None or best.left >= GAINS:
         raise InputError(
-            f"next: no input within the amplitude and the rate of this log's tells more of {what}."
+            f"next: no input within the amplitude and the rate of this log's tells more of {name}."
             " Record with a larger or a faster one"
         )
     return best
@@ -158,27 +137,31 @@ def _require_gain(best: NextLog | None, what: str) -> NextLog:
 # --- Models
 
 
-def _least_known_width(answer: Answer) -> tuple[str, ModelAccount] | None:
-    """Return the least known width and its model; None without a width."""
-    servo = answer.case.servo
-    element = answer.element
+def _least_known_width(answer: Answer, account: Account) -> tuple[str, ModelAccount]:
+    """Return the least known width and its model. Raise InputError without a width."""
+    servo, element = answer.case.servo, answer.element
     if element is None and servo is not None and servo.has_few_reversals:
         element = build_servo_element(answer.case, servo)
+    numbers: Mapping[str, Interval | None] = next(iter(account.effects.values()), {})
+    model = _zone_account(answer.fit)
     if element is not None:
-        widths = element.widths
-    elif answer.verdict == "dead_zone":
-        widths = {name: getattr(answer, name) for name in DIRECTIONS}
-    else:
-        return None
+        model, numbers = _element_account(element), element.widths
+    elif answer.verdict != "dead_zone":
+        words = (word for word, effect in EFFECT_OF.items() if effect in account.effects)
+        fits = (fit_of(answer.case, answer.found, word) for word in words)
+        fit = next(filter(None, fits), None)
+        model, numbers = (
+            (model, {}) if fit is None else (ModelAccount(fit.model, fit.theta), numbers)
+        )
+    widths = {"width": numbers.get("gap", numbers.get("level")), **numbers}
     half = {}
     for name in ("width", "right", "left"):
-        interval = widths[name]
-        if interval is not None and math.isfinite(interval.high) and interval.high > interval.low:
+        interval = widths.get(name)
+        if interval is not None and interval.low < interval.high < math.inf:
             half[name] = (interval.high - interval.low) / max(abs(interval.value), 1e-300)
     if not half:
-        return None
-    widest = max(half, key=lambda name: half[name])
-    return widest, _zone_account(answer.fit) if element is None else _element_account(element)
+        raise InputError(f"next: of the grade {account.grade} there is no interval to narrow")
+    return max(half, key=lambda name: half[name]), model
 
 
 def _zone_account(fit: ZoneFit) -> ModelAccount:
@@ -199,78 +182,26 @@ def _element_account(element: Element) -> ModelAccount:
     return ModelAccount(model, np.append(element.theta[: model.base], [half, half, 0.0, 0.0]))
 
 
-def _likeliest_pair(answer: Answer) -> tuple[str, str]:
-    """Return the two likeliest classes. Raise InputError without a pair to separate."""
-    known = _accounts_by_word(answer)
-    likely = [word for word in answer.found.odds if word in known][:2]
-    if answer.verdict != "undecided" or len(likely) < 2:
-        raise InputError(
-            f"next: of the verdict {answer.verdict} there is no interval to narrow, and no two"
-            " names to part"
-        )
-    return likely[0], likely[1]
-
-
-def _accounts_by_word(answer: Answer) -> dict[str, ModelAccount]:
-    """Return models of the log by their classes."""
-    fit = answer.fit
-    found = answer.found
-    plain = fit_linear(fit.objective.simulator, fit.objective.readings.ok)
-    model = MapModel(fit.objective.simulator, "none", identity_map)
-    accounts = {
-        "none": ModelAccount(model, plain.theta[: model.base]),
-        "dead_zone": _zone_account(fit),
-    }
-    fits = dict(found.places) | ({} if found.plays is None else dict(found.plays.fits))
-    return accounts | {word: ModelAccount(one.model, one.theta) for word, one in fits.items()}
-
-
 # --- Scores
 
 
-def _score_by_interval(answer: Answer, name: str, account: ModelAccount) -> Iterator[NextLog]:
+def _score_by_interval(answer: Answer, name: str, model: ModelAccount) -> Iterator[NextLog]:
     """Yield the candidates with the share of an interval that each leaves."""
-    row = account.interval_weights(name)
-    (_, rows) = account.information_rows(begins_at_rest=False)
+    grid = answer.case.grid
+    heads = ("t [s]", *(f"{one} [{grid.input_unit}]" for one in grid.inputs))
+    row = model.interval_weights(name)
+    rows = model.information_rows(begins_at_rest=False)
     information = rows.T @ rows
     scale = 1 / np.sqrt(np.diag(information) + 1e-300)
     information = information * np.outer(scale, scale) + 1e-12 * np.eye(scale.size)
     row = row * scale
     before = float(row @ np.linalg.solve(information, row))
-    for kind, data in _candidate_records(answer, account):
-        new = account.account_along(data).information_rows(begins_at_rest=True)[1] * scale
+    for kind, data in _candidate_records(answer, model):
+        new = model.account_along(data).information_rows(begins_at_rest=True) * scale
         after = float(row @ np.linalg.solve(information + new.T @ new, row))
-        yield _to_next_log(answer, kind, data, name, math.sqrt(after / before), None)
-
-
-def _score_by_separation(answer: Answer, first: str, second: str) -> Iterator[NextLog]:
-    """Yield the candidates with the nats by which each separates two classes."""
-    known = _accounts_by_word(answer)
-    one = known[first]
-    other = known[second]
-    _, rows = other.information_rows(begins_at_rest=False)
-    information = rows.T @ rows + 1e-9 * np.eye(rows.shape[1])
-    noise = max(answer.chosen.error, answer.case.quantum / math.sqrt(12), 1e-6)
-    for kind, data in _candidate_records(answer, one):
-        here, _ = one.account_along(data).information_rows(begins_at_rest=True)
-        there, new = other.account_along(data).information_rows(begins_at_rest=True)
-        apart = here - there
-        gradient = new.T @ apart
-        left = float(
-            apart @ apart - gradient @ np.linalg.solve(information + new.T @ new, gradient)
-        )
-        nats = max(left, 0.0) / (2 * noise**2)
-        yield _to_next_log(answer, kind, data, f"{first} from {second}", None, nats)
-
-
-def _to_next_log(
-    answer: Answer, kind: str, data: RecordData, what: str, left: float | None, nats: float | None
-) -> NextLog:
-    """Convert a candidate to units of the log."""
-    grid = answer.case.grid
-    t = grid.step * np.arange(data.y.size)
-    heads = ("t [s]", *(f"{name} [{grid.input_unit}]" for name in grid.inputs))
-    return NextLog(t, data.u * data.u_scale, kind, what, left, nats, heads)
+        t = grid.step * np.arange(data.y.size)
+        left = math.sqrt(after / before)
+        yield NextLog(t, data.u * data.u_scale, kind, name, left, heads)
 
 
 # --- Candidates

@@ -36,7 +36,7 @@ from undeadzone_identify.results.next_log import NextLog, best_next_log
 from undeadzone_identify.results.speech import account_of_answer
 from undeadzone_identify.results.to_continuous import observer_matrices
 from undeadzone_identify.results.to_scenario import scenario_text
-from undeadzone_identify.results.words import answer_numbers, headline, summarise_answer
+from undeadzone_identify.results.words import answer_numbers, summarise_answer
 
 WRITTEN = (
     "play",
@@ -94,8 +94,38 @@ def save_numbers(found: HasNumbers, path: str | os.PathLike[str]) -> Path:
     return write_text(text + "\n", path)
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Identified:
+class Summarised(Protocol):
+    """Answer with an account and a summary."""
+
+    @property
+    def account(self) -> Account:
+        """Return the account."""
+
+    def summary(self) -> dict[str, Any]:
+        """Return the answer in words."""
+
+
+class Spoken:
+    """Answer to a log that its account says in one line."""
+
+    def headline(self: Summarised) -> str:
+        """Return the finding in one line."""
+        return self.account.headline()
+
+    def blocks(self: Summarised) -> list[Block]:
+        """Return the table that `undeadzone identify` prints."""
+        return [self.summary()]
+
+    __repr__ = shown.format_result
+    _repr_html_ = shown.result_to_html
+    plot = shown.plot
+    """Draw it."""
+
+    save = save_numbers
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class Identified(Spoken):
     """Estimate of plant and dead zone from a log, with its products.
 
     Attributes:
@@ -316,12 +346,12 @@ class Identified:
 
         Returns:
             Times, inputs, and what they are for: the width whose interval narrows most, and the
-            share that is left of it with both logs; or the two names that they part.
+            share that is left of it with both logs.
 
         Raises:
             InputError: nothing would be gained.
         """
-        return best_next_log(self.answer)
+        return best_next_log(self.answer, self.account)
 
     def numbers(self) -> dict[str, Any]:
         """Return all numbers of the answer, as `--json` prints."""
@@ -331,22 +361,7 @@ class Identified:
         """Return the answer in words, as the command prints."""
         return summarise_answer(self.answer, self.account)
 
-    def headline(self) -> str:
-        """Return the finding in one line."""
-        return headline(self.answer, self.account)
-
-    def blocks(self) -> list[Block]:
-        """Return the table that `undeadzone identify` prints."""
-        return [self.summary()]
-
-    __repr__ = shown.format_result
-    _repr_html_ = shown.result_to_html
-
     drawn = ("undeadzone_identify.figures", "overview", "signals")
-    plot = shown.plot
-    """Draw it."""
-
-    save = save_numbers
 
 
 def _simulate_states(simulator: PlantSimulator, theta: Floats) -> Floats:
@@ -365,8 +380,8 @@ def _simulate_states(simulator: PlantSimulator, theta: Floats) -> Floats:
     return x
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class IdentifiedOutputs:
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class IdentifiedOutputs(Spoken):
     """Answers for several outputs, each with a separate plant from all inputs.
 
     Attributes:
@@ -420,23 +435,12 @@ class IdentifiedOutputs:
 
     def numbers(self) -> dict[str, Any]:
         """Return all numbers of the answers, as `--json` prints."""
-        each = {}
-        for name, one in zip(self.names, self.outputs, strict=True):
-            each[name] = one.numbers()
+        each = dict(zip(self.names, (one.numbers() for one in self.outputs), strict=True))
         return dict(to_json_value({"zone": self.zone, "verdict": self.verdict, "outputs": each}))
 
     def blocks(self) -> list[Block]:
         """Return the tables that `undeadzone identify` prints, one for each output."""
-        blocks: list[Block] = []
-        for name, one in zip(self.names, self.outputs, strict=True):
-            blocks += [{"output": name, **one.summary()}]
-        return blocks
-
-    __repr__ = shown.format_result
-    _repr_html_ = shown.result_to_html
+        each = zip(self.names, self.outputs, strict=True)
+        return [{"output": name, **one.summary()} for name, one in each]
 
     drawn = ("undeadzone_identify.figures", "of_outputs", "plot_first_fit")
-    plot = shown.plot
-    """Draw it."""
-
-    save = save_numbers

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import chain
+
 from undeadzone_identify.logs.log import Log
 from undeadzone_identify.looks.first import Looks
 from undeadzone_identify.looks.map import FlatPart, RestMap
@@ -61,10 +63,9 @@ def _account_of_map(seen: RestMap, by: str, units: tuple[str, str]) -> Account:
     for effect, numbers in parts:
         effects.setdefault(effect, numbers)
     if effects:
-        edges = [
-            edge for part in seen.flats for edge in (part.left, part.right) if edge is not None
-        ]
-        grade = MEASURED if min(edge.rows for edge in edges) >= ENOUGH else INDICATED
+        edges = chain.from_iterable((part.left, part.right) for part in seen.flats)
+        rows = min(edge.rows for edge in filter(None, edges))
+        grade = MEASURED if rows >= ENOUGH else INDICATED
         level = f"the reading rests at {seen.flats[0].level:.4g}"
         return Account(grade, effects, f"{by}; {level}", units)
     if seen.fold is not None:

@@ -25,6 +25,7 @@ from undeadzone_identify.results.account import (
     Numbers,
 )
 from undeadzone_identify.results.assemble import WITHHELD, Answer
+from undeadzone_identify.results.loop_words import swing_numbers
 from undeadzone_identify.selection.alternatives import (
     APART,
     MEASURED,
@@ -34,7 +35,7 @@ from undeadzone_identify.selection.alternatives import (
     held_out_residual,
     measure_word,
 )
-from undeadzone_identify.selection.decision import MEMORY
+from undeadzone_identify.selection.decision import MEMORY, VALVE
 from undeadzone_identify.selection.lost_motion import LostMotionAnswer
 
 DYNAMICS = "plant and nonlinearity, fitted together"
@@ -54,9 +55,29 @@ EFFECT_OF = {  # words of the verdict
     "input_curve": "input shape",
     "input_play": "input reversal",
     "input_rate": "input rate",
-    "stiction": "input reversal",
+    "stiction": "stick",
     "external": "outside",
     "tight_tuning": "tuning",
+}
+NAMES = {  # of the classes
+    "dead_zone": "Dead zone of the sensor",
+    "unreached": "Dead zone of the sensor, an edge of which is never reached",
+    "none": "No dead zone and no backlash: a linear plant explains the log",
+    "saturation": "Saturation",
+    "jump": "Dead zone with a jump (readings are not shifted)",
+    "play": "Backlash",
+    "both": "Backlash and a dead zone of the sensor",
+    "friction": "Friction",
+    "input_zone": "Dead zone of the actuator",
+    "two_zones": "Dead zones of sensor and actuator",
+    "input_curve": "Curve of the input",
+    "input_rate": "Limit of the input's rate",
+    "input_play": "Backlash ahead of the plant",
+    "filtered_zone": "Dead zone of the sensor with a filter, two slopes or round edges",
+    "other": "Another nonlinearity",
+    "stiction": "The valve sticks",
+    "external": "An oscillation from outside",
+    "tight_tuning": "The loop is tuned too tightly",
 }
 SIDES = ("right", "left")
 SIZES = ("width", "gap", "level")
@@ -83,19 +104,22 @@ def account_of_answer(answer: Answer) -> Account:
         limits = _find_limits(answer)
         limits.pop("output loss", None)  # whose edges were not met
         return _open(answer, units)._replace(grade=BOUNDED if limits else OPEN, limits=limits)
-    effects = {}
+    effects: dict[str, Numbers] = {}
     if word in EFFECT_OF:
         effects[EFFECT_OF[word]] = _named_numbers(answer)
+    if answer.found.friction is not None:
+        effects["friction"] = {"level": answer.found.friction}
     element = answer.element
     if element is not None and element.input:
-        effects["input loss"] = dict(element.input)
+        effects["input loss"] = {name: element.input[name] for name in (*SIDES, "width")}
     if element is not None and element.zone is not None:
         effects["output loss"] = {"width": element.zone}
     limits = {} if effects else _find_limits(answer)
-    buys = None
-    if answer.servo is None:
-        buys = _buys_of_word(answer)
-    return Account(NAMED, effects, DYNAMICS, units, buys, limits=limits)
+    buys = _buys_of_word(answer) if answer.servo is None else None
+    unmet = answer.case.unreached
+    return Account(
+        NAMED, effects, DYNAMICS, units, buys, unmet=unmet, limits=limits, name=NAMES[word]
+    )
 
 
 def account_of_motion(motion: LostMotionAnswer) -> Account:
@@ -105,35 +129,40 @@ def account_of_motion(motion: LostMotionAnswer) -> Account:
         motion: the answer to a log of two positions.
     """
     units = (motion.log.input_unit, motion.log.output_units[0])
+    effects: dict[str, Numbers] = {}
     if motion.verdict == "play":
         numbers = {"gap": motion.gap}
+        name = "Lost motion, gap and friction together" if motion.is_goal else NAMES["play"]
         if motion.parts is not None:
             numbers = {"gap": motion.parts.gap, "friction": motion.parts.friction}
-        return Account(NAMED, {"input reversal": numbers}, BOTH_POSITIONS, units)
+            name = NAMES["play"]
+        return Account(NAMED, {"input reversal": numbers}, BOTH_POSITIONS, units, name=name)
     if motion.verdict == "none":
         limits = {"input reversal": motion.gap.high}
-        return Account(BOUNDED, {}, BOTH_POSITIONS, units, limits=limits)
-    return Account(OPEN, {}, BOTH_POSITIONS, units, doubts=tuple(motion.reasons))
+        return Account(BOUNDED, effects, BOTH_POSITIONS, units, limits=limits)
+    return Account(OPEN, effects, BOTH_POSITIONS, units, doubts=tuple(motion.reasons))
 
 
 def _open(answer: Answer, units: tuple[str, str]) -> Account:
-    """Return the account without a number, with the reasons."""
-    return Account(OPEN, {}, DYNAMICS, units, doubts=tuple(answer.reasons))
+    """Return the account without a number, with the reasons and what remains possible."""
+    words = [word for word in answer.found.odds if word in EFFECT_OF][:OTHERS]
+    others: dict[str, Numbers] = {EFFECT_OF[word]: {} for word in words}
+    return Account(OPEN, {}, DYNAMICS, units, others=others, doubts=tuple(answer.reasons))
 
 
 def _named_numbers(answer: Answer) -> Numbers:
-    """Return the numbers of a named class: both sides, else the width; of friction its level."""
-    if answer.found.friction is not None and answer.verdict == "friction":
-        return {"level": answer.found.friction}
-    if answer.verdict == "saturation":
-        fit = fit_of(answer.case, answer.found, answer.verdict)
+    """Return the numbers of a named class: both sides and the width, a gap, or those of a loop."""
+    word, valve, step = answer.verdict, answer.found.valve, answer.case.grid.step
+    if valve is not None and word in ("external", "tight_tuning"):
+        return swing_numbers(word, valve, step)
+    if word == "saturation":
+        fit = fit_of(answer.case, answer.found, word)
         return {} if fit is None else _find_ends(fit, answer.scale)
     names = ("right", "left", "width")
     there = {name: getattr(answer, name) for name in names if getattr(answer, name) is not None}
-    if answer.verdict in ("play", "both", "input_play", "stiction"):
+    if word in (*MEMORY, *VALVE):
         there = {"gap": there["width"]} if "width" in there else {}
-    valve = answer.found.valve
-    return there | ({"jump": valve.jump} if answer.verdict == "stiction" and valve else {})
+    return there | ({"jump": valve.jump} if word == "stiction" and valve else {})
 
 
 class Compared(NamedTuple):
@@ -225,7 +254,7 @@ def _buys_of_word(answer: Answer) -> Buys | None:
     """Return the held-out errors of the named class and of a straight plant; None if unknown."""
     named = _compare(answer, answer.verdict)
     line = _compare(answer, "none")
-    if named is None or line is None or answer.verdict == "none":
+    if named is None or line is None or answer.verdict in ("none", "saturation"):
         return None
     model, test = named
     straight = line[0]
@@ -289,7 +318,7 @@ def _find_limits(answer: Answer) -> dict[str, float]:
             continue
         numbers = _numbers_of_word(answer, word, fit)
         widest = numbers.get("width", numbers.get("gap"))
-        top = 0.0 if widest is None else widest.high
+        top = 0.0 if widest is None else widest.high - min(widest.value, 0.0)
         if 0 < top < math.inf:
             limits[EFFECT_OF[word]] = float(top)
     return limits

@@ -27,6 +27,7 @@ from undeadzone_identify.results.assemble import (
     prior_element_range,
     prior_width_range,
 )
+from undeadzone_identify.results.formats import describe_ends
 from undeadzone_identify.results.to_continuous import continuous_with_spread
 from undeadzone_identify.selection.alternatives import UNSEEN, Element
 from undeadzone_identify.selection.decision import MEMORY
@@ -130,20 +131,14 @@ def _zone_fields(answers: Sequence[Answer]) -> dict[str, str]:
     sensor, actuator = (none, own) if first.verdict == "input_zone" else (own, none)
     if first.verdict == "input_zone" and first.at_rest is not None:
         lines, ranges = actuator
-        actuator = f"{lines}\n# {_ends_of_input(first)}", ranges
+        ends = describe_ends(first.case.grid.zero or 0.0, *reversed(_require_edges(first)))
+        actuator = f"{lines}\n# {ends}", ranges
     if first.element is not None and first.element.input:
         right, left = (first.element.input[side] for side in SIDES)
         prior = [[prior_element_range(first.element, edge)] for edge in (right, left)]
         actuator = _width_lines([_require_nonnegative(first, right, left)]), _range_lines(prior)
     names = ("sensor", "told_sensor", "actuator", "told_actuator")
     return dict(zip(names, (*sensor, *actuator), strict=True))
-
-
-def _ends_of_input(answer: Answer) -> str:
-    """Return the ends of an input's zone in the log, for a remark."""
-    right, left = _require_edges(answer)
-    middle = answer.case.grid.zero or 0.0
-    return f"nothing happens between {middle - left.value:.6g} and {middle + right.value:.6g}"
 
 
 def _gap_of_actuator(answer: Answer) -> str:

@@ -14,21 +14,16 @@ from undeadzone.nonlinearities.sensor import DIRECTIONS
 from undeadzone.results.mjcf import Joint
 from undeadzone.util.arrays import Floats
 from undeadzone_identify.models.estimates import Interval
-from undeadzone_identify.models.least_squares import describe_p_value
 from undeadzone_identify.models.shape import SensorShape
-from undeadzone_identify.results.account import BOUNDED, INDICATED, MEASURED, Account
+from undeadzone_identify.results.account import Account
 from undeadzone_identify.results.assemble import Answer
-from undeadzone_identify.results.formats import describe_interval, unit_suffix
+from undeadzone_identify.results.formats import describe_ends, describe_interval, unit_suffix
 from undeadzone_identify.results.loop_words import loop_numbers, shape_in_words
-from undeadzone_identify.selection.alternatives import OF_INPUT
-from undeadzone_identify.selection.decision import MODELS, VALVE
+from undeadzone_identify.selection.decision import MODELS
 from undeadzone_identify.selection.odds import nats_behind_best
-from undeadzone_identify.selection.valve import ValveFindings
 from undeadzone_identify.servo.likelihood import At
 
 WITHOUT_GAP = ("none", "friction")  # words of a servo whose gap is excluded
-PRINTED = 4  # crossings on the terminal
-SIDES = {1: "right", -1: "left"}
 
 
 def servo_numbers(answer: Answer) -> dict[str, Any] | None:
@@ -97,53 +92,18 @@ def crossing_columns(answer: Answer) -> dict[str, Floats]:
     }
 
 
-def describe_crossings(answer: Answer, unit: str) -> list[str]:
-    """Describe the first crossings, and the median and range of all."""
-    columns = crossing_columns(answer)
-    servo = answer.servo
-    if servo is None or not columns or not columns["t"].size:
-        return []
-    lines = []
-    for k in range(min(PRINTED, columns["t"].size)):
-        side = SIDES[int(columns["side"][k])]
-        lines.append(
-            f"t {columns['t'][k]:.4g} s, to the {side} at {abs(columns['speed'][k]):.3g}{unit}/s:"
-            f" {columns['gap'][k]:.4g}{unit}"
-        )
-    low, high = np.quantile(columns["gap"], [0.1, 0.9])
-    lines.append(
-        f"all {columns['t'].size}: median {servo.crossings.median_gap:.4g}{unit}, 80 % within"
-        f" {low:.4g} to {high:.4g}{unit}; every one is in the page and in the JSON"
+def describe_crossings(answer: Answer, unit: str) -> str:
+    """Describe the median and range of all crossings of a servo's gap."""
+    gaps = crossing_columns(answer)["gap"]
+    middle, low, high = np.quantile(gaps, [0.5, 0.1, 0.9])
+    return (
+        f"all {gaps.size}: median {middle:.4g}{unit}, 80 % within {low:.4g} to {high:.4g}{unit};"
+        " each is in the JSON"
     )
-    return lines
 
 
 # --- Any answer
 
-HEADS = {  # what was found, before its numbers
-    "dead_zone": "Dead zone of the sensor",
-    "unreached": "Dead zone of the sensor, an edge of which is never reached",
-    "none": "No dead zone and no backlash: a linear plant explains the log",
-    "saturation": "Saturation",
-    "jump": "Dead zone with a jump (readings are not shifted)",
-    "play": "Backlash",
-    "both": "Backlash and a dead zone of the sensor",
-    "friction": "Friction",
-    "input_zone": "Dead zone of the actuator",
-    "two_zones": "Dead zones of sensor and actuator",
-    "input_curve": "Curve of the input",
-    "input_rate": "Limit of the input's rate",
-    "input_play": "Backlash ahead of the plant",
-    "filtered_zone": "Dead zone of the sensor with a filter, two slopes or round edges",
-    "operating_point": "Nothing can be known of a zone",
-    "other": "Another nonlinearity",
-    "undecided": "Undecided",
-    "unclear": "Nothing can be said",
-    "stiction": "The valve sticks",
-    "external": "An oscillation from outside",
-    "tight_tuning": "The loop is tuned too tightly",
-}
-OPEN = ("operating_point", "undecided", "unclear")  # words that name nothing
 SHORT = {
     "dead_zone": "sensor",
     "input_zone": "input",
@@ -157,9 +117,7 @@ SHORT = {
     "external": "from outside",
     "tight_tuning": "tight tuning",
 }
-LETTERS = {"play": "c", "both": "c", "input_play": "c", "input_zone": "b", "friction": "f"}
 LEAST_PRINTED = 0.005  # odds that are worth a word
-AT_ZERO = "  assumes z = 0 at u = 0"
 
 
 # --- Numbers
@@ -182,7 +140,7 @@ def answer_numbers(answer: Answer, account: Account) -> dict[str, Any]:
     return {
         "zone": answer.zone,
         "verdict": answer.verdict,
-        "found": headline(answer, account),
+        "found": account.headline(),
         "answer": account.to_json(),
         "reasons": answer.reasons,
         **{name: _interval_list(getattr(answer, name)) for name in DIRECTIONS},
@@ -226,7 +184,6 @@ def answer_numbers(answer: Answer, account: Account) -> dict[str, Any]:
             "silent": answer.excitation.silent,
             "longest_silence": answer.excitation.longest * grid.step,
         },
-        "stages": _stage_numbers(answer),
         "record": {
             "samples": int(grid.t.size),
             "readings": int(grid.ok.sum()),
@@ -245,42 +202,7 @@ def _interval_list(interval: Interval | None) -> list[float] | None:
     return None if interval is None else [float(number) for number in interval]
 
 
-def _stage_numbers(answer: Answer) -> dict[str, Any]:
-    """Return widths and half intervals by stage of the fit."""
-    widths = answer.widths
-    stages = {}
-    for name, (right, left) in widths.stages.items():
-        halves = widths.halves[name]
-        stages[name] = {
-            "right": right * answer.scale,
-            "left": left * answer.scale,
-            "right_half": halves["right"] * answer.scale,
-            "left_half": halves["left"] * answer.scale,
-        }
-    return stages
-
-
 # --- Words
-
-
-def headline(answer: Answer, account: Account) -> str:
-    """Return the finding in one line, with its number and interval.
-
-    Args:
-        answer: to a log.
-        account: of it.
-    """
-    if account.grade in (MEASURED, INDICATED, BOUNDED):
-        return account.headline()
-    grid = answer.case.grid
-    word = answer.verdict
-    at_input = word in ("input_zone", "friction", *VALVE)
-    unit = unit_suffix(grid.input_unit if at_input else grid.output_unit)
-    sides = [one for one in (answer.right, answer.left) if one is not None]
-    intervals = [answer.width] if word in ("play", "both", *VALVE) or not sides else sides
-    intervals = [answer.found.friction] if word == "friction" else intervals
-    texts = [describe_interval(one, unit) for one in intervals if one is not None]
-    return ": ".join([HEADS[word], *([" / ".join(texts)] if texts else [])])
 
 
 def summarise_answer(answer: Answer, account: Account) -> dict[str, Any]:
@@ -294,28 +216,23 @@ def summarise_answer(answer: Answer, account: Account) -> dict[str, Any]:
         The lines in order.
     """
     grid = answer.case.grid
+    unit = unit_suffix(grid.output_unit)
     lines: dict[str, Any] = {"record": _describe_record(answer), "plant": _describe_plant(answer)}
-    lines["found"] = headline(answer, account) + _describe_certainty(answer)
     lines |= account.summary()
-    if answer.reasons and not account.doubts:
-        lines["why"] = answer.reasons
     if answer.found.odds:
         lines["odds"] = describe_shares(answer.found.odds)
-    unit = unit_suffix(grid.output_unit)
-    lines |= _describe_widths(answer)
+    if answer.zone and answer.element is None:
+        passes = zip(*answer.excitation[:2], strict=True)
+        right, left = (f"{visits} times, {samples} samples" for samples, visits in passes)
+        lines["passed"] = f"right edge {right}; left edge {left}"
     if answer.found.valve is not None:
-        lines |= _describe_valve(answer, answer.found.valve)
-    if answer.found.friction is not None:
-        of_input = unit_suffix(grid.input_unit)
-        of_motor = ", of the motor" if answer.servo is not None else ""
-        lines["friction"] = describe_interval(answer.found.friction, of_input) + of_motor
-    if grid.zero is not None and answer.verdict == "input_zone":
-        lines["input"] = _describe_ends(answer, grid.zero)
+        lines["loop"] = shape_in_words(answer.found.valve, grid)
+    if grid.zero is not None and answer.left is not None and answer.right is not None:
+        lines["input"] = describe_ends(grid.zero, answer.left, answer.right)
     if answer.shape is not None:
         lines["shape"] = _describe_shape(answer.shape, unit)
-    crossings = describe_crossings(answer, unit)
-    if crossings:
-        lines["crossings"] = crossings
+    if crossing_columns(answer):
+        lines["crossings"] = describe_crossings(answer, unit)
     lines["disturbance"] = _describe_disturbance(answer, unit)
     lines["held out"] = _describe_held_out(answer, unit)
     if answer.remarks:
@@ -323,73 +240,11 @@ def summarise_answer(answer: Answer, account: Account) -> dict[str, Any]:
     return lines
 
 
-def _describe_ends(answer: Answer, zero: float) -> str:
-    """Describe both ends of a zone of an input that counts from elsewhere."""
-    unit = unit_suffix(answer.case.grid.input_unit)
-    ends = []
-    for interval, sign in ((answer.left, -1.0), (answer.right, 1.0)):
-        if interval is not None:
-            low, high = sorted(zero + sign * end for end in interval[1:])
-            end = Interval(zero + sign * interval.value, low, high)
-            ends.append(describe_interval(end, unit))
-    return f"nothing happens between {' and '.join(ends)}"
-
-
 def _describe_shape(shape: SensorShape, unit: str) -> str:
     """Describe rounding, slopes and lag of a sensor."""
-    rounding = f"edges round over at most {shape.rounding.high:.3g}{unit}"
-    if shape.rounding.low > 0:
-        rounding = f"edges round over {describe_interval(shape.rounding, unit)}"
-    slope = describe_interval(shape.slope, "")
-    lag = f"at most {max(shape.lag.high, 0.0):.3g} s"
-    if shape.lag.low > 0:
-        lag = describe_interval(shape.lag, " s")
-    return f"{rounding}; slope of the left side over the right {slope}; smoothed by a lag of {lag}"
-
-
-def _describe_widths(answer: Answer) -> dict[str, str]:
-    """Describe the widths of the sensor's zone or of another element."""
-    element = answer.element
-    grid = answer.case.grid
-    letter = "d" if element is None else LETTERS.get(element.kind, "d")
-    of_input = answer.verdict in VALVE or (element is not None and element.kind in OF_INPUT)
-    unit = unit_suffix(grid.input_unit if of_input else grid.output_unit)
-    if answer.verdict in VALVE:
-        letter = "c"
-    lines = {}
-    for place, name in enumerate(DIRECTIONS):
-        interval: Interval | None = getattr(answer, name)
-        if interval is None:
-            continue
-        title = _width_title(letter, name).removeprefix("d ")
-        if answer.found.valve is not None:
-            title = "S"
-        lines[title] = describe_interval(interval, unit)
-        if element is None and place < 2:
-            visits = answer.excitation.visits[place]
-            samples = answer.excitation.samples[place]
-            lines[title] += f"  passed {visits} times, {samples} samples"
-        if name == "centre" and not of_input and np.isfinite(interval.high):
-            lines[title] += AT_ZERO
-    for name, interval in ({} if element is None else element.input).items():
-        lines[_width_title("b", name)] = describe_interval(interval, unit_suffix(grid.input_unit))
-    if element is not None and element.zone is not None:
-        lines["d width"] = describe_interval(element.zone, unit)
-    return lines
-
-
-def _describe_valve(answer: Answer, valve: ValveFindings) -> dict[str, str]:
-    """Describe S and J of a valve, and the shape of PV over OP."""
-    unit = unit_suffix(answer.case.grid.input_unit)
-    lines = {}
-    if answer.verdict == "stiction":
-        lines["J"] = describe_interval(valve.jump, unit)
-    return lines | {"loop": shape_in_words(valve, answer.case.grid)}
-
-
-def _width_title(letter: str, name: str) -> str:
-    """Return the title of a width: d_right, c width."""
-    return f"{letter}_{name}" if name in ("right", "left") else f"{letter} {name}"
+    rounding, slope = describe_interval(shape.rounding, unit), describe_interval(shape.slope, "")
+    lag = describe_interval(shape.lag, " s")
+    return f"edges round over {rounding}; slope of the left side over the right {slope}; lag {lag}"
 
 
 def _describe_record(answer: Answer) -> str:
@@ -400,12 +255,9 @@ def _describe_record(answer: Answer) -> str:
     text = f"{grid.t.size} samples, {step}, {names}, {grid.output} [{grid.output_unit}]"
     if grid.start.size > 1:
         text += f", {grid.start.size} records"
-    silent = answer.excitation.silent
-    if answer.fit.objective.kind != "behind":
-        return text + f"; {100 * silent:.0f} % silent: the zone acts on the noise too"
     if not answer.zone:
-        return text + "; no silence at 0"
-    return text + f"; no silence at 0: noise behind the zone; {100 * silent:.0f} % of z inside it"
+        return text
+    return f"{text}; {100 * answer.excitation.silent:.0f} % of z inside the zone"
 
 
 def _describe_plant(answer: Answer) -> str:
@@ -431,15 +283,6 @@ def _describe_plant(answer: Answer) -> str:
     return f"order {answer.order} (BIC), poles {', '.join(pole_texts)} {rate}, {kind} {gains}{unit}"
 
 
-def _describe_certainty(answer: Answer) -> str:
-    """Describe the certainty of the zone."""
-    if not answer.zone:
-        return ""
-    if answer.fit.objective.kind != "behind":
-        return " (silence)"
-    return f" ({describe_p_value(answer.case.no_zone.chance)})"
-
-
 def describe_shares(odds: dict[str, float]) -> str:
     """Describe probabilities of classes, those that are worth a word: sensor 97 %, friction 3 %.
 
@@ -457,10 +300,7 @@ def describe_shares(odds: dict[str, float]) -> str:
 def _describe_disturbance(answer: Answer, unit: str) -> str:
     """Describe rms and correlation time of the disturbance."""
     disturbance = answer.disturbance
-    where = "at z" if disturbance.ahead else "behind the zone"
-    if not disturbance.ahead and not answer.zone:
-        where = "in what the plant leaves of the readings"
-    text = f"rms {disturbance.rms:.3g}{unit} {where}"
+    text = f"rms {disturbance.rms:.3g}{unit} {'at z' if disturbance.ahead else 'of the readings'}"
     if disturbance.correlation_time is not None:
         unit_of_time = "samples" if answer.case.grid.counted else "s"
         text += f", correlation time {disturbance.correlation_time:.2g} {unit_of_time}"
@@ -474,9 +314,6 @@ def _describe_held_out(answer: Answer, unit: str) -> str:
     chosen = answer.chosen
     share = f"{100 * answer.case.options.held_out:.0f} % in blocks"
     white = "white" if chosen.white else "not white"
-    if answer.found.valve is not None:
-        less = 100 * (1 - chosen.error / answer.found.valve.without)
-        share += f", one sample ahead ({less:.1f} % less than without the valve)"
     return (
         f"{share}: rms error {chosen.error * answer.scale:.3g}{unit},"
         f" fit {100 * chosen.share:.1f} %, one-step residual {white}"

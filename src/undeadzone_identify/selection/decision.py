@@ -56,16 +56,6 @@ LARGER = {  # words of models that hold a word's model and more
     "input_zone": ("two_zones",),
     "play": ("both",),
 }
-ADVICE = (
-    "to tell a sensor's zone from friction, record with an input that reverses within the plant's"
-    " slowest time constant (steps or noise of 0.4 to 1.5 times its bandwidth, 50 reversals or"
-    " more, several amplitudes, the largest well outside the zone), 10 or more samples a time"
-    " constant"
-)
-UNEXPLAINED = (
-    ": are input and output the right columns? try more inputs, a higher --order, or a log with"
-    " less disturbance"
-)
 CALM = 0.3  # of the readings' rms, that of held-out ones that hardly move
 GROWS = 10.0  # logarithm of what a pole does along the log, from which it is unstable
 UNSETTLED = (
@@ -268,10 +258,7 @@ def classify_by_probabilities(
         return build_verdict("dead_zone").add_cautions(*cautions)
     if word == "none":
         return _verdict_without_zone(case, odds)
-    advice = [ADVICE] if word == "friction" else []
-    return build_verdict(word, f"{MODELS[word]} explains the log best", *advice).add_cautions(
-        *cautions
-    )
+    return build_verdict(word, f"{MODELS[word]} explains the log best").add_cautions(*cautions)
 
 
 def _verdict_at_range_ends(case: Case, word: str, odds: dict[str, float]) -> Verdict | None:
@@ -339,9 +326,7 @@ def _undecided_among(odds: dict[str, float]) -> Verdict:
     """Return the undecided verdict, with the candidate classes."""
     likely = list(filter(lambda word: odds[word] >= UNLIKELY, odds))
     apart = f"{CANNOT_TELL} {' from '.join(MODELS[word] for word in likely)}"
-    return build_verdict(
-        "undecided", apart, *([ADVICE] if {"friction", "dead_zone"} <= set(likely) else [])
-    )
+    return build_verdict("undecided", apart)
 
 
 def _is_below_rounding(case: Case) -> bool:
@@ -392,7 +377,7 @@ def _find_unclear(case: Case, word: str, best: Density, fits: Fits) -> Verdict |
         unstable = _describe_instability(case) if within <= LEAST else None
         if unstable is not None:
             return build_verdict("unclear", explained + unstable)
-        reasons.append(explained + (changes if within > LEAST else UNEXPLAINED))
+        reasons.append(explained + changes * (within > LEAST))
     fit = chosen.fit
     if word == "none":
         fit = fit_linear(fit.objective.simulator, fit.objective.readings.ok)
