@@ -63,10 +63,10 @@ def sensor_zone() -> dict[str, Floats]:
     return {"t [s]": STEP * np.arange(u.size), "u [V]": u, "y [mm]": y}
 
 
-def short_actuator() -> dict[str, Floats]:
-    """A short log under noise of a zone of the input from -0.3 to 0.4."""
-    rng, u, _ = driven(200)
-    y = lag(zone(u, 0.4, 0.3)) + 0.2 * rng.standard_normal(u.size)
+def curved_actuator() -> dict[str, Floats]:
+    """An actuator whose curve no class holds."""
+    rng, u, _ = driven(800)
+    y = lag(np.tanh(2 * u)) + 0.02 * rng.standard_normal(u.size)
     return {"t [s]": STEP * np.arange(u.size), "u [V]": u, "y [mm]": y}
 
 
@@ -116,12 +116,12 @@ LOGS = {
         {"right": 0.2, "left": 0.1, "width": 0.3},
     ),
     "indicated": Told(
-        short_actuator,
+        curved_actuator,
         QUICK,
         INDICATED,
-        "Indicated, not certain: a band of the input",
-        "input loss",
-        {"width": 0.7},
+        "Indicated, not certain: the input acts along a curve",
+        "input shape",
+        {},
     ),
     "null": Told(straight, QUICK, NAMED, "No dead zone and no backlash", "", {}),
     "lost motion": Told(

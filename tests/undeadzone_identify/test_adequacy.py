@@ -443,7 +443,6 @@ def test_a_loop_whose_readings_nothing_foretells_has_no_name(tmp_path: Path) -> 
     assert isinstance(answer, uz.Identified)
     assert answer.verdict == "unclear"
     assert "explains 0 % of the held-out readings" in answer.answer.reasons[0]
-    assert "controller to manual" in answer.answer.reasons[1]
     assert not answer.numbers()["odds"]
 
 

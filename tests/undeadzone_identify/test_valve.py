@@ -227,7 +227,6 @@ def test_a_sound_valve_is_not_named_beside_a_doubt(
     found = uz.identify(path)
     assert found.verdict == "undecided"
     assert words in found.answer.reasons[0]
-    assert "controller to manual" in found.answer.reasons[1]
     assert not found.numbers()["odds"]
 
 

@@ -190,6 +190,10 @@ class Compared(NamedTuple):
         gain, spread = gain_and_spread(self.error, other.error)
         return gain / max(spread, 1e-300)
 
+    def is_hardly_before(self, other: Compared) -> bool:
+        """Return whether another model simulates held-out data about as well."""
+        return self.deviations_before(other) < APART and SHOWS * other.rms < self.rms
+
     def compare_to(self, line: Compared, test: Flags, scale: float) -> Buys:
         """Return the held-out errors of both, in units of the log."""
         size = scale * math.sqrt(test.size / max(int(test.sum()), 1))
@@ -233,7 +237,7 @@ def _numbers_of_word(answer: Answer, word: str, fit: FittedModel[Any]) -> Number
 def _find_ends(fit: FittedModel[Any], scale: float) -> Numbers:
     """Return the limits of the readings that a fit to a saturation reaches [y]."""
     read = fit.model.noise_free_readings(fit.model.output(fit.theta), fit.theta)
-    ends = measure_fit(fit).scale_by(scale)
+    ends = measure_fit(fit, levels=lambda theta: theta[-2:]).scale_by(scale)  # behind a zone, too
     known = {"upper": ends["right"], "lower": ends["left"].scale_by(-1)}
     reached = zip(known, (read.max(), read.min()), strict=True)
     return {name: known[name] for name, end in reached if np.count_nonzero(read == end) >= FEWEST}
@@ -276,15 +280,15 @@ def _account_of_fits(answer: Answer, units: tuple[str, str]) -> Account:
             rows.append(there[0])
     rows = sorted(filter(lambda one: _is_worth(one, line), rows), key=lambda one: one.rms)
     positive = [one for one in rows if one.is_positive]
-    sure = [one for one in positive if one.numbers] or positive[:1]
-    if not sure:
+    if not positive:
         return _bound(answer, units, line, test)
-    first = sure[0]
+    best = positive[0]
+    close = [one for one in positive if best.is_hardly_before(one)]
+    first = next((one for one in close if one.numbers), best)
     others: dict[str, Numbers] = {}
-    for one in sure[1:]:
+    for one in close:
         effect = EFFECT_OF[one.word]
-        as_well = first.deviations_before(one) < APART and SHOWS * one.rms < first.rms
-        if as_well and effect != EFFECT_OF[first.word] and len(others) < OTHERS:
+        if effect != EFFECT_OF[first.word] and len(others) < OTHERS:
             others.setdefault(effect, one.numbers)
     buys = first.compare_to(line, test, answer.scale)
     effects = {EFFECT_OF[first.word]: first.numbers}
