@@ -191,7 +191,7 @@ def _medians(u: Floats, y: Floats) -> Levels:
     level = np.searchsorted(x, u, side="right")
     order = np.lexsort((y, level))
     first, count = np.unique(level[order], return_index=True, return_counts=True)[1:]
-    readings, commands = y[order], np.sort(u)
+    readings, commands = y[order], u[order]
     high = first + count // 2
     low = first + (count - 1) // 2 if x.size < MOST else high  # no mean across an edge
     w = np.sqrt(np.minimum(count, 30))
