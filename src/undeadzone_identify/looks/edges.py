@@ -126,7 +126,7 @@ def _profile(levels: Levels, edges: Floats, bends: tuple[float, ...], jumps: boo
         near = np.flatnonzero(prices <= prices[best] + DEARER)
         edge = Interval(*edges[[best, near[0], near[-1]]].tolist())
         ends = edges[[max(near[0] - 1, 0), min(near[-1] + 1, PLACES - 1)]]
-        edges = np.linspace(*ends, PLACES)
+        edges = np.linspace(ends[0], ends[1], PLACES)
     return Profile(edge, float(prices[best]), c[best], residual[best])
 
 
