@@ -17,14 +17,14 @@ from undeadzone_identify.models.estimates import Interval
 # Half and double of a number below change no edge of the tests' maps:
 # test_half_and_double_of_a_constant_change_no_map.
 BENDS = ((), (0.4,), (0.15, 0.5), (0.06, 0.2, 0.5), (0.1, 0.25, 0.5, 0.75))
-SHAPES = [(bends, jumps) for jumps in (False, True) for bends in BENDS]
+SHAPES = [*((bends, False) for bends in BENDS), *((bends, True) for bends in BENDS[:3])]
 RISES = 0.25  # of the mean slope outside: the least slope just beyond an edge
 BEYOND = 3  # moving rows between an edge and the first bend, at least
 KNOWN = 4e-4  # of the range: no map is better known
 LEAP = 0.02  # of the range, from which a step at an edge is one
 SURE = 4.0  # times the residual, from which it is one
 DEARER = 8.0  # price of an edge above that of the best, up to which it may be the edge
-PLACES, PASSES = 81, 3  # edges that are compared, and how often ever closer ones
+PLACES, PASSES = 41, 3  # edges that are compared, and how often ever closer ones
 
 
 class Levels(NamedTuple):
@@ -65,6 +65,15 @@ class Side(NamedTuple):
     share: float
 
 
+class Profile(NamedTuple):
+    """Best edge of a shape with its interval, its price, coefficients (k), and residuals (n)."""
+
+    edge: Interval
+    price: float
+    c: Floats
+    residual: Floats
+
+
 def fit_side(levels: Levels, inner: int) -> Side | None:
     """Fit the edge between rows at rest and moving rows; None with less than two of these.
 
@@ -84,29 +93,19 @@ def fit_side(levels: Levels, inner: int) -> Side | None:
     last = min(inner - 1 + max(inner, 8), n - 2)
     ranks = np.linspace(max(inner // 2 - 0.5, 0.0), last + 0.9, PLACES)
     edges = np.interp(ranks, np.arange(n), x)
-    for _ in range(PASSES):
-        fits = [_prices(levels, edges, *shape) for shape in shapes]
-        prices = np.array([fit[0] for fit in fits])
-        k, best = (int(one) for one in np.unravel_index(np.argmin(prices), prices.shape))
-        if not np.isfinite(prices[k, best]):
-            return None
-        shape, found = shapes[k], edges[best]
-        limit = prices[k, best] + DEARER
-        near = np.flatnonzero(prices.min(axis=0) < limit)
-        low, high = edges[near[0]], edges[near[-1]]
-        edges = np.linspace(
-            edges[max(near[0] - 1, 0)], edges[min(near[-1] + 1, PLACES - 1)], PLACES
-        )
-        shapes = [
-            one for one, dear in zip(shapes, prices.min(axis=1) >= limit, strict=True) if not dear
-        ]
-    c, residual = fits[k][1][best], fits[k][2][best] / w
+    fits = [_profile(levels, edges, *shape) for shape in shapes]
+    prices = np.array([fit.price for fit in fits])
+    best = fits[int(np.argmin(prices))]
+    if not np.isfinite(best.price):
+        return None
+    alike = np.array([fit.edge for fit in fits])[prices < best.price + DEARER]
+    found, c, residual = best.edge.value, best.c, best.residual / w
     mean = np.average(v, weights=w**2)
     share = 1 - float(w**2 @ residual**2 / (w**2 @ (v - mean) ** 2))
     return Side(
-        edge=Interval(float(found), float(low), float(high)),
+        edge=Interval(found, alike[:, 1].min(), alike[:, 2].max()),
         slope=float(c[1]),
-        step=float(c[-1]) * shape[1],
+        step=float(c[-1]) * shapes[int(np.argmin(prices))][1],
         numbers=c.size - 1,
         outer=residual[inner:],
         ahead=float(c[0] - c[1] * (found - x[0])),
@@ -117,6 +116,18 @@ def fit_side(levels: Levels, inner: int) -> Side | None:
 def price(loss: Floats | float, rows: int, numbers: int) -> Floats:
     """Return Bayes' criterion of fits by their mean squares: the less, the better."""
     return np.asarray(rows * np.log(loss + KNOWN**2) + numbers * np.log(rows))
+
+
+def _profile(levels: Levels, edges: Floats, bends: tuple[float, ...], jumps: bool) -> Profile:
+    """Return the best edge of a shape, on a grid that closes in on it."""
+    for _ in range(PASSES):
+        prices, c, residual = _prices(levels, edges, bends, jumps)
+        best = int(np.argmin(prices))
+        near = np.flatnonzero(prices <= prices[best] + DEARER)
+        edge = Interval(*edges[[best, near[0], near[-1]]].tolist())
+        ends = edges[[max(near[0] - 1, 0), min(near[-1] + 1, PLACES - 1)]]
+        edges = np.linspace(ends[0], ends[1], PLACES)
+    return Profile(edge, float(prices[best]), c[best], residual[best])
 
 
 def _prices(

@@ -191,7 +191,7 @@ def _medians(u: Floats, y: Floats) -> Levels:
     level = np.searchsorted(x, u, side="right")
     order = np.lexsort((y, level))
     first, count = np.unique(level[order], return_index=True, return_counts=True)[1:]
-    readings, commands = y[order], np.sort(u)
+    readings, commands = y[order], u[order]
     high = first + count // 2
     low = first + (count - 1) // 2 if x.size < MOST else high  # no mean across an edge
     w = np.sqrt(np.minimum(count, 30))
@@ -338,10 +338,10 @@ def _is_flat(levels: Levels, inside: Flags, fits: list[Side], residual: Floats) 
         return False
     x, v, w = levels.cut(near)
     numbers = 1 + sum(side.numbers for side in fits)
-    own = price(np.mean((residual[near] * w) ** 2), x.size, numbers)
+    own = price(float(np.mean((residual[near] * w) ** 2)), x.size, numbers)
     curves = [np.polynomial.Polynomial.fit(x, v, degree, w=w)(x) for degree in CURVES]
     return n < 3 or all(
-        own < price(np.mean(((v - curve) * w) ** 2), x.size, degree + 1)
+        own < price(float(np.mean(((v - curve) * w) ** 2)), x.size, degree + 1)
         for degree, curve in zip(CURVES, curves, strict=True)
     )
 
@@ -367,7 +367,7 @@ def _edge(
     is_between = side.step or inner < 3 or moves - still > UNVISITED
     places = [still, moves] if is_between else [value - spare, value + spare]
     places += [side.edge.low, side.edge.high]
-    own = [edge for leg in legs if (edge := _edge_of_leg(leg.face(way), level)) is not None]
+    own = [at for leg in legs if (at := _edge_of_leg(leg.face(way), level)) is not None]
     places += np.quantile(own, [0.05, 0.95]).tolist() if own else []
     edge = Edge(Interval(value, min(places), max(places)), bool(side.step), view.x.size - end)
     return edge.place(0.0, way)

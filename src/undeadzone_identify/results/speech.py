@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from undeadzone.util.arrays import Flags, Floats
-from undeadzone_identify.models.elements import FEWEST
+from undeadzone_identify.models.elements import FEWEST, limited_zone_map
 from undeadzone_identify.models.least_squares import FittedModel
 from undeadzone_identify.models.measured import measure_fit
 from undeadzone_identify.results.account import (
@@ -276,7 +276,7 @@ def _account_of_fits(answer: Answer, units: tuple[str, str]) -> Account:
     rows = []
     for word in EFFECT_OF.keys() - answer.found.denied:
         there = _compare(answer, word)
-        if there is not None and there[0].error.size == line.error.size:
+        if there is not None and _is_comparable(there[0], line):
             rows.append(there[0])
     rows = sorted(filter(lambda one: _is_worth(one, line), rows), key=lambda one: one.rms)
     positive = [one for one in rows if one.is_positive]
@@ -293,6 +293,12 @@ def _account_of_fits(answer: Answer, units: tuple[str, str]) -> Account:
     buys = first.compare_to(line, test, answer.scale)
     effects = {EFFECT_OF[first.word]: first.numbers}
     return Account(INDICATED, effects, DYNAMICS, units, buys, others, tuple(answer.reasons))
+
+
+def _is_comparable(one: Compared, line: Compared) -> bool:
+    """Return whether a model has the readings of the straight plant, and one element alone."""
+    is_single = getattr(one.fit.model, "shape", None) is not limited_zone_map
+    return is_single and one.error.size == line.error.size
 
 
 def _is_worth(one: Compared, line: Compared) -> bool:
