@@ -32,6 +32,7 @@ CLOSE = 1e-3  # of the commands' range, below which two levels are one
 WIDE, FINE = 0.012, 1e-4  # of the range: distances from the level of a candidate
 CANDIDATES = 6
 SMOOTHED = 24  # levels in a row, from which noise is smoothed
+END = 3  # levels of a flat end, at least, among so many
 MOVING = 0.35  # of the median slope, from which a map moves
 FLAT = 0.1  # of the slope beside it: the largest inside a flat part
 HIDES, LEAST = 8.0, 0.008  # residuals and share of the range, that a flat part hides at least
@@ -156,7 +157,10 @@ def map_of_rate(t: Floats | None, u: Floats, y: Floats) -> RestMap | None:
 
 
 def read_map(rows: Rows) -> RestMap | None:
-    """Return the map of rows at rest; None with few levels, or a reading that never changes."""
+    """Return the map of rows at rest; None with few levels, or a reading that never changes.
+
+    Neither does a way up beside a way down have a fold.
+    """
     levels = _medians(rows.u, rows.y)
     x, v, w = levels
     if x.size < LEVELS or np.ptp(v) == 0:
@@ -168,6 +172,8 @@ def read_map(rows: Rows) -> RestMap | None:
     nodes = _nodes(unit, parts)
     noise = max(float(np.std(unit.v - np.interp(unit.x, *nodes))), noise_of(unit.v))
     fold = _fold(nodes, noise)
+    if fold is not None and rows.how == "ways":  # a motion that repeats comes back as well
+        return None
     return RestMap(
         rows=rows,
         x=x,
@@ -407,7 +413,8 @@ def _bound(nodes: Floats, levels: Levels, noise: float) -> float:
     moving = slope > MOVING * np.median(slope)
     widths = np.maximum(4 * np.diff(x), max(HIDES * noise, LEAST) / np.maximum(slope, 1e-9))
     bent = max(float(np.std(v - np.polyval(np.polyfit(x, v, 1), x))), KNOWN)
-    return float(min(np.quantile(widths[moving], 0.95), HIDES * bent, 1.0))
+    ends = max(x[END] - x[0], x[-1] - x[-1 - END])  # flat ends of fewer levels are not looked for
+    return float(np.clip(HIDES * bent, ends, max(ends, np.quantile(widths[moving], 0.95))))
 
 
 # --- Rates

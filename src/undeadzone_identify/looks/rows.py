@@ -28,7 +28,7 @@ class Rows(NamedTuple):
         u: commands (R).
         y: readings (R).
         came: sign of the last change of the command, 0 for none (R).
-        how: "table", "holds" or "sweep".
+        how: "table", "holds", "sweep", or "ways" of a sweep whose way up lies beside its way down.
     """
 
     u: Floats
@@ -141,10 +141,10 @@ def _sweep_rows(u: Floats, y: Floats, came: Floats) -> Rows | None:
     """
     order = np.argsort(u, kind="stable")
     ways = [order[came[order] >= 0], order[came[order] < 0]]
-    for some in ([order], ways):
+    for how, some in (("sweep", [order]), ("ways", ways)):
         spread = np.concatenate([_spread_at_commands(y[one]) for one in some]) / _range(y[order])
         if np.median(spread) < SLOW:
-            return Rows(u, y, came, "sweep")
+            return Rows(u, y, came, how)
     return None
 
 
