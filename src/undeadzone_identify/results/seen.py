@@ -22,6 +22,14 @@ from undeadzone_identify.results.account import (
 )
 
 ENOUGH = 6  # rows beside an edge, from which it is measured
+FLAT = (  # effects of a name that a flat part of the map shows as well
+    "input loss",
+    "input threshold",
+    "output loss",
+    "output threshold",
+    "output range",
+    "friction",
+)
 EDGES = {"left": "lower", "right": "upper"}
 
 
@@ -119,11 +127,11 @@ def choose_account(fitted: Account, seen: Account | None, looks: Looks) -> Accou
         looks: what is seen. No bound is below the travel of the command while the reading stood
             still.
     """
-    if seen is not None and seen.effects and not (fitted.grade == NAMED and fitted.effects):
-        is_better = seen.grade == MEASURED or fitted.grade in (OPEN, BOUNDED)
-        if is_better:
-            others = {key: one for key, one in fitted.effects.items() if key not in seen.effects}
-            return seen._replace(others=others | fitted.others)
+    named = fitted.effects.keys() if fitted.grade == NAMED else set()
+    is_free = seen is not None and seen.effects and not named & {*FLAT}
+    if seen is not None and is_free and (seen.grade == MEASURED or fitted.grade in (OPEN, BOUNDED)):
+        others = {key: one for key, one in fitted.effects.items() if key not in seen.effects}
+        return seen._replace(others=others | fitted.others)
     if seen is not None and fitted.grade == OPEN and seen.grade == BOUNDED:
         return seen
     limits = {
