@@ -466,17 +466,30 @@ def motion_density(name: str, found: LostMotion, scale: float) -> Density:
 
 def best_structure(
     data: Positions, structures: Sequence[Structure], gaps: Floats | None = None
-) -> tuple[MotionFit, LostMotion]:
-    """Return the least-squares problem of least BIC, and its fit.
+) -> LostMotion:
+    """Return the fit of least BIC.
 
     Args:
         data: the positions.
         structures: structures among which BIC chooses.
         gaps: gaps that are allowed (K) [u]; None: all up to WIDEST.
     """
-    problems = [MotionFit(data, structure) for structure in structures]
-    fits = [(problem, problem.fit(gaps)) for problem in problems]
-    return min(fits, key=lambda pair: pair[1].bic())
+    fits = (MotionFit(data, structure).fit(gaps) for structure in structures)
+    return min(fits, key=LostMotion.bic)
+
+
+def fit_plant(data: Positions, found: LostMotion, lags: range) -> LostMotion:
+    """Return the fit of any linear plant that answers at a few lags, without a gap.
+
+    Args:
+        data: the positions.
+        found: a fit; only its residual and the number of its parameters are replaced.
+        lags: of u; negative ones are leads [samples].
+    """
+    step = float(np.median(np.diff(data.t)))
+    moved = [np.interp(data.t - k * step, data.t, data.u) for k in lags]
+    columns = np.column_stack([np.ones(data.t.size), *moved])
+    return found._replace(residual=regression_residual(columns, data.y), numbers=len(lags) + 2)
 
 
 def is_white(found: LostMotion, quantum: float) -> bool:
