@@ -347,7 +347,7 @@ def _value_without_gap(log: Observations, one: Servo) -> float:
 def servo_slopes(log: Observations, one: Servo) -> ErrorSlopes:
     """Return the counted errors of a servo and their derivatives by its free parameters."""
     free = one.structure.free_places(log.ticks, False)
-    return ServoLikelihood(log).error_slopes(one.theta[None], [free], one.structure.lag)[0]
+    return ServoLikelihood(log).error_slopes(one.theta[None], [free], [one.structure.lag])[0]
 
 
 class _GapUncertainty:
