@@ -11,10 +11,10 @@ import pytest
 
 from undeadzone.compile import lanes
 from undeadzone_identify.servo.predictor import (
+    COVARIANCE,
     LATEST,
     MEAN,
     NUMBERS,
-    TRIANGLE,
     contact_share,
     step_motor,
     tick_predictor,
@@ -67,7 +67,7 @@ def test_a_tick_past_a_peak_was_at_the_peak(v: float, fallen: float) -> None:
     }
     taps, inputs = np.eye(LATEST + 1)[0], np.full(LATEST + 1, braking)
     params = np.concatenate([[numbers[name] for name in NUMBERS], taps])
-    state = np.zeros(MEAN + len(TRIANGLE) + 1)
+    state = np.zeros(MEAN + COVARIANCE + 1)
     state[1] = v
     tick = [1.0, boundary, 0.0, 0.0, 0.0, 1.0]  # side, boundary; no reversal, not the first
     signals = np.concatenate([inputs, tick])[None]

@@ -238,7 +238,7 @@ class MotionFit:
             bounds=np.maximum(near, 0.0),
             options={"xatol": FINEST * self.range},
         )
-        return np.array([found.x, *at[1:]])
+        return min(at, np.array([found.x, *at[1:]]), key=self._cost)
 
     def _cost(self, at: Floats) -> float:
         """Return the sum of squared residuals at gap [u], delay [s] and time constant [s] (3)."""
