@@ -37,6 +37,7 @@ from undeadzone_identify.models.least_squares import (
     regression_residual,
 )
 from undeadzone_identify.models.likelihood import root_mean_square
+from undeadzone_identify.models.motion import last_reading_rows
 
 ORDERS = (1, 2, 3, 4, 6, 8, 12)  # autoregressive orders of the readings
 MEMORY = (3.0, 8.0, 20.0, 60.0)  # samples of the exponential averages that are regressors as well
@@ -178,9 +179,8 @@ class Regression:
         self._chosen = np.s_[::stride] if whole.all() else np.flatnonzero(whole)[::stride]
         self.rows: Integers = np.arange(first, y.size)[self._chosen]
         self.order, self._first = order, first
-        known = np.maximum.accumulate(np.where(ok, np.arange(y.size), int(np.argmax(ok))))
         lags = [self._before(y, k) for k in range(1, order + 1)]
-        averages = self._before(_averages(y[known][None])[0], 1)
+        averages = self._before(_averages(y[last_reading_rows(ok)][None])[0], 1)
         self.past = np.column_stack([*lags, *averages])
         self.y = y[self.rows]
         self._explain_by(np.column_stack([np.ones(self.rows.size), self.past]))

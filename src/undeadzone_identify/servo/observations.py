@@ -15,7 +15,7 @@ from undeadzone.nonlinearities.play import levels
 from undeadzone.util.arrays import Flags, Floats, Integers, shift_rows
 from undeadzone_identify.logs.grid import common_spacing
 from undeadzone_identify.models.least_squares import regression_residual
-from undeadzone_identify.models.motion import reading_changes, white_noise_rms
+from undeadzone_identify.models.motion import last_reading_rows, reading_changes, white_noise_rms
 from undeadzone_identify.servo.predictor import LATEST
 
 LAGS = 10  # samples of the past that are taken out
@@ -122,10 +122,8 @@ class Observations(NamedTuple):
         """Return the flags of ticks opposite to the previous tick of their record (N)."""
         at = np.flatnonzero(self.side)
         turned = np.zeros(self.side.size, bool)
-        record = np.searchsorted(self.start, at, side="right")
-        same = record[1:] == record[:-1]
-        turned[at[1:]] = (self.side[at[1:]] != self.side[at[:-1]]) & same
-        return turned
+        turned[at[1:]] = np.diff(self.side[at]) != 0
+        return turned & ~self.first_ticks
 
     @property
     def first_ticks(self) -> Flags:
@@ -133,7 +131,7 @@ class Observations(NamedTuple):
         at = np.flatnonzero(self.side)
         record = np.searchsorted(self.start, at, side="right")
         begun = np.zeros(self.side.size, bool)
-        begun[at[np.append(True, np.diff(record) > 0)[: at.size]]] = True
+        begun[at[np.diff(record, prepend=-1) > 0]] = True
         return begun
 
     def kernel_inputs(self, counted: Flags) -> Floats:
@@ -165,9 +163,8 @@ class Observations(NamedTuple):
             most: samples.
             least: reversals; where so many samples have fewer, twice as many are taken, and so on.
         """
-        turned = np.cumsum(
-            np.append(0, (self if self.ticks else to_schmitt_ticks(self)).reversal_ticks)
-        )
+        ticked = self if self.ticks else to_schmitt_ticks(self)
+        turned = np.cumsum(np.append(0, ticked.reversal_ticks))
         while most < self.u.size and np.max(turned[most:] - turned[:-most]) < least:
             most *= 2
         if self.u.size <= most:
@@ -175,14 +172,9 @@ class Observations(NamedTuple):
         first = int(np.argmax(turned[most:] - turned[:-most]))
         part = slice(first, first + most)
         inside = self.start[(self.start > first) & (self.start < first + most)] - first
-        return self._replace(
-            u=self.u[part],
-            y=self.y[part],
-            ok=self.ok[part],
-            start=np.append(0, inside),
-            side=self.side[part],
-            boundary=self.boundary[part],
-        )
+        signals = ("u", "y", "ok", "side", "boundary")
+        parts = {name: getattr(self, name)[part] for name in signals}
+        return self._replace(start=np.append(0, inside), **parts)
 
 
 def build_observations(
@@ -202,7 +194,7 @@ def build_observations(
     if not (u_scale > 0 and y_scale > 0):
         return None
     level = float(y[ok][0])
-    filled = hold_last_reading(np.where(ok, (y - level) / y_scale, 0.0), ok)
+    filled = ((y - level) / y_scale)[last_reading_rows(ok)]
     side = change_sides(filled, ok, start)
     at = np.flatnonzero(side)
     if at.size < FEWEST:
@@ -229,12 +221,6 @@ def build_observations(
     if turning < TURNING and exact_enough:
         return log._replace(side=side, boundary=filled - side * spacing / 2)
     return log._replace(ticks=False, quantum=0.0)
-
-
-def hold_last_reading(y: Floats, ok: Flags) -> Floats:
-    """Return the readings with the last reading held over missing samples (N)."""
-    last = np.maximum.accumulate(np.where(ok, np.arange(y.size), -1))
-    return np.where(last >= 0, y[np.maximum(last, 0)], 0.0)
 
 
 def change_sides(y: Floats, ok: Flags, start: Integers) -> Integers:
