@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
-from scipy.signal import correlate, lfilter
+from scipy.signal import correlate, freqz, lfilter
 from scipy.special import softmax
 
 from undeadzone.compile import lanes
@@ -37,6 +37,7 @@ from undeadzone_identify.models.least_squares import (
     regression_residual,
 )
 from undeadzone_identify.models.likelihood import root_mean_square
+from undeadzone_identify.models.lost_motion import reversal_blocks
 from undeadzone_identify.models.motion import last_reading_rows
 
 ORDERS = (1, 2, 3, 4, 6, 8, 12)  # autoregressive orders of the readings
@@ -312,12 +313,10 @@ class Regression:
 
 def _averages(x: Floats) -> Floats:
     """Return the exponential averages of signals x (K x N) over each memory (K x M x N)."""
-    averages = np.empty((len(x), len(MEMORY), x.shape[1]))
-    for k, samples in enumerate(MEMORY):
-        decay = math.exp(-1 / samples)
-        at_rest = decay * x[:, :1]  # filter state if x was constant before
-        averages[:, k] = lfilter([1 - decay], [1.0, -decay], x, zi=at_rest)[0]
-    return averages
+    decays = np.exp(-1 / np.array(MEMORY))
+    # the filters' states if x was constant before
+    each = [lfilter([1 - one], [1.0, -one], x, zi=one * x[:, :1])[0] for one in decays]
+    return np.stack(each, axis=1)
 
 
 class Structure(NamedTuple):
@@ -411,9 +410,7 @@ class LoopLog:
 
         Only a reversal shows the fault of a valve.
         """
-        v = valve_positions(self.u, np.array([TURN]), np.zeros(1), KANO)[:, 0]
-        moves = np.sign(np.diff(v))
-        return int(np.count_nonzero(np.diff(moves[moves != 0])))
+        return int(reversal_blocks(self.u, TURN)[-1])
 
     @property
     def orders(self) -> list[int]:
@@ -544,12 +541,13 @@ class LoopLog:
         is_play = not pairs[:, 1].any()
         tops = self._rank_pairs(structure, account, pairs, self.coarse_stride)[:TOPS]
         best = self._rank_pairs(structure, account, np.array(tops)[:, 1:], 1)
+        a, b = np.meshgrid(np.linspace(-1, 1, 7), np.linspace(-2, 2, 1 if is_play else 5))
         for k in range(rounds):
             width = 0.09 / 2.5**k
-            moves = itertools.product(
-                best, width * np.linspace(-1, 1, 7), width * np.linspace(-2, 2, 1 if is_play else 5)
-            )
-            pairs = np.array([_shift_pair(s, j, a, b, is_play) for (_, s, j), a, b in moves])
+            stick, jump = np.array(best).T[1:, :, None]
+            moved = jump + stick * width * b.ravel()
+            jumps = 0.0 * moved if is_play else np.clip(moved, 0.02 * stick, LARGEST * stick)
+            pairs = np.stack([stick * (1 + width * a.ravel()), jumps], axis=-1).reshape(-1, 2)
             best = sorted(best + self._rank_pairs(structure, account, pairs, 1))[:3]
         return best[0][1:]
 
@@ -568,15 +566,6 @@ class LoopLog:
         regression = self.regress(structure.order, structure.first, stride)
         squares = regression.mean_squares_of_each(v, structure.lags)
         return sorted(zip(squares.tolist(), *pairs.T.tolist(), strict=True))
-
-
-def _shift_pair(
-    stick: float, jump: float, a: float, b: float, is_play: bool
-) -> tuple[float, float]:
-    """Return S (1 + a) and J + b S, within the limits of J / S; J = 0 if it is a play."""
-    if is_play:
-        return stick * (1 + a), 0.0
-    return stick * (1 + a), float(np.clip(jump + stick * b, 0.02 * stick, LARGEST * stick))
 
 
 class LoopFits(NamedTuple):
@@ -673,9 +662,10 @@ class LoopFits(NamedTuple):
         t = np.arange(3, u.size)
         moves = np.column_stack([e[t], e[t - 1], e[t - 2], u[t - 1] - u[t - 2]])
         c = np.linalg.lstsq(moves, u[t] - u[t - 1], rcond=None)[0]
-        z = np.exp(-2j * np.pi / self.log.period * np.linspace(0.85, 1.15, 13))
-        plants = self.regression.responses(v, self.structure.lags, z, oscillation)
-        controller = (c[0] + c[1] * z + c[2] * z**2) / ((1 - z) * (1 - c[3] * z))
+        angles = 2 * np.pi / self.log.period * np.linspace(0.85, 1.15, 13)
+        controller = freqz(c[:3], np.convolve([1.0, -1.0], [1.0, -c[3]]), angles)[1]
+        lags, z = self.structure.lags, np.exp(-1j * angles)
+        plants = self.regression.responses(v, lags, z, oscillation)
         return float(1 / max(np.abs(1 - controller * plants).min(), 1e-9))
 
 

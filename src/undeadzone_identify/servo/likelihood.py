@@ -109,13 +109,8 @@ def build_lane_numbers(
     """
     A, B, Q = discretise_servo(theta, step, lag)
     rows = np.zeros((len(theta), len(NUMBERS) + LATEST + 1))
-    for place, name in enumerate(PLANT):
-        letter = name[0]
-        at = name[1:]
-        if letter in "bf":  # of u, or of a torque
-            rows[:, place] = B[:, "zvdi".index(at[0]), "bf".index(letter)]
-        else:
-            rows[:, place] = (A if letter == "a" else Q)[:, int(at[0]), int(at[1])]
+    for place, (kind, row, column) in enumerate(PLANT):
+        rows[:, place] = {"a": A, "b": B, "q": Q}[kind][:, int(row), int(column)]
     quantum = max(quantum, FINEST)
     speed = theta[:, At.GAIN] ** 2 / np.exp(2 * theta[:, At.DAMPING])
     others = {
@@ -133,10 +128,7 @@ def build_lane_numbers(
     for name, value in others.items():
         rows[:, NUMBERS.index(name)] = value
     late = np.clip(theta[:, At.DELAY] - EARLIEST, 0.0, LATEST)
-    whole = np.minimum(late.astype(int), LATEST - 1)
-    each = np.arange(len(theta))
-    rows[each, len(NUMBERS) + whole] = 1 - (late - whole)
-    rows[each, len(NUMBERS) + whole + 1] = late - whole
+    rows[:, len(NUMBERS) :] = np.maximum(1 - np.abs(late[:, None] - np.arange(LATEST + 1)), 0.0)
     return rows
 
 

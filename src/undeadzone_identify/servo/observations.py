@@ -200,27 +200,25 @@ def build_observations(
     if at.size < FEWEST:
         return None
     spacing = common_spacing(np.unique(filled[ok]))
-    none = np.zeros(y.size, int)
-    log = Observations(
+    turning = float(np.mean(side[at[1:]] != side[at[:-1]]))
+    exact_enough = spacing > 0 or at.size < (1 - MOVING) * y.size
+    ticks = turning < TURNING and exact_enough
+    side = side * ticks
+    return Observations(
         step=step if USUAL[0] <= step <= USUAL[1] else math.sqrt(USUAL[0] * USUAL[1]),
         seconds=step,
         u=u / u_scale,
         y=filled,
         ok=ok,
         start=start,
-        ticks=True,
-        quantum=spacing,
-        side=none,
-        boundary=filled,
+        ticks=ticks,
+        quantum=spacing * ticks,
+        side=side,
+        boundary=filled - side * spacing / 2,
         u_scale=u_scale,
         y_scale=y_scale,
         loop=tick_loop_p_value(u, filled),
     )
-    turning = float(np.mean(side[at[1:]] != side[at[:-1]]))
-    exact_enough = spacing > 0 or at.size < (1 - MOVING) * y.size
-    if turning < TURNING and exact_enough:
-        return log._replace(side=side, boundary=filled - side * spacing / 2)
-    return log._replace(ticks=False, quantum=0.0)
 
 
 def change_sides(y: Floats, ok: Flags, start: Integers) -> Integers:

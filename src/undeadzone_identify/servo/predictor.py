@@ -42,7 +42,7 @@ SLOWEST = 1e-9  # rate after a tick against which the prediction moved
 
 PLANT = (
     *("a00", "a01", "a02", "a03", "a10", "a11", "a12", "a13", "a22", "a33"),
-    *("bz", "bv", "bi", "fz", "fv"),
+    *("b00", "b10", "b30", "b01", "b11"),
     *("q00", "q01", "q11", "q02", "q12", "q22"),
 )
 OTHERS = (
@@ -94,26 +94,26 @@ def step_motor(lane: Lane, x: list[Any], u: Any, torque: Any, contact: Any) -> _
         contact: share of the sample in which the gear pushes the load, with the sign of its way.
     """
     z, v, d, i = x
-    push = lane.a10 * z + lane.a12 * d + lane.a13 * i + lane.bv * u + lane.fv * torque
-    rolled = lane.a00 * z + lane.a01 * v + lane.a02 * d + lane.a03 * i + lane.bz * u
-    rolled = rolled + lane.fz * torque
+    push = lane.a10 * z + lane.a12 * d + lane.a13 * i + lane.b10 * u + lane.b11 * torque
+    rolled = lane.a00 * z + lane.a01 * v + lane.a02 * d + lane.a03 * i + lane.b00 * u
+    rolled = rolled + lane.b01 * torque
     sign = ca.if_else(v == 0, ca.sign(push), ca.sign(v))
     friction = lane.friction + lane.load * ca.fmax(sign * contact, 0.0)
     turned = lane.friction + lane.load * ca.fmax(-sign * contact, 0.0)  # once it turned
     rubs = lane.friction + lane.load > 0
-    ahead = lane.a11 * v + push - sign * ca.fabs(lane.fv) * friction
+    ahead = lane.a11 * v + push - sign * ca.fabs(lane.b11) * friction
     passes = ca.logic_and(ahead * sign < 0, rubs)
-    brake = ca.fabs(lane.fv) * ca.if_else(v == 0, friction, turned)
+    brake = ca.fabs(lane.b11) * ca.if_else(v == 0, friction, turned)
     stops = ca.logic_or(v == 0, passes)
     rests = ca.logic_and(rubs, ca.logic_and(stops, ca.fabs(push) <= brake))
     before = ca.fabs(v) / ca.fmax(ca.fabs(v) + ca.fabs(ahead), 1e-300)  # share until it stops
     drag = sign * ca.if_else(passes, before * friction - (1 - before) * turned, friction)
-    slid_z = rolled - ca.fabs(lane.fz) * drag
-    slid_v = lane.a11 * v + push - ca.fabs(lane.fv) * drag
+    slid_z = rolled - ca.fabs(lane.b01) * drag
+    slid_v = lane.a11 * v + push - ca.fabs(lane.b11) * drag
     stopped = z + 0.5 * before * v * lane.step * ca.if_else(v == 0, 0.0, 1.0)
     new_z = ca.if_else(rests, stopped, slid_z)
     new_v = ca.if_else(rests, 0.0, slid_v)
-    return _Motion([new_z, new_v, lane.a22 * d, lane.a33 * i + lane.bi * u], rests, brake)
+    return _Motion([new_z, new_v, lane.a22 * d, lane.a33 * i + lane.b30 * u], rests, brake)
 
 
 def contact_share(lane: Lane, z: Any, v: Any, level: Any) -> Any:
