@@ -277,9 +277,8 @@ def positions_of(log: Log, options: Options) -> tuple[Positions | None, bool]:
     there[np.cumsum(there) > MOST] = False
     if there.sum() < FEWEST:
         return None, False
-    with np.errstate(over="ignore", under="ignore"):  # squares must be numbers, and not 0
-        squares = np.ptp(u[there]) ** 2, np.ptp(y[there]) ** 2
-    if not np.finfo(float).tiny < min(squares) <= max(squares) < np.inf:
+    ranges = np.ptp(u[there]), np.ptp(y[there])
+    if not 1e-150 < min(ranges) <= max(ranges) < 1e150:  # squares must be numbers, and not 0
         return None, False
     steps = printed_step(u[there]), printed_step(y[there])
     return Positions(t[there], u[there], y[there], *steps, _has_goal(log)), is_summed

@@ -36,6 +36,7 @@ from undeadzone_identify.models.estimates import (
     student_quantile,
 )
 from undeadzone_identify.models.least_squares import regression_residual
+from undeadzone_identify.models.motion import round_to_quantum
 from undeadzone_identify.models.plant import mean_lag_products
 from undeadzone_identify.servo import predictor
 from undeadzone_identify.servo.crossings import GapCrossings, find_crossings
@@ -117,7 +118,7 @@ def _record_levels(
     """Return the log with simulated levels as read by its encoder, or with its noise."""
     if not log.ticks:
         return log._replace(y=level + math.exp(theta[At.NOISE]) * draw.standard_normal(level.size))
-    y = log.quantum * np.round(level / log.quantum) if log.quantum else level
+    y = round_to_quantum(level, log.quantum)
     side = change_sides(y, log.ok, log.start)
     return log._replace(y=y, side=side, boundary=y - side * log.quantum / 2)
 
@@ -247,8 +248,7 @@ class ServoGap(NamedTuple):
         half = float(one.theta[At.GAP]) / 2
         before = shift_rows(log.y, 1, log.start)
         readings = np.maximum(np.minimum(before, z + half), z - half)
-        if log.quantum:
-            readings = log.quantum * np.round(readings / log.quantum)
+        readings = round_to_quantum(readings, log.quantum)
         return z, readings, np.sign(readings - before).astype(int)
 
     def normalised_errors(self, one: Servo) -> Floats:

@@ -139,12 +139,11 @@ def _initial_servo(
     late: float,
 ) -> Servo:
     """Return a start point with the gain that suits its other parameters."""
-    theta = np.zeros(len(At))
+    theta = structure.disable_absent_parts(np.zeros(len(At)))
     theta[At.DAMPING] = math.log(rate)
     theta[At.GAIN] = 1.0
-    theta[At.POLE] = math.inf
-    theta[At.SPRING] = math.log(spring) if spring else -math.inf
-    theta[At.SLOW] = -math.inf
+    if spring:
+        theta[At.SPRING] = math.log(spring)
     theta[At.GAP] = max(MEMORY * log.quantum, 1e-6)
     theta[At.TORQUE] = math.log(TORQUES[0])
     theta[At.DELAY] = late
