@@ -242,16 +242,20 @@ class MotionFit:
 
     def _cost(self, at: Floats) -> float:
         """Return the sum of squared residuals at gap [u], delay [s] and time constant [s] (3)."""
-        return float(_sum_squares_by_start(self._residuals_at(at)).min())
+        e = self._best_start(at)[0]
+        return float(e @ e)
 
     @cache_latest
-    def _residuals_at(self, at: Floats) -> list[tuple[Floats, Floats]]:
-        """Return residual and position behind the gap (N x 1 each) from each of `STARTS`.
+    def _best_start(self, at: Floats) -> tuple[Floats, Floats, float]:
+        """Return residual and position behind the gap (N each), and where the record best begins.
 
         Args:
             at: gap [u], delay [s] and time constant [s] (3).
         """
-        return self.residuals(at[:1], at[1:])
+        found = self.residuals(at[:1], at[1:])
+        best = int(np.argmin(_sum_squares_by_start(found)))
+        e, behind = found[best]
+        return e[:, 0], behind[:, 0], STARTS[best]
 
     def _minimise(self, at: Floats, gap_is_free: bool) -> Floats:
         """Return gap, delay and time constant of least squares (3), none below 0.
@@ -270,7 +274,7 @@ class MotionFit:
             return moved
 
         found = least_squares(
-            lambda numbers: self._best_residual(place(numbers)),
+            lambda numbers: self._best_start(place(numbers))[0],
             at[free],
             lambda numbers: self._slopes(place(numbers), free),
             bounds=(0.0, np.inf),
@@ -280,10 +284,6 @@ class MotionFit:
         )
         return min(at, place(found.x), key=self._cost)
 
-    def _best_residual(self, at: Floats) -> Floats:
-        """Return the residual (N) from the best start, at gap, delay and time constant (3)."""
-        return self._residuals_at(at)[self._best_start(at)][0][:, 0]
-
     def _slopes(self, at: Floats, free: Integers) -> Floats:
         """Return the derivatives of the residual by free numbers (N x K).
 
@@ -291,16 +291,10 @@ class MotionFit:
             at: gap [u], delay [s] and time constant [s] (3).
             free: places of the free ones (K).
         """
-        start = self._best_start(at)
-        begun = STARTS[start : start + 1]
-        e = self._residuals_at(at)[start][0]
+        e, _, start = self._best_start(at)
         shifted = at + np.diag(self.differences)[free]
-        moved = [self.residuals(one[:1], one[1:], begun)[0][0] for one in shifted]
-        return (np.hstack(moved) - e) / self.differences[free]
-
-    def _best_start(self, at: Floats) -> int:
-        """Return the place in `STARTS` of the position at which the record best begins."""
-        return int(np.argmin(_sum_squares_by_start(self._residuals_at(at))))
+        moved = [self.residuals(one[:1], one[1:], [start])[0][0] for one in shifted]
+        return (np.hstack(moved) - e[:, None]) / self.differences[free]
 
     def _scan_lags(self) -> list[tuple[float, float]]:
         """Return the delays and time constants of the scan [s]."""
@@ -315,15 +309,14 @@ class MotionFit:
 
     def result(self, at: Floats) -> LostMotion:
         """Return the fit with a gap [u], and delay and time constant [s] (3)."""
-        start = self._best_start(at)
-        residual, behind = (column[:, 0] for column in self._residuals_at(at)[start])
+        residual, behind, start = self._best_start(at)
         gain, level = np.polyfit(behind, self.data.y, 1)
         structure = self.structure
         scale = HATS if structure.bent else 2
         # Scale, gap, variance, and perhaps delay and time constant.
         numbers = scale + 2 + structure.late + (structure.lags > 0)
         return LostMotion(
-            structure, *at.tolist(), STARTS[start], float(gain), float(level), residual, numbers
+            structure, *at.tolist(), start, float(gain), float(level), residual, numbers
         )
 
     # --- Uncertainty of the gap

@@ -168,8 +168,7 @@ def find_lost_motion(log: Log, options: Options) -> tuple[LostMotionAnswer | Non
     found = best_structure(data, straight)
     flat, curved = (best_structure(data, kinds, no_gap) for kinds in (straight, bent))
     if curved.bic() < found.bic():
-        bent_found = best_structure(data, bent)
-        found = bent_found if bent_found.bic() < curved.bic() else found
+        found = min(found, best_structure(data, bent), key=LostMotion.bic)
     white = _is_noise(data, found)
     others = [found]
     if not white and late and (alike or is_goal):

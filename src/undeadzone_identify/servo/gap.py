@@ -71,7 +71,7 @@ def _simulation_kernel() -> lanes.Kernel:
     state = ca.SX.sym("s", MEAN + 1)
     signals = ca.SX.sym("w", LATEST + 1 + 3)
     numbers = ca.SX.sym("p", len(NUMBERS) + LATEST + 1)
-    lane = predictor.Lane(numbers)
+    lane = predictor.build_lane(numbers)
     begun, starts, torque = ca.vertsplit(signals[LATEST + 1 :])
     acting = ca.dot(lane.taps, signals[: LATEST + 1])
     contact = predictor.contact_share(lane, state[0], state[1], state[MEAN])

@@ -26,6 +26,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -57,16 +58,10 @@ DEGREES = 6.0  # of freedom of an error
 WORST = -1e6  # log density of an error that is no number
 
 
-class Lane:
-    """Parameters of a lane by their names in `NUMBERS`, and the weights of its inputs."""
-
-    def __init__(self, numbers: Any) -> None:
-        self._named = {name: numbers[place] for place, name in enumerate(NUMBERS)}
-        self.taps = numbers[len(NUMBERS) :]
-
-    def __getattr__(self, name: str) -> Any:
-        """Return a parameter by name."""
-        return self._named[name]
+def build_lane(numbers: Any) -> Any:
+    """Return the parameters of a lane by name, and the weights of its inputs as `taps`."""
+    named = dict(zip(NUMBERS, ca.vertsplit(numbers[: len(NUMBERS)]), strict=True))
+    return SimpleNamespace(**named, taps=numbers[len(NUMBERS) :])
 
 
 class _Motion(NamedTuple):
@@ -83,7 +78,7 @@ class _Motion(NamedTuple):
     brake: Any
 
 
-def step_motor(lane: Lane, x: list[Any], u: Any, torque: Any, contact: Any) -> _Motion:
+def step_motor(lane: Any, x: list[Any], u: Any, torque: Any, contact: Any) -> _Motion:
     """Return the mean of the motor's state one sample later.
 
     Args:
@@ -116,7 +111,7 @@ def step_motor(lane: Lane, x: list[Any], u: Any, torque: Any, contact: Any) -> _
     return _Motion([new_z, new_v, lane.a22 * d, lane.a33 * i + lane.b30 * u], rests, brake)
 
 
-def contact_share(lane: Lane, z: Any, v: Any, level: Any) -> Any:
+def contact_share(lane: Any, z: Any, v: Any, level: Any) -> Any:
     """Return the share of a sample in which the gear pushes the load, with the motion's sign.
 
     Args:
@@ -133,12 +128,12 @@ def contact_share(lane: Lane, z: Any, v: Any, level: Any) -> Any:
     return ca.if_else(v == 0, resting, moving)
 
 
-def drag_load(lane: Lane, level: Any, z: Any) -> Any:
+def drag_load(lane: Any, level: Any, z: Any) -> Any:
     """Return the level of the load after the motor has dragged it."""
     return apply_backlash(ca, z, level, lane.gap / 2, lane.gap / 2)
 
 
-def _propagate_covariance(lane: Lane, P: Any, motion: _Motion) -> Any:
+def _propagate_covariance(lane: Any, P: Any, motion: _Motion) -> Any:
     """Return the covariance of z, v, d one sample later and the transition matrix."""
     rests = motion.rests
     deviation = ca.sqrt(ca.fmax(P[1, 1], 0.0))
@@ -168,7 +163,7 @@ def _upper_part(P: Any) -> Any:
     return ca.triu(ca.densify(P)).nz[:]
 
 
-def _initial_covariance(lane: Lane, variance: Any) -> Any:
+def _initial_covariance(lane: Any, variance: Any) -> Any:
     """Return the covariance of z, v, d at the start of a record."""
     return ca.diag(ca.vertcat(variance, lane.first_v, lane.first_d))
 
@@ -185,7 +180,7 @@ class _Before(NamedTuple):
         signals: of the sample beside the inputs.
     """
 
-    lane: Lane
+    lane: Any
     was: Any
     x: list[Any]
     P: Any
@@ -219,7 +214,7 @@ def _build_predictor(
     state = ca.SX.sym("s", MEAN + COVARIANCE + own)
     exogenous = ca.SX.sym("w", LATEST + 1 + signals)
     numbers = ca.SX.sym("p", len(NUMBERS) + LATEST + 1)
-    lane = Lane(numbers)
+    lane = build_lane(numbers)
     mean, upper, behind = ca.vertsplit(state, [0, MEAN, MEAN + COVARIANCE, state.numel()])
     acting = ca.dot(lane.taps, exogenous[: LATEST + 1])
     contact = contact_share(lane, mean[0], mean[1], behind[0])
