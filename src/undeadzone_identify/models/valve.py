@@ -366,11 +366,6 @@ def _density(name: str, e: Floats, numbers: int) -> Density:
     return build_gaussian_density(name, e, numbers, max(float(np.mean(e**2)), 1e-20))
 
 
-def _bic_of(e: Floats, numbers: int) -> float:
-    """Return the BIC of prediction errors (n), up to a constant."""
-    return e.size * math.log(np.mean(e**2)) + numbers * math.log(e.size)
-
-
 class LoopLog:
     """Scaled log of a control loop: u over its range, y over its standard deviation.
 
@@ -465,7 +460,7 @@ class LoopLog:
             lags = range(lag, lag + order + MORE)
             for v, others, numbers in sources:
                 e = regression.prediction_errors(v, lags, others)
-                costs.append((_bic_of(e, 2 * order + numbers), order))
+                costs.append((_density("", e, 2 * order + numbers).bic, order))
         order = min(costs)[1]
         return Structure(order, range(lag, lag + order + MORE), first, oscillation)
 
@@ -490,7 +485,8 @@ class LoopLog:
             waves = [f(k * phase) for k, f in itertools.product(HARMONICS, (np.sin, np.cos))]
             oscillation = np.column_stack(waves)
             for count in 2 * np.array(HARMONICS):
-                cost = _bic_of(beside.prediction_errors_beside(oscillation, count), count)
+                e = beside.prediction_errors_beside(oscillation, count)
+                cost = _density("", e, count).bic
                 best = min(best, (cost, oscillation[:, :count]), key=itemgetter(0))
         return best[1]
 
@@ -546,7 +542,9 @@ class LoopLog:
             width = 0.09 / 2.5**k
             stick, jump = np.array(best).T[1:, :, None]
             moved = jump + stick * width * b.ravel()
-            jumps = 0.0 * moved if is_play else np.clip(moved, 0.02 * stick, LARGEST * stick)
+            jumps = (
+                np.zeros_like(moved) if is_play else np.clip(moved, 0.02 * stick, LARGEST * stick)
+            )
             pairs = np.stack([stick * (1 + width * a.ravel()), jumps], axis=-1).reshape(-1, 2)
             best = sorted(best + self._rank_pairs(structure, account, pairs, 1))[:3]
         return best[0][1:]

@@ -333,9 +333,8 @@ def _compare_noisy_servo(case: Case, servo: ServoGap, found: Findings) -> Findin
     models = (*found.models, _servo_family(case, servo))
     odds = model_probabilities(models, impossible_words(case))
     best = best_model_of("play", models) is models[-1]["play"]
-    if not best or min(odds.get("play", 0.0), servo.gap_probability) <= LIKELY:
-        return found
-    if _depends_on_position(servo):
+    likely = min(odds.get("play", 0.0), servo.gap_probability) > LIKELY
+    if not (best and likely) or _depends_on_position(servo):
         return found
     if servo.is_gap_reported:
         return add_servo_element(case, servo, found)._replace(models=models, odds=odds)
@@ -543,13 +542,14 @@ def _servo_widths(
 ) -> dict[str, Interval | None]:
     """Return the play's widths [y]; an output offset widens its sides and its centre."""
     width, even = servo.gap, servo.gap.scale_by(0.5)
-    if centre is None:
-        return {"right": even, "left": even, "width": width, "centre": None}
     offset = math.inf if case.offset_prior is None else case.offset_prior * case.record_data.y_scale
-    centre = Interval.from_half_width(centre.value, math.hypot(centre.half_width, offset))
-    half = math.hypot(even.half_width, centre.half_width)
-    right = Interval.from_half_width(even.value + centre.value, half)
-    left = Interval.from_half_width(even.value - centre.value, half)
+    if centre is not None:
+        centre = Interval.from_half_width(centre.value, math.hypot(centre.half_width, offset))
+    around = centre or Interval(0.0, 0.0, 0.0)
+    half = math.hypot(even.half_width, around.half_width)
+    right, left = (
+        Interval.from_half_width(even.value + way * around.value, half) for way in (1, -1)
+    )
     return {"right": right, "left": left, "width": width, "centre": centre}
 
 
