@@ -69,7 +69,7 @@ def fit_free_load(data: Positions) -> FreeLoad | None:
     if spread <= 0:
         return None
     least = math.hypot(data.quantum, gain * data.input_quantum) / math.sqrt(12)
-    noise = max(_white_rms(y - gain * u), least, 1e-9 * spread)
+    noise = max(float(np.std(np.diff(y - gain * u, 3))) / math.sqrt(20), least, 1e-9 * spread)
 
     def cost(at: Floats) -> float:
         return -float(_log_density(y - at[1] * gain * u - at[2] * spread, at, spread).sum())
@@ -133,8 +133,3 @@ def _mean_of_visits(w: Floats, side: Floats) -> Floats:
     touching = np.flatnonzero(side)
     begun = np.flatnonzero(np.diff(side[touching], prepend=0))
     return np.add.reduceat(w[touching], begun) / np.diff(begun, append=touching.size)
-
-
-def _white_rms(w: Floats) -> float:
-    """Return the rms of white noise in a signal (N), by its third differences."""
-    return float(np.std(np.diff(w, 3)) / math.sqrt(20))

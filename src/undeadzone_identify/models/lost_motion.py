@@ -298,14 +298,12 @@ class MotionFit:
 
     def _scan_lags(self) -> list[tuple[float, float]]:
         """Return the delays and time constants of the scan [s]."""
-        delays = [0.0]
-        lags = [0.0]
-        if self.structure.late:
-            delays = list(np.linspace(0.0, LATEST, DELAYS) * self.step)
-        if self.structure.lags:
-            lags = list(np.geomspace(FASTEST, SLOWEST, RATES) * self.step)
-            delays = delays[::4]
-        return list(itertools.product(delays, lags))
+        late, lags = self.structure.late, self.structure.lags
+        delays = np.linspace(0.0, LATEST, DELAYS)[:: 4 if lags else 1] if late else [0.0]
+        constants = np.geomspace(FASTEST, SLOWEST, RATES) if lags else [0.0]
+        return list(
+            itertools.product(self.step * np.array(delays), self.step * np.array(constants))
+        )
 
     def result(self, at: Floats) -> LostMotion:
         """Return the fit with a gap [u], and delay and time constant [s] (3)."""

@@ -441,26 +441,24 @@ class LoopLog:
         positions = np.column_stack([self.u, valves])
         low_order = self.regress(4, first, stride)
         valve_numbers = 4 * (np.arange(positions.shape[1]) > 0)
-        candidates = []
-        for delay in range(1, latest):
-            lags = range(delay, delay + 3)
-            squares = low_order.mean_squares_of_each(positions, lags)
-            size = low_order.rows.size
-            cost = size * np.log(squares) + valve_numbers * math.log(size)
-            candidates.append((float(cost.min()), delay, int(np.argmin(cost))))
-        _, delay, best = min(candidates)
-        lag = max(1, delay - 1)
+        size = low_order.rows.size
+        every = [
+            low_order.mean_squares_of_each(positions, range(k, k + 3)) for k in range(1, latest)
+        ]
+        bic = size * np.log(every) + valve_numbers * math.log(size)
+        before, best = np.unravel_index(np.argmin(bic), bic.shape)  # samples less than the delay
+        lag = max(1, int(before))
         oscillation = self._find_oscillation(low_order, range(lag, lag + 4 + MORE))
-        sources: list[tuple[Floats, Floats | None, int]] = [(positions[:, best], None, 0)]
-        if oscillation is not None:
-            sources.append((self.u, oscillation, 1 + oscillation.shape[1]))
         costs = []
         for order in self.orders:
             regression = self.regress(order, first, stride)
             lags = range(lag, lag + order + MORE)
-            for v, others, numbers in sources:
-                e = regression.prediction_errors(v, lags, others)
-                costs.append((_density("", e, 2 * order + numbers).bic, order))
+            e = regression.prediction_errors(positions[:, best], lags)
+            costs.append((_density("", e, 2 * order).bic, order))
+            if oscillation is not None:
+                e = regression.prediction_errors(self.u, lags, oscillation)
+                numbers = 2 * order + 1 + oscillation.shape[1]
+                costs.append((_density("", e, numbers).bic, order))
         order = min(costs)[1]
         return Structure(order, range(lag, lag + order + MORE), first, oscillation)
 

@@ -14,11 +14,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from scipy.stats import median_abs_deviation
 
 from undeadzone.util.arrays import Floats, Integers
 from undeadzone_identify.servo.likelihood import At, Servo, ServoLikelihood
 from undeadzone_identify.servo.observations import (
-    NORMAL,
     REACH,
     Observations,
     reading_noise_rms,
@@ -67,9 +67,7 @@ class GapCrossings(NamedTuple):
     @property
     def gap_scatter(self) -> float:
         """Return the standard deviation of the gaps by their median deviation [y]."""
-        if not self.gap.size:
-            return math.nan
-        return float(NORMAL * np.median(np.abs(self.gap - self.median_gap)))
+        return float(median_abs_deviation(self.gap, scale="normal"))
 
     @property
     def median_error(self) -> float:

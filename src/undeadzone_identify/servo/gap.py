@@ -77,9 +77,9 @@ def _simulation_kernel() -> lanes.Kernel:
     contact = predictor.contact_share(lane, state[0], state[1], state[MEAN])
     pushed = lane.offset + torque
     x = predictor.step_motor(lane, ca.vertsplit(state[:MEAN]), acting, pushed, contact).x
-    x = [ca.if_else(starts, first, one) for first, one in zip([begun, 0, 0, 0], x, strict=True)]
+    x = ca.if_else(starts, ca.vertcat(begun, 0, 0, 0), ca.vertcat(*x))
     level = ca.if_else(starts, begun, predictor.drag_load(lane, state[MEAN], x[0]))
-    step = ca.Function("simulated", [state, signals, numbers], [ca.vertcat(*x, level), level])
+    step = ca.Function("simulated", [state, signals, numbers], [ca.vertcat(x, level), level])
     own = LATEST + 1 + 2
     return lanes.build_kernel(step, exogenous=[own], width=16, fused=True)
 

@@ -140,14 +140,9 @@ def _propagate_covariance(lane: Any, P: Any, motion: _Motion) -> Any:
     retained = ca.fmax(1 - motion.brake / ca.fmax(deviation, 1e-300), 0.0)
     retained = ca.if_else(deviation > 0, retained, 0.0)
     loose = ca.if_else(rests, ca.if_else(retained > 0, 1.0, 0.0), 1.0)
-    F = ca.SX.zeros(3, 3)
-    F[0, 0] = ca.if_else(rests, 1.0, lane.a00)
-    F[0, 1] = lane.a01 * loose
-    F[0, 2] = ca.if_else(rests, 0.0, lane.a02)
-    F[1, 0] = ca.if_else(rests, 0.0, lane.a10)
-    F[1, 1] = ca.if_else(rests, retained, lane.a11)
-    F[1, 2] = ca.if_else(rests, 0.0, lane.a12)
-    F[2, 2] = lane.a22
+    sliding = [[lane.a00, lane.a01, lane.a02], [lane.a10, lane.a11, lane.a12], [0, 0, lane.a22]]
+    resting = [[1, lane.a01 * loose, 0], [0, retained, 0], [0, 0, lane.a22]]
+    F = ca.if_else(rests, ca.blockcat(resting), ca.blockcat(sliding))
     own = [getattr(lane, name) for name in PLANT[-COVARIANCE:]]
     acts = ca.diag(ca.vertcat(loose, loose, 1))
     return F @ P @ F.T + acts @ _from_upper_part(ca.vertcat(*own)) @ acts, F
@@ -182,7 +177,7 @@ class _Before(NamedTuple):
 
     lane: Any
     was: Any
-    x: list[Any]
+    x: Any
     P: Any
     F: Any
     signals: list[Any]
@@ -221,7 +216,7 @@ def _build_predictor(
     motion = step_motor(lane, ca.vertsplit(mean), acting, lane.offset, contact)
     P, F = _propagate_covariance(lane, _from_upper_part(upper), motion)
     *rest, counts = ca.vertsplit(exogenous[LATEST + 1 :])
-    after, seen = update(_Before(lane, state, motion.x, P, F, rest))
+    after, seen = update(_Before(lane, state, ca.vertcat(*motion.x), P, F, rest))
     seen = seen if what == "all" else seen[:2]
     if what == "sums":
         total = ca.SX.sym("total")
@@ -254,7 +249,7 @@ def _hear_tick(before: _Before) -> tuple[Any, Any]:
     """Return the state after a sample with a tick or without, and `SEEN`."""
     lane, was, moved, P = before[:4]
     side, boundary, turns, first, starts = before.signals
-    x = [ca.if_else(starts, 0.0, one) for one in moved]
+    x = ca.if_else(starts, 0.0, moved)
     P = ca.if_else(starts, _initial_covariance(lane, 0.0), P)
     swept = ca.fmin(ca.fabs(x[1]) * lane.step, lane.quantum)
     swept = ca.fmax(swept, SURE * lane.quantum)
@@ -269,7 +264,7 @@ def _hear_tick(before: _Before) -> tuple[Any, Any]:
     error = at - x[0]
     seen = ca.vertcat(error, 0.5 * ca.log(S), x[0], x[1])
     gain = ca.if_else(side != 0, P[:, 0] / S, 0.0)
-    updated = [x[k] + gain[k] * error for k in range(3)]
+    updated = x[:3] + gain * error
     left = ca.if_else(side != 0, R / S, 1.0)
     along = left * P[:, 0]
     P = P - gain @ P[0, :]
@@ -281,7 +276,7 @@ def _hear_tick(before: _Before) -> tuple[Any, Any]:
     dragged = drag_load(lane, was[-1], updated[0])
     level = ca.if_else(side != 0, updated[0] - side * lane.gap / 2, dragged)
     level = ca.if_else(starts, 0.0, level)
-    return ca.vertcat(*updated, x[3], _upper_part(P), level), seen
+    return ca.vertcat(updated, x[3], _upper_part(P), level), seen
 
 
 @cache
@@ -307,15 +302,14 @@ def _hear_reading(before: _Before) -> tuple[Any, Any]:
     with_level = F @ ca.vertcat(*of_level[:3])
     own = of_level[3]
     R = lane.rms**2
-    at_start = [reading, 0.0, 0.0, 0.0]
-    x = [ca.if_else(starts, begun, one) for begun, one in zip(at_start, moved, strict=True)]
+    x = ca.if_else(starts, ca.vertcat(reading, 0.0, 0.0, 0.0), moved)
     P = ca.if_else(starts, _initial_covariance(lane, lane.gap**2 / 12 + R), P)
     level = ca.if_else(starts, reading, level)
     own = ca.if_else(starts, R, own)
     with_level = ca.if_else(starts, ca.vertcat(R, 0.0, 0.0), with_level)
     apart = ca.fmax(P[0, 0] - 2 * with_level[0] + own, 1e-300)
     mean, slope, rest = dead_zone_moments(x[0] - level, apart, lane.gap / 2)
-    slope, rest, mean = (ca.if_else(starts, 0.0, one) for one in (slope, rest, mean))
+    slope, rest, mean = ca.vertsplit(ca.if_else(starts, 0.0, ca.vertcat(slope, rest, mean)))
     level = level + mean
     own = (1 - slope) ** 2 * own + 2 * slope * (1 - slope) * with_level[0]
     own = own + slope**2 * P[0, 0] + rest
@@ -326,12 +320,12 @@ def _hear_reading(before: _Before) -> tuple[Any, Any]:
     seen = ca.vertcat(error, 0.5 * ca.log(S), x[0], x[1])
     gain = ca.if_else(is_read, with_level / S, ca.SX.zeros(3))
     gain_own = ca.if_else(is_read, own / S, 0.0)
-    after = [x[k] + gain[k] * error for k in range(3)]
+    after = x[:3] + gain * error
     P = P - gain @ with_level.T
     with_level = with_level - gain * own
     level = level + gain_own * error
     own = own - gain_own * own
-    return ca.vertcat(*after, x[3], _upper_part(P), level, with_level, own), seen
+    return ca.vertcat(after, x[3], _upper_part(P), level, with_level, own), seen
 
 
 def dead_zone_moments(mean: Any, variance: Any, half: Any) -> tuple[Any, Any, Any]:

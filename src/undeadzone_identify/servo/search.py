@@ -243,10 +243,11 @@ def exchange_gap_and_friction(one: Servo) -> list[Servo]:
     to_level = math.exp(one.theta[At.SPRING]) / (2 * abs(float(one.theta[At.GAIN])) + 1e-300)
     found = []
     for share in EXCHANGED:
+        theta = RUBBING.disable_absent_parts(one.theta)
         moved = share * gap if share > 0 else share * friction / to_level
-        more = one.replace_number(At.FRICTION, friction + to_level * moved)
-        more = more.replace_number(At.GAP, gap - moved)
-        found.append(Servo(RUBBING, RUBBING.disable_absent_parts(more.theta), -math.inf))
+        theta[At.FRICTION] += to_level * moved
+        theta[At.GAP] -= moved
+        found.append(Servo(RUBBING, theta, -math.inf))
     return found
 
 
@@ -263,11 +264,12 @@ def _exchange_pole(theta: Floats, step: float) -> Floats:
 
 def _part_start_values(name: str, one: Servo, step: float) -> list[float]:
     """Return the start values of an added part."""
-    if name in ("friction", "load"):
-        return [0.003, 0.02, 0.1]
-    if name == "spring":
-        rate = 2 * one.theta[At.DAMPING]
-        return [rate + math.log(share) for share in (1e-3, *SPRINGS)]
-    if name == "pole":
-        return [math.log(rate / step) for rate in (0.1, 0.3, 0.8)]
-    return [math.log(0.03), math.log(0.2)]
+    rubs, rate = [0.003, 0.02, 0.1], 2 * one.theta[At.DAMPING]
+    values = {
+        "friction": rubs,
+        "load": rubs,
+        "spring": rate + np.log([1e-3, *SPRINGS]),
+        "pole": np.log(np.array([0.1, 0.3, 0.8]) / step),
+        "slow": np.log([0.03, 0.2]),
+    }
+    return list(values[name])
