@@ -195,14 +195,12 @@ def find_lost_motion(log: Log, options: Options) -> tuple[LostMotionAnswer | Non
             word: min(one, free.rivals.get(word, one), key=attrgetter("bic"))
             for word, one in family.items()
         }
-        if family["play"] is free.rivals["play"]:
-            found, gap = free.found, free.gap
-        else:
-            free = None
+        free = free if family["play"] is free.rivals["play"] else None
+    if free is not None:
+        found, gap, white = free.found, free.gap, True  # its motion in the gap is its own
     odds = model_probabilities([family])
     explained = 1 - found.rms**2 / max(float(np.var(data.y)), 1e-300)
     small = found.rms < SMALL * abs(found.gain) * found.gap
-    white = white or free is not None  # whose motion in the gap is its own
     fits = explained > SHARE and (white or small)
     reversals = int(reversal_blocks(data.u, found.gap)[-1])
     if reversals < TURNS:

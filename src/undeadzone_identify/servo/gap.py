@@ -100,9 +100,7 @@ def simulate_servo_logs(log: Observations, servo: Servo) -> list[Observations]:
     decay = math.exp(-log.step / SLOW_TIME)
     white = math.sqrt(1 - decay * decay) * draw.standard_normal((size, RUNS))
     torque += math.exp(theta[At.SLOW]) * lfilter([1.0], [1.0, -decay], white, axis=0)
-    rows = build_lane_numbers(
-        theta[None], log.step, log.quantum, log.ticks, False, servo.structure.lag
-    )
+    rows = build_lane_numbers(theta[None], log, False, servo.structure.lag)
     signals = np.column_stack([log.kernel_inputs(log.ok)[:, : LATEST + 1], np.zeros((size, 3))])
     signals[log.start, LATEST + 1] = log.y[log.start]
     signals[log.start, LATEST + 2] = 1.0

@@ -94,31 +94,28 @@ def discretise_servo(
     return E[:, :4, :4], E[:, :4, 4:6], Q
 
 
-def build_lane_numbers(
-    theta: Floats, step: float, quantum: float, ticks: bool, free: bool, lag: bool | Flags
-) -> Floats:
+def build_lane_numbers(theta: Floats, log: Observations, free: bool, lag: bool | Flags) -> Floats:
     """Build the parameters of the predictor's lanes (L x numbers).
 
     Args:
         theta: by `At` (L x P).
-        step: sample time [s].
-        quantum: of the readings, scaled.
-        ticks: whether the readings are ticks; else they are noisy.
+        log: as the predictor hears it.
         free: whether z is forgotten at reversals.
         lag: whether the plant is of first order; of all, or of each (L).
     """
+    step = log.step
     A, B, Q = discretise_servo(theta, step, lag)
     rows = np.zeros((len(theta), len(NUMBERS) + LATEST + 1))
     for place, (kind, row, column) in enumerate(PLANT):
         rows[:, place] = {"a": A, "b": B, "q": Q}[kind][:, int(row), int(column)]
-    quantum = max(quantum, FINEST)
+    quantum = max(log.quantum, FINEST)
     speed = theta[:, At.GAIN] ** 2 / np.exp(2 * theta[:, At.DAMPING])
     others = {
         "friction": theta[:, At.FRICTION],
         "load": theta[:, At.LOAD],
         "offset": theta[:, At.OFFSET],
         "gap": theta[:, At.GAP],
-        "rms": SURE * quantum if ticks else np.exp(theta[:, At.NOISE]),
+        "rms": SURE * quantum if log.ticks else np.exp(theta[:, At.NOISE]),
         "quantum": quantum,
         "step": step,
         "first_v": AT_FIRST**2 * speed,
@@ -243,13 +240,12 @@ class ServoLikelihood:
         self, kernel: lanes.Kernel, theta: Floats, lag: bool | Flags
     ) -> tuple[Floats, Floats]:
         """Run a kernel; return its outputs and final states."""
-        log = self.log
-        rows = build_lane_numbers(theta, log.step, log.quantum, log.ticks, self.free, lag)
+        rows = build_lane_numbers(theta, self.log, self.free, lag)
         return run_lanes_along(kernel, self.signals, rows)
 
     def log_likelihood_values(self, theta: Floats, lag: bool | Flags) -> Floats:
         """Return the log likelihoods of several parameter sets (L)."""
-        return self._run_kernel(self.kernel("sums"), theta, lag)[1][:, -1]
+        return self._run_kernel(self.kernel(True), theta, lag)[1][:, -1]
 
     def error_slopes(
         self, points: Floats, free: Sequence[Integers], lag: Sequence[bool] | Flags
@@ -260,12 +256,10 @@ class ServoLikelihood:
         moves = [step_sizes(*one)[0] for one in zip(points, free, strict=True)]
         rows = [perturb_each(*one) for one in zip(points, free, moves, strict=True)]
         counts = [len(one) for one in rows]
-        seen, _ = self._run_kernel(
-            self.kernel("errors"), np.concatenate(rows), np.repeat(lag, counts)
-        )
+        seen, _ = self._run_kernel(self.kernel(), np.concatenate(rows), np.repeat(lag, counts))
         found = []
         for steps, own in zip(moves, np.split(seen, np.cumsum(counts)[:-1]), strict=True):
-            used = own.take(self.used, axis=1)
+            used = own.take(self.used, axis=1)[..., :2]
             e, log_s = np.ascontiguousarray(used[0].T)
             slope = central_differences(used[1:], steps)
             de, dlog = np.ascontiguousarray(slope.transpose(2, 1, 0))

@@ -196,15 +196,15 @@ def student_log_density(error: Any, log_s: Any) -> Any:
 
 
 def _build_predictor(
-    update: Callable[[_Before], tuple[Any, Any]], own: int, signals: int, what: str
+    update: Callable[[_Before], tuple[Any, Any]], own: int, signals: int, sums: bool
 ) -> lanes.Kernel:
-    """Build a kernel that outputs all of `SEEN`, errors, or the sum of their log densities.
+    """Build a kernel that outputs all of `SEEN`, or the sum of the errors' log densities.
 
     Args:
         update: it returns the state after a reading, and `SEEN`.
         own: numbers of the state besides mean and covariance, the level of the load first.
         signals: beside the inputs; the last one is whether the error counts.
-        what: it tells.
+        sums: whether log densities of errors are added up, and nothing is recorded.
     """
     state = ca.SX.sym("s", MEAN + COVARIANCE + own)
     exogenous = ca.SX.sym("w", LATEST + 1 + signals)
@@ -217,8 +217,7 @@ def _build_predictor(
     P, F = _propagate_covariance(lane, _from_upper_part(upper), motion)
     *rest, counts = ca.vertsplit(exogenous[LATEST + 1 :])
     after, seen = update(_Before(lane, state, ca.vertcat(*motion.x), P, F, rest))
-    seen = seen if what == "all" else seen[:2]
-    if what == "sums":
+    if sums:
         total = ca.SX.sym("total")
         gained = ca.if_else(counts != 0, student_log_density(seen[0], seen[1]), 0.0)
         state, after = ca.vertcat(state, total), ca.vertcat(after, total + gained)
@@ -228,12 +227,12 @@ def _build_predictor(
 
 
 @cache
-def tick_predictor(what: str = "all") -> lanes.Kernel:
+def tick_predictor(sums: bool = False) -> lanes.Kernel:
     """Build the predictor of ticks.
 
     Args:
-        what: it tells: all of `SEEN`, errors (the first two), or sums: log densities are added
-            up in the last state, and nothing is recorded.
+        sums: whether log densities of errors are added up in the last state, and nothing is
+            recorded; else all of `SEEN` is.
 
     Returns:
         A kernel whose inputs are u(t), u(t - 1), ..., the side of a tick or 0, its boundary,
@@ -242,7 +241,7 @@ def tick_predictor(what: str = "all") -> lanes.Kernel:
         Errors are of ticks alone; a free one forgets z at a reversal, so that nothing is known of
         the gap.
     """
-    return _build_predictor(_hear_tick, 1, 6, what)
+    return _build_predictor(_hear_tick, 1, 6, sums)
 
 
 def _hear_tick(before: _Before) -> tuple[Any, Any]:
@@ -280,19 +279,19 @@ def _hear_tick(before: _Before) -> tuple[Any, Any]:
 
 
 @cache
-def noise_predictor(what: str = "all") -> lanes.Kernel:
+def noise_predictor(sums: bool = False) -> lanes.Kernel:
     """Build the predictor of noisy readings.
 
     Args:
-        what: it tells: all of `SEEN`, errors (the first two), or sums: log densities are added
-            up in the last state, and nothing is recorded.
+        sums: whether log densities of errors are added up in the last state, and nothing is
+            recorded; else all of `SEEN` is.
 
     Returns:
         A kernel whose inputs are u(t), u(t - 1), ..., the reading, whether there is one, whether a
         record starts, and whether its error counts; whose lanes differ in `NUMBERS` and in how
         late the input acts.
     """
-    return _build_predictor(_hear_reading, 5, 4, what)
+    return _build_predictor(_hear_reading, 5, 4, sums)
 
 
 def _hear_reading(before: _Before) -> tuple[Any, Any]:
