@@ -57,7 +57,7 @@ def ask(log: MotionLog) -> Outcome:
         return Outcome(word, is_sure, None, np.nan, None, seconds)
     answer, parts = found.answer, found.answer.parts
     fit = MotionFit(answer.data, answer.found.structure)
-    white = NORMAL * answer.found.rms / np.sqrt(fit.information(answer.found))
+    white = NORMAL * answer.found.rms / np.linalg.norm(fit.gap_slope(answer.found))
     half, covered = (
         answer.gap.half_width / max(white, 1e-300),
         answer.gap.low <= log.lost <= answer.gap.high,

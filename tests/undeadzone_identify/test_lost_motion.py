@@ -36,7 +36,6 @@ from undeadzone_identify.models.lost_motion import (
     MotionFit,
     Positions,
     Structure,
-    _crossing,
     lag_signal,
     reversal_blocks,
 )
@@ -156,7 +155,7 @@ def test_the_profile_is_that_of_a_closer_scan() -> None:
     found = fit.fit()
     gaps = np.linspace(0.15, 0.25, 21)
     least = min(float(fit.squares(gaps, late, 0.0).min()) for late in np.linspace(0, 0.1, 21))
-    assert found.squares <= least
+    assert found.squares <= least + 1e-20
     assert found.gap == pytest.approx(0.2, abs=1e-3)
     assert found.delay == pytest.approx(0.03, abs=2e-3)
     assert found.gain == pytest.approx(2, abs=2e-3)
@@ -245,13 +244,6 @@ def test_every_kind_of_the_benchmark_names_its_columns_by_titles(tmp_path: Path)
         write_table(log, tmp_path / "log.csv")
         named = "y=q,u=torque" if "q [rad]" in log.columns else None
         assert read_log(tmp_path / "log.csv", named).y.shape[1] == 1
-
-
-@pytest.mark.parametrize(("side", "expected"), [(1, 2.75), (-1, 1.0 - 0.4)])
-def test_a_profile_is_interpolated_where_it_passes_its_limit(side: int, expected: float) -> None:
-    gaps = np.array([0.0, 1.0, 2.0, 3.0])
-    costs = np.array([4.0, 1.5, 1.0, 3.0])
-    assert _crossing(gaps, costs, 2.5, side) == pytest.approx(expected)
 
 
 def test_without_a_gap_a_chain_ends_with_no_and_writes_no_code(

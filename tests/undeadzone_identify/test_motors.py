@@ -113,12 +113,12 @@ def test_a_shaft_that_bends_has_no_flanks(stiffness: float) -> None:
     noise = NOISE * rng.standard_normal((2, len(angles)))
     t, load = STEP * np.arange(len(angles)), shaft(angles[:, 0], stiffness)
     free = fit_free_load(Positions(t, angles[:, 0] + noise[0], load + noise[1]))
-    assert free is None or free.linear.bic < free.density.bic
+    assert free is None or free.rivals["none"].bic < free.rivals["play"].bic
     motor = random_motor(103, with_gap=True)
     _, angles = record_both(motor, 103)
     free = fit_free_load(Positions(t, *angles.T))
     assert free is not None
-    assert free.density.bic < free.linear.bic
+    assert free.rivals["play"].bic < free.rivals["none"].bic
 
 
 def test_a_torque_and_a_position_are_a_motor_by_their_names() -> None:

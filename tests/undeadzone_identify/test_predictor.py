@@ -11,10 +11,10 @@ import pytest
 
 from undeadzone.compile import lanes
 from undeadzone_identify.servo.predictor import (
+    COVARIANCE,
     LATEST,
     MEAN,
     NUMBERS,
-    TRIANGLE,
     contact_share,
     step_motor,
     tick_predictor,
@@ -41,9 +41,9 @@ def test_a_gear_pushes_from_the_edge_of_the_gap_on(z: float, v: float, share: fl
 
 def test_a_motor_without_friction_is_a_linear_system() -> None:
     """Each number of its matrices acts on its own state."""
-    matrix = {"a00": 0.9, "a01": 0.1, "a02": 0.02, "a03": 0.03, "bz": 0.04, "fz": 0.05}
-    matrix |= {"a10": -0.7, "a11": 0.8, "a12": 0.12, "a13": 0.13, "bv": 0.14, "fv": 0.15}
-    rest = {"a22": 0.95, "a33": 0.6, "bi": 0.4, "friction": 0.0, "load": 0.0, "step": 0.1}
+    matrix = {"a00": 0.9, "a01": 0.1, "a02": 0.02, "a03": 0.03, "b00": 0.04, "b01": 0.05}
+    matrix |= {"a10": -0.7, "a11": 0.8, "a12": 0.12, "a13": 0.13, "b10": 0.14, "b11": 0.15}
+    rest = {"a22": 0.95, "a33": 0.6, "b30": 0.4, "friction": 0.0, "load": 0.0, "step": 0.1}
     lane: Any = SimpleNamespace(**matrix, **rest)
     z, v, d, i, u, torque = 2.0, 3.0, 5.0, 7.0, 11.0, 13.0
     motion = step_motor(lane, [ca.DM(one) for one in (z, v, d, i)], u, torque, 0.0)
@@ -62,12 +62,12 @@ def test_a_tick_past_a_peak_was_at_the_peak(v: float, fallen: float) -> None:
     """A motor brakes by 5 in a sample of 0.1 s: from 3 it turns and falls by 2^2 / (2 * 50)."""
     braking, step, quantum, boundary = 50.0, 0.1, 1e-3, 0.5
     numbers = dict.fromkeys(NUMBERS, 0.0) | {
-        **{"a00": 1.0, "a01": step, "a11": 1.0, "bz": -(step**2) / 2, "bv": -step},
+        **{"a00": 1.0, "a01": step, "a11": 1.0, "b00": -(step**2) / 2, "b10": -step},
         **{"quantum": quantum, "step": step, "rms": 0.002},
     }
     taps, inputs = np.eye(LATEST + 1)[0], np.full(LATEST + 1, braking)
     params = np.concatenate([[numbers[name] for name in NUMBERS], taps])
-    state = np.zeros(MEAN + len(TRIANGLE) + 1)
+    state = np.zeros(MEAN + COVARIANCE + 1)
     state[1] = v
     tick = [1.0, boundary, 0.0, 0.0, 0.0, 1.0]  # side, boundary; no reversal, not the first
     signals = np.concatenate([inputs, tick])[None]

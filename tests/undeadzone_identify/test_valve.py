@@ -302,7 +302,8 @@ def test_a_valve_is_worth_what_it_foretells_of_held_out_readings(
         log=SimpleNamespace(deviation=5.0, u=draw.normal(size=size)),
     )
     case: Any = SimpleNamespace(recorded=None, options=SimpleNamespace(held_out=0.25))
-    score, without = selection._score(case, fits, position, slice(None))
+    score = selection._score(case, fits, position, slice(None))
+    without = selection._score(case, fits, fits.log.u, slice(None)).error
     assert score.error == pytest.approx(5.0, rel=0.05)
     assert score.share == pytest.approx(1 - np.sqrt(0.1), abs=0.03)
     assert score.white

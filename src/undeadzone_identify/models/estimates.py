@@ -136,7 +136,7 @@ def _maximise_from(target: Target, theta: Floats, steps: int, gain: float) -> Ma
     small_gains = 0
     for _ in range(steps):
         current, score, hessian = model
-        step = _damped_newton_step(score, hessian, damping)
+        step = damped_newton_step(score, hessian, damping)
         trial = best.copy()
         trial[target.free] += np.clip(step, -target.longest, target.longest)
         trial = target.project_to_bounds(trial)
@@ -156,7 +156,7 @@ def _maximise_from(target: Target, theta: Floats, steps: int, gain: float) -> Ma
     return Maximum(best, model[0])
 
 
-def _damped_newton_step(score: Floats, hessian: Floats, damping: float) -> Floats:
+def damped_newton_step(score: Floats, hessian: Floats, damping: float) -> Floats:
     """Return the damped Newton step (F), in units of the Hessian's diagonal.
 
     It is a gradient step if the damped Hessian is singular, and 0 if it is not finite.

@@ -15,12 +15,18 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize
-from scipy.special import ndtr
+from scipy.special import expit, ndtr
 
 from undeadzone.util.arrays import Floats
 from undeadzone_identify.models.estimates import Interval
-from undeadzone_identify.models.least_squares import Density, build_gaussian_density
-from undeadzone_identify.models.lost_motion import LostMotion, Positions, Structure
+from undeadzone_identify.models.least_squares import Density
+from undeadzone_identify.models.lost_motion import (
+    LostMotion,
+    Positions,
+    Structure,
+    fit_plant,
+    motion_density,
+)
 
 LAGS = 12  # lags and leads of u in the regression of a linear plant [samples]
 NUMBERS = 6  # fitted parameters: c, R, b, the noise, the share of contact, and the variance of none
@@ -36,21 +42,15 @@ class FreeLoad(NamedTuple):
     Attributes:
         found: gap, gain and level; its residual is the part of w beyond the flanks.
         gap: c with its 95 % interval [u].
-        density: log densities of the readings.
-        linear: density of the readings under a linear plant between both positions.
+        rivals: log densities of the readings, and those under a linear plant between both
+            positions, by the class of the verdict.
         contact: share of the samples at a flank.
     """
 
     found: LostMotion
     gap: Interval
-    density: Density
-    linear: Density
+    rivals: dict[str, Density]
     contact: float
-
-    @property
-    def rivals(self) -> dict[str, Density]:
-        """Return the densities of both models by the class of their verdict."""
-        return {"play": self.density, "none": self.linear}
 
 
 def fit_free_load(data: Positions) -> FreeLoad | None:
@@ -69,7 +69,7 @@ def fit_free_load(data: Positions) -> FreeLoad | None:
     if spread <= 0:
         return None
     least = math.hypot(data.quantum, gain * data.input_quantum) / math.sqrt(12)
-    noise = max(_white_rms(y - gain * u), least, 1e-9 * spread)
+    noise = max(float(np.std(np.diff(y - gain * u, 3))) / math.sqrt(20), least, 1e-9 * spread)
 
     def cost(at: Floats) -> float:
         return -float(_log_density(y - at[1] * gain * u - at[2] * spread, at, spread).sum())
@@ -84,25 +84,26 @@ def fit_free_load(data: Positions) -> FreeLoad | None:
     s = math.exp(float(at[3])) * spread
     w = y - gain * u - level
     value = _log_density(w, at, spread)
-    visits = _visits(w, width)
-    if min(len(visits[0]), len(visits[1])) < VISITS or width < APART * s:
+    side = np.sign(w) * (np.abs(w) > (1 - CLOSE) * width / 2)
+    means = _mean_of_visits(w, side)
+    visits = [means[means < 0], means[means > 0]]
+    if min(one.size for one in visits) < VISITS or width < APART * s:
         return None
-    means = [np.array(positions) for positions in visits]
-    scatter = math.sqrt(sum(float(positions.var(ddof=1)) / positions.size for positions in means))
+    scatter = math.sqrt(sum(float(one.var(ddof=1)) / one.size for one in visits))
     compliance = math.sqrt(max(s**2 - noise**2, 0.0))  # flanks yield under load
     rounding = math.hypot(data.quantum, gain * data.input_quantum)
     margin = math.hypot(2 * scatter, rounding)
-    low = width - margin - 2 * compliance
-    high = width + margin + compliance
     beyond = w - np.clip(w, -width / 2, width / 2)
-    size = abs(gain)
-    gap = Interval(width / size, max(low, 0.0) / size, high / size)
+    low = max(width - margin - 2 * compliance, 0.0)
+    gap = Interval(width, low, width + margin + compliance).scale_by(1 / abs(gain))
     offset = float(data.y.mean()) - gain * float(data.u.mean()) + level
     found = LostMotion(Structure(), gap.value, 0.0, 0.0, 0.0, gain, offset, beyond, NUMBERS)
-    share = float(np.mean(np.abs(w) > (1 - CLOSE) * width / 2))
-    return FreeLoad(
-        found, gap, Density("play", value, NUMBERS, s), _linear_density(u, y, least), share
-    )
+    linear = fit_plant(data, found, range(-LAGS, LAGS + 1))
+    rivals = {
+        "play": Density("play", value, NUMBERS, s),
+        "none": motion_density("none", linear, least),
+    }
+    return FreeLoad(found, gap, rivals, float(np.mean(side != 0)))
 
 
 def _log_density(w: Floats, at: Floats, scale: float) -> Floats:
@@ -115,50 +116,20 @@ def _log_density(w: Floats, at: Floats, scale: float) -> Floats:
     """
     half = abs(at[0]) * scale / 2
     s = math.exp(at[3]) * scale
-    contact = 1 / (1 + math.exp(-at[4]))
-    right = (w - half) / s
-    left = (w + half) / s
-    flank = (np.exp(-0.5 * right**2) + np.exp(-0.5 * left**2)) / (2 * s * math.sqrt(2 * math.pi))
-    between = (ndtr(left) - ndtr(right)) / max(2 * half, 1e-3 * s)
+    contact = expit(at[4])
+    sides = (w + half * np.array([[-1.0], [1.0]])) / s
+    flank = np.exp(-0.5 * sides**2).mean(axis=0) / (s * math.sqrt(2 * math.pi))
+    between = np.diff(ndtr(sides), axis=0)[0] / max(2 * half, 1e-3 * s)
     return np.asarray(np.log(contact * flank + (1 - contact) * between + 1e-300))
 
 
-def _visits(w: Floats, width: float) -> tuple[list[float], list[float]]:
-    """Return the mean of w at each visit of the left flank, and of the right flank [y].
+def _mean_of_visits(w: Floats, side: Floats) -> Floats:
+    """Return the mean of w at each visit of a flank [y].
 
     Args:
         w: position of the load in its gap (N) [y].
-        width: width of the gap [y].
+        side: -1 at the left flank, +1 at the right one, 0 between them (N).
     """
-    side = np.where(w > (1 - CLOSE) * width / 2, 1, np.where(w < (CLOSE - 1) * width / 2, -1, 0))
     touching = np.flatnonzero(side)
-    if not touching.size:
-        return [], []
-    visits = np.split(touching, 1 + np.flatnonzero(np.diff(side[touching])))
-    left, right = (
-        [float(w[visit].mean()) for visit in visits if side[visit[0]] == flank] for flank in (-1, 1)
-    )
-    return left, right
-
-
-def _linear_density(u: Floats, y: Floats, rounding_rms: float) -> Density:
-    """Return the log densities of y under a linear plant between both positions.
-
-    y is regressed on a constant and on lags and leads of u, as either position may lag the other.
-
-    Args:
-        u: position ahead of the gap (N) [u].
-        y: position of the load (N) [y].
-        rounding_rms: rms of the rounding error, below which no residual variance is credible [y].
-    """
-    padded = np.pad(u, LAGS, mode="edge")
-    regressors = np.lib.stride_tricks.sliding_window_view(padded, 2 * LAGS + 1)
-    regressors = np.column_stack([regressors, np.ones(y.size)])
-    residual = y - regressors @ np.linalg.lstsq(regressors, y, rcond=1e-10)[0]
-    variance = float(np.mean(residual**2)) + rounding_rms**2
-    return build_gaussian_density("none", residual, regressors.shape[1] + 1, variance)
-
-
-def _white_rms(w: Floats) -> float:
-    """Return the rms of white noise in a signal (N), by its third differences."""
-    return float(np.std(np.diff(w, 3)) / math.sqrt(20))
+    begun = np.flatnonzero(np.diff(side[touching], prepend=0))
+    return np.add.reduceat(w[touching], begun) / np.diff(begun, append=touching.size)

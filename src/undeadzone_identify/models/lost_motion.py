@@ -19,7 +19,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import lfilter
+from scipy.linalg import solve_banded
+from scipy.optimize import brentq, least_squares, minimize_scalar
 from scipy.stats import chi2
 
 from undeadzone.nonlinearities.play import level_limits, levels
@@ -40,13 +41,11 @@ FEWEST_LATE = 200  # least number of samples for which a delay is fitted
 STARTS = (-1.0, 0.0, 1.0)  # positions in the gap at which a record may begin [half widths]
 KEPT = 3  # best points of a scan, from which least squares start
 FINEST = 1e-6  # resolution of a gap [range of u]
-FINE = 13  # points of each refinement of the scan
 CLIMBED = 25  # steps of least squares
 HELD = 0.5  # share of samples without a change of u, above which u is held between its steps
 COARSE = 1e-5  # quantum of u above which u is held between its steps [range of u]
 COARSER = 5.0  # quanta of y, above which steps of u determine how y is rounded
 HATS = 7  # linear splines of a bent scale
-PROFILED = 15  # gaps of a profile
 WHITE = 1.35  # largest ratio of `LostMotion.colour` for white residuals
 GIVEN = 3  # degrees of freedom that the fit takes from the sums over strokes: gap, gain, level
 SURE = 0.9  # level of the chi-squared test for differences between strokes
@@ -153,6 +152,7 @@ class MotionFit:
         still = float(np.mean(np.diff(data.u) == 0)) > HELD
         self.is_held = still or data.input_quantum > COARSE * self.range
         self.y = data.y - data.y.mean()
+        self.differences = 1e-2 * np.array([0.01 * self.range, self.step, self.step])
 
     @cache_latest
     def delay_and_lag(self, lags: Floats) -> Floats:
@@ -219,42 +219,46 @@ class MotionFit:
             gaps: gaps that are allowed (K) [u]; None: all up to WIDEST.
         """
         scanned = np.linspace(0.0, WIDEST * self.range, SCANNED) if gaps is None else gaps
-        costs = [(float(self.squares(scanned, *lags).min()), lags) for lags in self._scan_lags()]
-        starts = [self._refine_scan(scanned, lags) for _, lags in sorted(costs)[:KEPT]]
-        ends = [self._minimise(start, gaps is None) for start in starts]
-        best = min(ends, key=self._cost)
-        return self.result(float(best[0]), (float(best[1]), float(best[2])))
+        starts = []
+        for lags in self._scan_lags():
+            costs = self.squares(scanned, *lags)
+            best = int(np.argmin(costs))
+            starts.append((float(costs[best]), float(scanned[best]), *lags))
+        kept = sorted(starts)[:KEPT]
+        ends = [self._minimise(self._refine(np.array(at), gaps), gaps is None) for _, *at in kept]
+        return self.result(min(ends, key=self._cost))
+
+    def _refine(self, at: Floats, gaps: Floats | None) -> Floats:
+        """Return gap, delay and time constant (3) with the best gap next to one of the scan."""
+        if gaps is not None:
+            return at
+        near = at[0] + np.array([-1, 1]) * WIDEST * self.range / (SCANNED - 1)
+        found = minimize_scalar(
+            lambda gap: self._cost(np.array([gap, *at[1:]])),
+            bounds=np.maximum(near, 0.0),
+            options={"xatol": FINEST * self.range},
+        )
+        return min(at, np.array([found.x, *at[1:]]), key=self._cost)
 
     def _cost(self, at: Floats) -> float:
         """Return the sum of squared residuals at gap [u], delay [s] and time constant [s] (3)."""
-        return float(_sum_squares_by_start(self._residuals_at(at)).min())
+        e = self._best_start(at)[0]
+        return float(e @ e)
 
     @cache_latest
-    def _residuals_at(self, at: Floats) -> list[tuple[Floats, Floats]]:
-        """Return residual and position behind the gap (N x 1 each) from each of `STARTS`.
+    def _best_start(self, at: Floats) -> tuple[Floats, Floats, float]:
+        """Return residual and position behind the gap (N each), and where the record best begins.
 
         Args:
             at: gap [u], delay [s] and time constant [s] (3).
         """
-        return self.residuals(at[:1], at[1:])
-
-    def _refine_scan(self, scanned: Floats, lags: tuple[float, float]) -> Floats:
-        """Return the best gap, found by a scan that gets finer, with delay and time constant (3).
-
-        Args:
-            scanned: gaps of the first scan (K) [u].
-            lags: delay and time constant [s].
-        """
-        gap = float(scanned[np.argmin(self.squares(scanned, *lags))])
-        width = float(scanned[1] - scanned[0]) if scanned.size > 1 else 0.0
-        while width > FINEST * self.range:
-            near = np.clip(gap + width * np.linspace(-1, 1, FINE), 0.0, None)
-            gap = float(near[np.argmin(self.squares(near, *lags))])
-            width *= 2.0 / (FINE - 1)
-        return np.array([gap, *lags])
+        found = self.residuals(at[:1], at[1:])
+        best = int(np.argmin(_sum_squares_by_start(found)))
+        e, behind = found[best]
+        return e[:, 0], behind[:, 0], STARTS[best]
 
     def _minimise(self, at: Floats, gap_is_free: bool) -> Floats:
-        """Return gap, delay and time constant of least squares (3), by Levenberg and Marquardt.
+        """Return gap, delay and time constant of least squares (3), none below 0.
 
         Args:
             at: gap [u], delay [s] and time constant [s] at the start (3).
@@ -263,75 +267,54 @@ class MotionFit:
         free = np.flatnonzero([gap_is_free, self.structure.late, self.structure.lags > 0])
         if not free.size:
             return at
-        cost = self._cost(at)
-        damping = 1e-3
-        for _ in range(CLIMBED):
-            rows, e = self._slopes(at, free)
-            normal = rows.T @ rows
-            for _ in range(6):
-                ridge = damping * np.diag(np.diag(normal)) + 1e-300 * np.eye(free.size)
-                trial = at.copy()
-                trial[free] -= np.linalg.lstsq(normal + ridge, rows.T @ e, rcond=1e-12)[0]
-                trial = np.clip(trial, 0.0, None)
-                reached = self._cost(trial)
-                if reached < cost:
-                    break
-                damping *= 8.0
-            else:
-                return at
-            gain = cost - reached
-            at = trial
-            cost = reached
-            damping = max(damping / 8.0, 1e-9)
-            if gain < 1e-7 * cost:
-                break
-        return at
 
-    def _slopes(self, at: Floats, free: Integers) -> tuple[Floats, Floats]:
-        """Return the derivatives of the residual by free numbers (N x K), and the residual (N).
+        def place(numbers: Floats) -> Floats:
+            moved = at.copy()
+            moved[free] = numbers
+            return moved
+
+        found = least_squares(
+            lambda numbers: self._best_start(place(numbers))[0],
+            at[free],
+            lambda numbers: self._slopes(place(numbers), free),
+            bounds=(0.0, np.inf),
+            x_scale=self.differences[free],
+            ftol=1e-7,
+            max_nfev=CLIMBED,
+        )
+        return min(at, place(found.x), key=self._cost)
+
+    def _slopes(self, at: Floats, free: Integers) -> Floats:
+        """Return the derivatives of the residual by free numbers (N x K).
 
         Args:
             at: gap [u], delay [s] and time constant [s] (3).
             free: places of the free ones (K).
         """
-        start = self._best_start(at)
-        e = self._residuals_at(at)[start][0][:, 0]
-        steps = 1e-2 * np.array([0.01 * self.range, self.step, self.step])
-        rows = []
-        for k in free:
-            shifted = at.copy()
-            shifted[k] += steps[k]
-            moved = self.residuals(shifted[:1], shifted[1:], STARTS[start : start + 1])[0][0]
-            rows.append((moved[:, 0] - e) / steps[k])
-        return np.column_stack(rows), e
-
-    def _best_start(self, at: Floats) -> int:
-        """Return the place in `STARTS` of the position at which the record best begins."""
-        return int(np.argmin(_sum_squares_by_start(self._residuals_at(at))))
+        e, _, start = self._best_start(at)
+        shifted = at + np.diag(self.differences)[free]
+        moved = [self.residuals(one[:1], one[1:], [start])[0][0] for one in shifted]
+        return (np.hstack(moved) - e[:, None]) / self.differences[free]
 
     def _scan_lags(self) -> list[tuple[float, float]]:
         """Return the delays and time constants of the scan [s]."""
-        delays = [0.0]
-        lags = [0.0]
-        if self.structure.late:
-            delays = list(np.linspace(0.0, LATEST, DELAYS) * self.step)
-        if self.structure.lags:
-            lags = list(np.geomspace(FASTEST, SLOWEST, RATES) * self.step)
-            delays = delays[::4]
-        return list(itertools.product(delays, lags))
+        late, lags = self.structure.late, self.structure.lags
+        delays = np.linspace(0.0, LATEST, DELAYS)[:: 4 if lags else 1] if late else [0.0]
+        constants = np.geomspace(FASTEST, SLOWEST, RATES) if lags else [0.0]
+        return list(
+            itertools.product(self.step * np.array(delays), self.step * np.array(constants))
+        )
 
-    def result(self, gap: float, lags: tuple[float, float]) -> LostMotion:
-        """Return the fit with a gap [u], and delay and time constant [s]."""
-        at = np.array([gap, *lags])
-        start = self._best_start(at)
-        residual, behind = (column[:, 0] for column in self._residuals_at(at)[start])
+    def result(self, at: Floats) -> LostMotion:
+        """Return the fit with a gap [u], and delay and time constant [s] (3)."""
+        residual, behind, start = self._best_start(at)
         gain, level = np.polyfit(behind, self.data.y, 1)
         structure = self.structure
         scale = HATS if structure.bent else 2
         # Scale, gap, variance, and perhaps delay and time constant.
         numbers = scale + 2 + structure.late + (structure.lags > 0)
         return LostMotion(
-            structure, gap, *lags, STARTS[start], float(gain), float(level), residual, numbers
+            structure, *at.tolist(), start, float(gain), float(level), residual, numbers
         )
 
     # --- Uncertainty of the gap
@@ -355,20 +338,8 @@ class MotionFit:
         else:
             inflation = 1.0
         limit = found.squares + naive * inflation * student_quantile(degrees) ** 2
-        error = math.sqrt(naive * inflation / max(self.information(found), 1e-300))
-        span = min(max(6.0 * error, 1e-9 * self.range), WIDEST * self.range)
-        for _ in range(12):
-            gaps = np.clip(found.gap + span * np.linspace(-1, 1, PROFILED), 0.0, None)
-            costs = self._profile(gaps, found)
-            inside = gaps[costs <= limit]
-            is_low_bracketed = inside.size and (inside[0] > gaps[0] or gaps[0] == 0)
-            if (is_low_bracketed and inside[-1] < gaps[-1]) or span > WIDEST * self.range:
-                break
-            span *= 2.0
-        low = high = found.gap
-        if inside.size:
-            low = _crossing(gaps, costs, limit, -1)
-            high = _crossing(gaps, costs, limit, 1)
+        farthest = found.gap + WIDEST * self.range
+        low, high = (self._crossing(found, limit, end) for end in (0.0, farthest))
         data = self.data
         is_coarse = abs(found.gain) * data.input_quantum > COARSER * data.quantum
         if data.is_goal or is_coarse:
@@ -377,60 +348,57 @@ class MotionFit:
             rounding = math.sqrt(hidden) / max(abs(found.gain), 1e-300)
         else:  # the rounding error of u at a reversal stays until the gap is crossed
             rounding = data.input_quantum / math.sqrt(12 * (1 + blocks[-1]))
-        below, above = (math.hypot(abs(limit - found.gap), rounding) for limit in (low, high))
+        below, above = (math.hypot(end - found.gap, rounding) for end in (low, high))
         return Interval(found.gap, max(found.gap - below, 0.0), found.gap + above)
 
-    def _profile(self, gaps: Floats, found: LostMotion) -> Floats:
-        """Return the sums of squares of gaps (K), minimised over all other parameters (K)."""
-        at = np.array([found.gap, found.delay, found.lag])
-        if not (self.structure.late or self.structure.lags):
-            return self.squares(gaps, *at[1:])
-        costs = np.empty(gaps.size)
-        middle = int(np.argmin(np.abs(gaps - found.gap)))
-        for places in (range(middle, gaps.size), range(middle - 1, -1, -1)):
-            minimum = at
-            for k in places:  # each minimisation starts at the last minimum
-                minimum = self._minimise(np.array([gaps[k], *minimum[1:]]), False)
-                costs[k] = self._cost(minimum)
-        return costs
+    def _crossing(self, found: LostMotion, limit: float, end: float) -> float:
+        """Return the gap between the best one and an end at which the profile crosses a limit [u].
 
-    def _slope(self, found: LostMotion) -> Floats:
+        Args:
+            found: the best fit.
+            limit: of the sum of squares, minimised over delay and time constant.
+            end: gap that is returned if its sum is below the limit.
+        """
+
+        def excess(gap: float) -> float:
+            at = self._minimise(np.array([gap, found.delay, found.lag]), False)
+            return self._cost(at) - limit
+
+        if found.gap == end or excess(end) <= 0:
+            return end
+        if excess(found.gap) >= 0:
+            return found.gap
+        return float(brentq(excess, found.gap, end, xtol=FINEST * self.range))
+
+    def gap_slope(self, found: LostMotion) -> Floats:
         """Return the derivative of the residual by the gap (N) [y/u].
 
         The part that delay and time constant can compensate is projected out.
-        """
-        at = np.array([found.gap, found.delay, found.lag])
-        free = np.flatnonzero([True, self.structure.late, self.structure.lags > 0])
-        rows, _ = self._slopes(at, free)
-        if free.size == 1:
-            return rows[:, 0]
-        return regression_residual(rows[:, 1:], rows[:, 0])
-
-    def information(self, found: LostMotion) -> float:
-        """Return the sum of the squared derivatives of the residual by the gap [(y/u)^2].
 
         Args:
             found: the best fit.
         """
-        slope = self._slope(found)
-        return float(slope @ slope)
+        at = np.array([found.gap, found.delay, found.lag])
+        free = np.flatnonzero([True, self.structure.late, self.structure.lags > 0])
+        rows = self._slopes(at, free)
+        return regression_residual(rows[:, 1:], rows[:, 0])
 
     def _clustering(self, found: LostMotion, blocks: Integers, naive: float) -> tuple[float, float]:
         """Return the variance inflation by correlated residuals, and its degrees of freedom.
 
-        The inflation, at least 1, is the variance of the score clustered by strokes, over that of
-        white residuals.
+        The inflation, at least 1, is the variance of the score by the gap, clustered by strokes,
+        over that of white residuals.
 
         Args:
             found: the best fit.
             blocks: stroke of each sample (N).
             naive: variance of the residuals [y^2].
         """
-        score = self._slope(found) * found.residual
-        sums = np.bincount(blocks, score)
+        slope = self.gap_slope(found)
+        sums = np.bincount(blocks, slope * found.residual)
         count = sums.size
         clustered = float(sums @ sums) * count / max(count - GIVEN, 1)
-        white = max(naive * self.information(found), 1e-300)
+        white = max(naive * float(slope @ slope), 1e-300)
         return max(clustered / white, 1.0), max(count - 1.0, 2.0)
 
 
@@ -448,21 +416,10 @@ def lag_signal(u: Floats, t: Floats, lag: float, count: int) -> Floats:
         lag: time constant of each lag [s].
         count: number of lags.
     """
-    steps = np.diff(t)
-    typical = float(np.median(steps))
-    if np.ptp(steps) < 0.02 * typical:
-        decay = math.exp(-typical / lag)
-        for _ in range(count):
-            u = lfilter([0.0, 1 - decay], [1.0, -decay], u, zi=[u[0]])[0]
-        return np.asarray(u)
-    decays = np.exp(-steps / lag)
+    decay = np.exp(-np.diff(t) / lag)
+    bands = np.array([np.ones(t.size), np.append(-decay, 0.0)])
     for _ in range(count):
-        lagged = np.empty(u.size)
-        state = lagged[0] = u[0]
-        for k, decay in enumerate(decays):
-            state = decay * state + (1 - decay) * u[k]
-            lagged[k + 1] = state
-        u = lagged
+        u = solve_banded((1, 0), bands, np.append(u[0], (1 - decay) * u[:-1]))
     return u
 
 
@@ -485,24 +442,6 @@ def reversal_blocks(u: Floats, gap: float) -> Integers:
     return np.cumsum(reverses)
 
 
-def _crossing(gaps: Floats, costs: Floats, limit: float, side: int) -> float:
-    """Return the gap at which a profile crosses its limit, by linear interpolation [u].
-
-    Args:
-        gaps: gaps of the profile, increasing (K) [u].
-        costs: sums of squares (K).
-        limit: the limit; some costs are below it.
-        side: -1 for the lower crossing, +1 for the upper one.
-    """
-    inside = np.flatnonzero(costs <= limit)
-    last = inside[0] if side < 0 else inside[-1]
-    beyond = last + side
-    if not 0 <= beyond < gaps.size or gaps[beyond] == gaps[last]:
-        return float(gaps[last])
-    share = (limit - costs[last]) / max(costs[beyond] - costs[last], 1e-300)
-    return float(gaps[last] + min(share, 1.0) * (gaps[beyond] - gaps[last]))
-
-
 def motion_density(name: str, found: LostMotion, scale: float) -> Density:
     """Return the log densities of the readings with white residuals.
 
@@ -518,17 +457,30 @@ def motion_density(name: str, found: LostMotion, scale: float) -> Density:
 
 def best_structure(
     data: Positions, structures: Sequence[Structure], gaps: Floats | None = None
-) -> tuple[MotionFit, LostMotion]:
-    """Return the least-squares problem of least BIC, and its fit.
+) -> LostMotion:
+    """Return the fit of least BIC.
 
     Args:
         data: the positions.
         structures: structures among which BIC chooses.
         gaps: gaps that are allowed (K) [u]; None: all up to WIDEST.
     """
-    problems = [MotionFit(data, structure) for structure in structures]
-    fits = [(problem, problem.fit(gaps)) for problem in problems]
-    return min(fits, key=lambda pair: pair[1].bic())
+    fits = (MotionFit(data, structure).fit(gaps) for structure in structures)
+    return min(fits, key=LostMotion.bic)
+
+
+def fit_plant(data: Positions, found: LostMotion, lags: range) -> LostMotion:
+    """Return the fit of any linear plant that answers at a few lags, without a gap.
+
+    Args:
+        data: the positions.
+        found: a fit; only its residual and the number of its parameters are replaced.
+        lags: of u; negative ones are leads [samples].
+    """
+    step = float(np.median(np.diff(data.t)))
+    moved = [np.interp(data.t - k * step, data.t, data.u) for k in lags]
+    columns = np.column_stack([np.ones(data.t.size), *moved])
+    return found._replace(residual=regression_residual(columns, data.y), numbers=len(lags) + 2)
 
 
 def is_white(found: LostMotion, quantum: float) -> bool:

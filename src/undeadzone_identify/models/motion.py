@@ -64,3 +64,17 @@ def _has_chatter(change: Floats) -> bool:
     reverses = (tick * following < 0) & (np.diff(ticks) <= 2)
     undone = (reverses & (tick == -following)).mean()
     return bool(undone > CHATTER or reverses.mean() > REVERSED_SHARE)
+
+
+def last_reading_rows(ok: Flags) -> Integers:
+    """Return the row of the last reading up to each row (N), the first one's before it.
+
+    Args:
+        ok: whether there is a reading (N).
+    """
+    return np.maximum.accumulate(np.where(ok, np.arange(ok.size), int(np.argmax(ok))))
+
+
+def round_to_quantum(y: Floats, quantum: float) -> Floats:
+    """Return readings rounded to a quantum; themselves for one of 0."""
+    return quantum * np.round(y / quantum) if quantum else y

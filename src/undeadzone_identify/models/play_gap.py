@@ -28,7 +28,7 @@ from undeadzone_identify.models.estimates import (
 )
 from undeadzone_identify.models.least_squares import LeastSquares
 from undeadzone_identify.models.likelihood import root_mean_square
-from undeadzone_identify.models.motion import are_exact, white_noise_rms
+from undeadzone_identify.models.motion import are_exact, round_to_quantum, white_noise_rms
 from undeadzone_identify.models.plant import (
     InputDisturbance,
     RecordData,
@@ -92,9 +92,32 @@ def find_play_gap(fit: PlayFit, quantum: float, in_loop: bool = False) -> PlayGa
         a simulation.
     """
     noise = _unrounded_noise_rms(fit.squares.data, quantum)
-    if fit.model.simulator.layout.integrators:
-        return _uncorrected_gap(fit, noise)
-    return _indirect_inference_gap(fit, noise, quantum, in_loop)
+    layout = fit.model.simulator.layout
+    plant = slice(layout.numerators.stop)
+    simulation_fit, own = fit, _own_half_intervals(fit)
+    if layout.integrators:
+        V = fit.squares.robust_covariance(fit.theta).V[plant, plant]
+        return PlayGap(
+            fit, fit.theta, _gap_intervals(fit.theta, fit.model, own), V, None, noise, True
+        )
+    fit = fit.prediction_fit if in_loop else fit
+    model = fit.model
+    halves = _own_half_intervals(fit)
+    corrected, fits, ahead = _match_simulated_fits(fit, noise, quantum)
+    scatter = np.cov(fits.T)
+    for name, row in ROWS.items():
+        weights = np.zeros(model.size)
+        weights[model.base :][: len(row)] = row
+        std = math.sqrt(variance_along(scatter, weights) * (1 + 1 / RUNS))
+        widest = max(halves[name], own[name], student_quantile(RUNS - 1) * std)
+        halves[name] = math.hypot(
+            widest,
+            float(weights @ (corrected - fit.theta)),
+            float(weights @ (simulation_fit.theta - fit.theta)),
+        )
+    intervals = _gap_intervals(corrected, model, halves)
+    sure = ahead.rms < (STRONGEST_OF_BOTH if model.zone else STRONGEST)
+    return PlayGap(fit, corrected, intervals, scatter[plant, plant], ahead, noise, sure)
 
 
 def _unrounded_noise_rms(data: RecordData, quantum: float) -> float:
@@ -115,13 +138,15 @@ def _gap_intervals(
         model: the model.
         halves: half intervals of the quantities.
     """
-    intervals = {}
-    for name, row in ROWS.items():
-        value = float(np.dot(row, theta[model.base :][: len(row)]))
-        intervals[name] = Interval.from_half_width(
-            value, math.hypot(halves[name], heaviest(row) * FINEST)
+    values = {
+        name: float(np.dot(row, theta[model.base :][: len(row)])) for name, row in ROWS.items()
+    }
+    return {
+        name: Interval.from_half_width(
+            value, math.hypot(halves[name], heaviest(ROWS[name]) * FINEST)
         )
-    return intervals
+        for name, value in values.items()
+    }
 
 
 def _own_half_intervals(fit: PlayFit) -> dict[str, float]:
@@ -130,43 +155,7 @@ def _own_half_intervals(fit: PlayFit) -> dict[str, float]:
     return {name: spread.half_width(fit.model.play_weights(*row)) for name, row in ROWS.items()}
 
 
-def _uncorrected_gap(fit: PlayFit, noise: float) -> PlayGap:
-    """Return the parameters of the fit with intervals by (I1)."""
-    count = fit.model.simulator.layout.numerators.stop
-    V = fit.squares.robust_covariance(fit.theta).V[:count, :count]
-    intervals = _gap_intervals(fit.theta, fit.model, _own_half_intervals(fit))
-    return PlayGap(fit, fit.theta, intervals, V, None, noise, True)
-
-
-# --- By least squares and simulated logs
-
-
-def _indirect_inference_gap(fit: PlayFit, noise: float, quantum: float, in_loop: bool) -> PlayGap:
-    """Return the gap by indirect inference. Arguments of `find_play_gap`.
-
-    noise: rms of the white noise of the readings, scaled.
-    """
-    simulation_fit = fit
-    fit = fit.prediction_fit if in_loop else fit
-    model = fit.model
-    theta = fit.theta
-    halves = _own_half_intervals(fit)
-    simulation_halves = _own_half_intervals(simulation_fit)
-    corrected, fits, ahead = _match_simulated_fits(fit, noise, quantum)
-    scatter = np.cov(fits.T)
-    for name, row in ROWS.items():
-        weights = np.zeros(model.size)
-        weights[model.base :][: len(row)] = row
-        std = math.sqrt(variance_along(scatter, weights) * (1 + 1 / RUNS))
-        own = max(halves[name], simulation_halves[name], student_quantile(RUNS - 1) * std)
-        difference = float(weights @ (simulation_fit.theta - theta))
-        correction = float(weights @ (corrected - theta))
-        halves[name] = math.hypot(own, correction, difference)
-    intervals = _gap_intervals(corrected, model, halves)
-    count = model.simulator.layout.numerators.stop
-    V = scatter[:count, :count]
-    sure = ahead.rms < (STRONGEST_OF_BOTH if model.zone else STRONGEST)
-    return PlayGap(fit, corrected, intervals, V, ahead, noise, sure)
+# --- By simulated logs
 
 
 def play_disturbance(fit: PlayFit) -> InputDisturbance:
@@ -244,13 +233,8 @@ def _refit_simulated(
     fits = []
     residuals = []
     for w, e in zip(ahead, behind, strict=True):
-        y = _round_to_quantum(model.noise_free_readings(z + w, theta) + e, quantum)
+        y = round_to_quantum(model.noise_free_readings(z + w, theta) + e, quantum)
         squares = LeastSquares(model.with_readings(y), fit.squares.past)
         fits.append(maximise_likelihood(squares, theta, STEPS, 1e-3).theta)
         residuals.append(squares.residual_rms(fits[-1]))
     return np.array(fits), np.array(residuals)
-
-
-def _round_to_quantum(y: Floats, quantum: float) -> Floats:
-    """Round readings to the quantum."""
-    return quantum * np.round(y / quantum) if quantum else y

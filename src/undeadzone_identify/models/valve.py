@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from copy import copy
 from functools import cache
 from operator import itemgetter
@@ -25,14 +25,20 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
-from scipy.signal import lfilter
+from scipy.signal import correlate, freqz, lfilter
 from scipy.special import softmax
 
 from undeadzone.compile import lanes
 from undeadzone.util.arrays import Flags, Floats, Integers
 from undeadzone_identify.models.estimates import Interval, cosine_coefficients
-from undeadzone_identify.models.least_squares import Density, build_gaussian_density
+from undeadzone_identify.models.least_squares import (
+    Density,
+    build_gaussian_density,
+    regression_residual,
+)
 from undeadzone_identify.models.likelihood import root_mean_square
+from undeadzone_identify.models.lost_motion import reversal_blocks
+from undeadzone_identify.models.motion import last_reading_rows
 
 ORDERS = (1, 2, 3, 4, 6, 8, 12)  # autoregressive orders of the readings
 MEMORY = (3.0, 8.0, 20.0, 60.0)  # samples of the exponential averages that are regressors as well
@@ -170,24 +176,19 @@ class Regression:
         whole = ok[first:].copy()
         for k in range(1, order + 1):
             whole &= ok[first - k : y.size - k]
-        self.rows: Integers = (first + np.flatnonzero(whole))[::stride]
         # A slice is read ten times as fast as samples by their numbers.
-        span = range(int(self.rows[0]), int(self.rows[-1]) + 1, stride)
-        self._span = span if len(span) == self.rows.size else None
-        self.order = order
-        known = np.maximum.accumulate(np.where(ok, np.arange(y.size), int(np.argmax(ok))))
+        self._chosen = np.s_[::stride] if whole.all() else np.flatnonzero(whole)[::stride]
+        self.rows: Integers = np.arange(first, y.size)[self._chosen]
+        self.order, self._first = order, first
         lags = [self._before(y, k) for k in range(1, order + 1)]
-        averages = _averages(y[known][None])[0][:, self.rows - 1].T
-        self.past = np.column_stack([*lags, averages])
+        averages = self._before(_averages(y[last_reading_rows(ok)][None])[0], 1)
+        self.past = np.column_stack([*lags, *averages])
         self.y = y[self.rows]
         self._explain_by(np.column_stack([np.ones(self.rows.size), self.past]))
 
     def _before(self, x: Floats, lag: int) -> Floats:
         """Return signals (... x N) a lag before the samples that are predicted (... x n)."""
-        span = self._span
-        if span is None:
-            return np.asarray(x[..., self.rows - lag])
-        return x[..., span.start - lag : span.stop - lag : span.step]
+        return np.asarray(x[..., self._first - lag : x.shape[-1] - lag][..., self._chosen])
 
     def _explain_by(self, columns: Floats) -> None:
         """Set the regressors of every model (n x L)."""
@@ -208,19 +209,17 @@ class Regression:
         """
         return np.asarray(columns - self._basis @ (self._basis.T @ columns))
 
-    def lagged(self, v: Floats, lags: range, averages: Floats | None = None) -> Floats:
+    def lagged(self, v: Floats, lags: range) -> Floats:
         """Return lagged positions, and their averages up to the first lag (K x L x n).
 
         Args:
             v: positions (K x N).
             lags: lags [samples].
-            averages: of the positions (K x M x N); None: not known yet.
         """
-        averages = _averages(v) if averages is None else averages
         columns = np.empty((len(v), len(lags) + len(MEMORY), self.rows.size))
         for place, k in enumerate(lags):
             columns[:, place] = self._before(v, k)
-        columns[:, len(lags) :] = self._before(averages, lags[0])
+        columns[:, len(lags) :] = self._before(_averages(v), lags[0])
         return columns
 
     def prediction_errors(self, v: Floats, lags: range, others: Floats | None = None) -> Floats:
@@ -231,43 +230,32 @@ class Regression:
             lags: lags of the position [samples].
             others: further regressors (N x M); None: none.
         """
-        columns = self.lagged(v[None], lags)[0].T
-        if others is not None:
-            columns = np.hstack([columns, others[self.rows]])
-        return self._errors_beside(self._project_out_past(columns))
+        beside = self.with_position(v, lags)
+        if others is None:
+            return beside._target
+        return beside.prediction_errors_beside(others, others.shape[1])
 
-    def prediction_errors_beside(self, others: Floats, counts: Sequence[int]) -> list[Floats]:
-        """Return the one-step prediction errors with the first few of further regressors (n each).
+    def prediction_errors_beside(self, others: Floats, count: int) -> Floats:
+        """Return the one-step prediction errors with the first few of further regressors (n).
 
         Args:
             others: the regressors (N x M).
-            counts: numbers of these that are used together.
+            count: number of these that are used.
         """
-        columns = self._project_out_past(others[self.rows])
-        return [self._errors_beside(columns[:, :count]) for count in counts]
+        return regression_residual(self._project_out_past(others[self.rows, :count]), self._target)
 
-    def _errors_beside(self, columns: Floats) -> Floats:
-        """Return the errors (n) of a regression on columns without the past's part (n x L)."""
-        return np.asarray(
-            self._target - columns @ np.linalg.lstsq(columns, self._target, rcond=1e-9)[0]
-        )
-
-    def prediction_errors_of_each(
-        self, v: Floats, lags: range, averages: Floats | None = None
-    ) -> Iterator[Floats]:
-        """Yield the one-step prediction errors of several positions, a few at a time (k x n).
+    def prediction_errors_of_each(self, v: Floats, lags: range) -> Floats:
+        """Return the one-step prediction errors for each of several positions (K x n).
 
         Args:
             v: positions (N x K).
             lags: lags of the positions [samples].
-            averages: of the positions (K x M x N); None: not known yet.
         """
         # Each regressor is a row, so that products of rows run along the memory.
         positions = np.ascontiguousarray(v.T)
-        averages = _averages(positions) if averages is None else averages
-        for begin in range(0, v.shape[1], CHUNK):
-            chunk = slice(begin, begin + CHUNK)
-            each = self.lagged(positions[chunk], lags, averages[chunk])
+        found = np.empty((len(positions), self.rows.size))
+        for begin in range(0, len(positions), CHUNK):
+            each = self.lagged(positions[begin : begin + CHUNK], lags)
             flat = each.reshape(-1, self.rows.size)
             flat -= (flat @ self._basis) @ self._basis.T
             # Normal equations of all positions at once, with a ridge against collinear columns.
@@ -275,17 +263,16 @@ class Regression:
             trace = np.trace(gram, axis1=1, axis2=2)[:, None, None]
             gram += 1e-10 * (trace + 1e-12) * np.eye(gram.shape[1])
             coefficients = np.linalg.solve(gram, np.matmul(each, self._target)[:, :, None])
-            yield self._target - np.matmul(coefficients.transpose(0, 2, 1), each)[:, 0]
+            explained = np.matmul(coefficients.transpose(0, 2, 1), each)[:, 0]
+            found[begin : begin + CHUNK] = self._target - explained
+        return found
 
-    def mean_squares_of_each(
-        self, v: Floats, lags: range, averages: Floats | None = None
-    ) -> Floats:
+    def mean_squares_of_each(self, v: Floats, lags: range) -> Floats:
         """Return the mean squared one-step prediction error for each of several positions (K).
 
         Arguments of `prediction_errors_of_each`.
         """
-        errors = self.prediction_errors_of_each(v, lags, averages)
-        return np.concatenate([np.mean(e**2, axis=1) for e in errors])
+        return np.asarray(np.mean(self.prediction_errors_of_each(v, lags) ** 2, axis=1))
 
     def regressors(self, v: Floats, lags: range) -> Floats:
         """Return the past, the lagged position, and a constant (n x columns).
@@ -298,8 +285,8 @@ class Regression:
         return np.hstack([self.past, self.lagged(v[None], lags)[0].T, ones])
 
     def responses(
-        self, v: Floats, lags: range, points: Sequence[complex], others: Floats | None = None
-    ) -> list[complex]:
+        self, v: Floats, lags: range, points: Floats, others: Floats | None = None
+    ) -> Floats:
         """Return the frequency responses from the position of the valve to y.
 
         The regression is y = past(q^-1) y + through(q^-1) v, so the response is
@@ -308,7 +295,7 @@ class Regression:
         Args:
             v: position of the valve (N).
             lags: lags of the position [samples].
-            points: values of z = exp(-i w), with w the frequency [rad/sample].
+            points: values of z = exp(-i w), with w the frequency [rad/sample] (M).
             others: further regressors (N x M); None: none.
         """
         columns = self.regressors(v, lags)
@@ -316,24 +303,20 @@ class Regression:
             columns = np.hstack([columns, others[self.rows]])
         coefficients = np.linalg.lstsq(columns, self.y, rcond=1e-9)[0]
         decay = np.exp(-1 / np.array(MEMORY))
-        found = []
-        for z in points:
-            averaged = (1 - decay) / (1 - decay * z)  # response of each exponential average
-            past = np.append(z ** np.arange(1, self.order + 1), z * averaged)
-            through = np.append(z ** np.array(lags), z ** lags[0] * averaged)
-            numerator = complex(coefficients[past.size : past.size + through.size] @ through)
-            found.append(numerator / complex(1 - coefficients[: past.size] @ past))
-        return found
+        z = points[:, None]
+        averaged = (1 - decay) / (1 - decay * z)  # response of each exponential average
+        past = np.hstack([z ** np.arange(1, self.order + 1), z * averaged])
+        through = np.hstack([z ** np.array(lags), z ** lags[0] * averaged])
+        own, acting = np.split(coefficients[: past.shape[1] + through.shape[1]], [past.shape[1]])
+        return np.asarray(through @ acting / (1 - past @ own))
 
 
 def _averages(x: Floats) -> Floats:
     """Return the exponential averages of signals x (K x N) over each memory (K x M x N)."""
-    averages = np.empty((len(x), len(MEMORY), x.shape[1]))
-    for k, samples in enumerate(MEMORY):
-        decay = math.exp(-1 / samples)
-        at_rest = decay * x[:, :1]  # filter state if x was constant before
-        averages[:, k] = lfilter([1 - decay], [1.0, -decay], x, zi=at_rest)[0]
-    return averages
+    decays = np.exp(-1 / np.array(MEMORY))
+    # the filters' states if x was constant before
+    each = [lfilter([1 - one], [1.0, -one], x, zi=one * x[:, :1])[0] for one in decays]
+    return np.stack(each, axis=1)
 
 
 class Structure(NamedTuple):
@@ -374,18 +357,13 @@ class ValveFit(NamedTuple):
         Args:
             u: output of the controller (N) [its range].
         """
-        pair = np.array([self.stick]), np.array([self.jump])
+        pair = np.array([[self.stick], [self.jump]])
         return valve_positions(u, *pair, self.account)[:, 0]
 
 
 def _density(name: str, e: Floats, numbers: int) -> Density:
     """Return the Gaussian log densities of prediction errors (n), with their parameter count."""
     return build_gaussian_density(name, e, numbers, max(float(np.mean(e**2)), 1e-20))
-
-
-def _bic_of(e: Floats, numbers: int) -> float:
-    """Return the BIC of prediction errors (n), up to a constant."""
-    return e.size * math.log(np.mean(e**2)) + numbers * math.log(e.size)
 
 
 class LoopLog:
@@ -427,9 +405,7 @@ class LoopLog:
 
         Only a reversal shows the fault of a valve.
         """
-        v = valve_positions(self.u, np.array([TURN]), np.zeros(1), KANO)[:, 0]
-        moves = np.sign(np.diff(v))
-        return int(np.count_nonzero(np.diff(moves[moves != 0])))
+        return int(reversal_blocks(self.u, TURN)[-1])
 
     @property
     def orders(self) -> list[int]:
@@ -465,27 +441,24 @@ class LoopLog:
         positions = np.column_stack([self.u, valves])
         low_order = self.regress(4, first, stride)
         valve_numbers = 4 * (np.arange(positions.shape[1]) > 0)
-        averages = _averages(np.ascontiguousarray(positions.T))
-        candidates = []
-        for delay in range(1, latest):
-            lags = range(delay, delay + 3)
-            squares = low_order.mean_squares_of_each(positions, lags, averages)
-            size = low_order.rows.size
-            cost = size * np.log(squares) + valve_numbers * math.log(size)
-            candidates.append((float(cost.min()), delay, int(np.argmin(cost))))
-        _, delay, best = min(candidates)
-        lag = max(1, delay - 1)
+        size = low_order.rows.size
+        every = [
+            low_order.mean_squares_of_each(positions, range(k, k + 3)) for k in range(1, latest)
+        ]
+        bic = size * np.log(every) + valve_numbers * math.log(size)
+        before, best = np.unravel_index(np.argmin(bic), bic.shape)  # samples less than the delay
+        lag = max(1, int(before))
         oscillation = self._find_oscillation(low_order, range(lag, lag + 4 + MORE))
-        sources: list[tuple[Floats, Floats | None, int]] = [(positions[:, best], None, 0)]
-        if oscillation is not None:
-            sources.append((self.u, oscillation, 1 + oscillation.shape[1]))
         costs = []
         for order in self.orders:
             regression = self.regress(order, first, stride)
             lags = range(lag, lag + order + MORE)
-            for v, others, numbers in sources:
-                e = regression.prediction_errors(v, lags, others)
-                costs.append((_bic_of(e, 2 * order + numbers), order))
+            e = regression.prediction_errors(positions[:, best], lags)
+            costs.append((_density("", e, 2 * order).bic, order))
+            if oscillation is not None:
+                e = regression.prediction_errors(self.u, lags, oscillation)
+                numbers = 2 * order + 1 + oscillation.shape[1]
+                costs.append((_density("", e, numbers).bic, order))
         order = min(costs)[1]
         return Structure(order, range(lag, lag + order + MORE), first, oscillation)
 
@@ -505,14 +478,13 @@ class LoopLog:
         around = 1 + np.arange(-0.25, 0.25, self.period / (6 * self.y.size))
         best: tuple[float, Floats | None] = (math.inf, None)
         beside = regression.with_position(self.u, lags)
-        counts = [2 * k for k in HARMONICS]
         for factor in around:
             phase = 2 * np.pi / self.period * factor * t
             waves = [f(k * phase) for k, f in itertools.product(HARMONICS, (np.sin, np.cos))]
             oscillation = np.column_stack(waves)
-            errors = beside.prediction_errors_beside(oscillation, counts)
-            for count, e in zip(counts, errors, strict=True):
-                cost = _bic_of(e, count)
+            for count in 2 * np.array(HARMONICS):
+                e = beside.prediction_errors_beside(oscillation, count)
+                cost = _density("", e, count).bic
                 best = min(best, (cost, oscillation[:, :count]), key=itemgetter(0))
         return best[1]
 
@@ -543,10 +515,10 @@ class LoopLog:
             ("stiction", HE, sticks),
         ):
             pair = self._refine_grid(structure, account, pairs, rounds)
-            fit = ValveFit(word, account, *pair, densities["none"])
-            valve_numbers = BREAKS + 1 + (word == "stiction")
-            e = regression.prediction_errors(fit.position(self.u), lags)
-            fits.append(fit._replace(density=_density(word, e, numbers + valve_numbers)))
+            v = valve_positions(self.u, *np.array(pair)[:, None], account)[:, 0]
+            e = regression.prediction_errors(v, lags)
+            density = _density(word, e, numbers + BREAKS + 1 + (word == "stiction"))
+            fits.append(ValveFit(word, account, *pair, density))
         return LoopFits(self, structure, regression, densities, tuple(fits))
 
     def _refine_grid(
@@ -563,12 +535,15 @@ class LoopLog:
         is_play = not pairs[:, 1].any()
         tops = self._rank_pairs(structure, account, pairs, self.coarse_stride)[:TOPS]
         best = self._rank_pairs(structure, account, np.array(tops)[:, 1:], 1)
+        a, b = np.meshgrid(np.linspace(-1, 1, 7), np.linspace(-2, 2, 1 if is_play else 5))
         for k in range(rounds):
             width = 0.09 / 2.5**k
-            moves = itertools.product(
-                best, width * np.linspace(-1, 1, 7), width * np.linspace(-2, 2, 1 if is_play else 5)
+            stick, jump = np.array(best).T[1:, :, None]
+            moved = jump + stick * width * b.ravel()
+            jumps = (
+                np.zeros_like(moved) if is_play else np.clip(moved, 0.02 * stick, LARGEST * stick)
             )
-            pairs = np.array([_shift_pair(s, j, a, b, is_play) for (_, s, j), a, b in moves])
+            pairs = np.stack([stick * (1 + width * a.ravel()), jumps], axis=-1).reshape(-1, 2)
             best = sorted(best + self._rank_pairs(structure, account, pairs, 1))[:3]
         return best[0][1:]
 
@@ -587,15 +562,6 @@ class LoopLog:
         regression = self.regress(structure.order, structure.first, stride)
         squares = regression.mean_squares_of_each(v, structure.lags)
         return sorted(zip(squares.tolist(), *pairs.T.tolist(), strict=True))
-
-
-def _shift_pair(
-    stick: float, jump: float, a: float, b: float, is_play: bool
-) -> tuple[float, float]:
-    """Return S (1 + a) and J + b S, within the limits of J / S; J = 0 if it is a play."""
-    if is_play:
-        return stick * (1 + a), 0.0
-    return stick * (1 + a), float(np.clip(jump + stick * b, 0.02 * stick, LARGEST * stick))
 
 
 class LoopFits(NamedTuple):
@@ -634,18 +600,18 @@ class LoopFits(NamedTuple):
         """
         u = self.log.u
         lags = self.structure.lags
-        squares = float(np.sum(self.regression.prediction_errors(u, lags) ** 2))
         beside = self.regression.with_position(u, lags)
         plays = np.array(BESIDE)
-        least_squares = squares
-        for v in valve_positions(u, plays, 0 * plays, KANO).T:
+        positions = valve_positions(u, plays, 0 * plays, KANO)
+        squares = [beside.prediction_errors_beside(positions, 0)]
+        for v in positions.T:
             late = np.column_stack([np.roll(v, lags[0]), np.roll(v, lags[-1])])
-            (e,) = beside.prediction_errors_beside(late, [2])
-            least_squares = min(least_squares, float(np.sum(e**2)))
+            squares.append(beside.prediction_errors_beside(late, 2))
+        without, *sums = np.sum(np.square(squares), axis=1).tolist()
         # Two regressors a play: chi squared of 2 degrees exceeds x by chance exp(-x / 2), which is
         # the likelihood ratio itself.
-        ratio = (least_squares / squares) ** (0.5 * self.regression.rows.size)
-        return min(plays.size * ratio, 1.0)
+        ratio = min(sums) / without
+        return float(min(plays.size * ratio ** (0.5 * self.regression.rows.size), 1.0))
 
     def intervals(self, fit: ValveFit) -> tuple[Interval, Interval]:
         """Return S and J with 95 % intervals [range of u].
@@ -662,7 +628,7 @@ class LoopFits(NamedTuple):
         e = [self.regression.prediction_errors(fit.position(u), lags)[None]]
         for account in (KANO, HE):
             positions = valve_positions(u, stick, jump, account)
-            e.extend(self.regression.prediction_errors_of_each(positions, lags))
+            e.append(self.regression.prediction_errors_of_each(positions, lags))
         errors = np.vstack(e).T
         variance = np.mean(errors**2, axis=0)
         values = -0.5 * errors**2 / variance - 0.5 * np.log(variance)
@@ -692,13 +658,11 @@ class LoopFits(NamedTuple):
         t = np.arange(3, u.size)
         moves = np.column_stack([e[t], e[t - 1], e[t - 2], u[t - 1] - u[t - 2]])
         c = np.linalg.lstsq(moves, u[t] - u[t - 1], rcond=None)[0]
-        points = np.exp(-2j * np.pi / self.log.period * np.linspace(0.85, 1.15, 13)).tolist()
-        plants = self.regression.responses(v, self.structure.lags, points, oscillation)
-        peak = 0.0
-        for z, plant in zip(points, plants, strict=True):
-            controller = (c[0] + c[1] * z + c[2] * z**2) / ((1 - z) * (1 - c[3] * z))
-            peak = max(peak, 1 / max(abs(1 - controller * plant), 1e-9))
-        return float(peak)
+        angles = 2 * np.pi / self.log.period * np.linspace(0.85, 1.15, 13)
+        controller = freqz(c[:3], np.convolve([1.0, -1.0], [1.0, -c[3]]), angles)[1]
+        lags, z = self.structure.lags, np.exp(-1j * angles)
+        plants = self.regression.responses(v, lags, z, oscillation)
+        return float(1 / max(np.abs(1 - controller * plants).min(), 1e-9))
 
 
 def _pairs_around(fit: ValveFit) -> tuple[Floats, Floats]:
@@ -772,9 +736,7 @@ def oscillation_of(e: Floats) -> tuple[float, float]:
     """
     trend_window = max(3, e.size // 5)
     e = e - np.convolve(e, np.ones(trend_window) / trend_window, "same")  # without its slow trend
-    # Autocorrelation by Wiener and Khinchin; padding to 2 N keeps both ends apart.
-    spectrum = np.abs(np.fft.rfft(e, 2 * e.size)) ** 2
-    autocorrelation = np.fft.irfft(spectrum)[: e.size // 2]
+    autocorrelation = correlate(e, e)[e.size - 1 :][: e.size // 2]
     crossings = np.flatnonzero(np.diff(np.signbit(autocorrelation)))
     crossings = crossings[:12]  # later ones are sums of few products, and noisy
     if crossings.size < 5:

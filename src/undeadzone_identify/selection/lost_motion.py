@@ -20,9 +20,14 @@ from undeadzone.util.arrays import Flags, Floats
 from undeadzone_identify.logs.grid import find_sample_time, printed_step
 from undeadzone_identify.logs.log import Log, Options
 from undeadzone_identify.looks.rows import rows_at_rest
-from undeadzone_identify.models.estimates import Interval, student_quantile, variance_along
+from undeadzone_identify.models.estimates import (
+    Interval,
+    sandwich_covariance,
+    student_quantile,
+    variance_along,
+)
 from undeadzone_identify.models.free_load import fit_free_load
-from undeadzone_identify.models.least_squares import Density, regression_residual
+from undeadzone_identify.models.least_squares import regression_residual
 from undeadzone_identify.models.lost_motion import (
     FEWEST_LATE,
     HELD,
@@ -31,12 +36,13 @@ from undeadzone_identify.models.lost_motion import (
     Positions,
     Structure,
     best_structure,
+    fit_plant,
     is_white,
     motion_density,
     reversal_blocks,
 )
 from undeadzone_identify.selection.decision import LIKELY
-from undeadzone_identify.selection.odds import Family, model_probabilities
+from undeadzone_identify.selection.odds import model_probabilities
 
 FEWEST = 12  # samples that are fitted
 MOST = 20_000  # samples that are fitted; of a longer log the first ones
@@ -154,37 +160,37 @@ def find_lost_motion(log: Log, options: Options) -> tuple[LostMotionAnswer | Non
     late = data.t.size >= FEWEST_LATE
     no_gap = np.zeros(1)
     straight, bent = (kinds[: 1 + late] for kinds in (STRAIGHT, BENT))
-    fit, found = best_structure(data, straight)
-    flat, curved = (best_structure(data, kinds, no_gap)[1] for kinds in (straight, bent))
+    found = best_structure(data, straight)
+    flat, curved = (best_structure(data, kinds, no_gap) for kinds in (straight, bent))
     if curved.bic() < found.bic():
-        bent_fit, bent_found = best_structure(data, bent)
-        if bent_found.bic() < curved.bic():
-            fit, found = bent_fit, bent_found
+        found = min(found, best_structure(data, bent), key=LostMotion.bic)
     white = _is_noise(data, found)
     others = [found]
     if not white and late and (alike or is_goal):
-        fit, found, others = _add_lags(data, (fit, found))
-        flat = min((MotionFit(data, found.structure).fit(no_gap), flat), key=LostMotion.bic)
+        fits = [found, *(MotionFit(data, structure).fit() for structure in LAGGING)]
+        found = min(fits, key=LostMotion.bic)
+        others = [one for one in fits if one.rms < LIKE_BEST * found.rms]
+        flat = min(best_structure(data, [found.structure], no_gap), flat, key=LostMotion.bic)
     positions = alike or is_goal or is_summed
     if not positions:  # what no name calls two positions may be any plant
-        plants = [_fit_plant(data, found, past) for past in PASTS]
+        plants = [fit_plant(data, found, range(past)) for past in PASTS]
         flat = min(flat, *plants, key=LostMotion.bic)
-    gap = _widest(fit, found, others)
-    family = _family(found, flat, curved, quantum)
+    gap = _widest(data, found, others)
+    least = quantum / math.sqrt(12)
+    every = {"none": flat, "play": found, "other": curved}
+    family = {word: motion_density(word, one, least) for word, one in every.items()}
     free = fit_free_load(data) if _may_float(log, is_goal or is_summed, white) else None
     if free is not None:
         family = {
             word: min(one, free.rivals.get(word, one), key=attrgetter("bic"))
             for word, one in family.items()
         }
-        if family["play"] is free.density:
-            fit, found, gap = MotionFit(data, Structure()), free.found, free.gap
-        else:
-            free = None
+        free = free if family["play"] is free.rivals["play"] else None
+    if free is not None:
+        found, gap, white = free.found, free.gap, True  # its motion in the gap is its own
     odds = model_probabilities([family])
     explained = 1 - found.rms**2 / max(float(np.var(data.y)), 1e-300)
     small = found.rms < SMALL * abs(found.gain) * found.gap
-    white = white or free is not None  # whose motion in the gap is its own
     fits = explained > SHARE and (white or small)
     reversals = int(reversal_blocks(data.u, found.gap)[-1])
     if reversals < TURNS:
@@ -213,7 +219,7 @@ def find_lost_motion(log: Log, options: Options) -> tuple[LostMotionAnswer | Non
         is_at_rest=is_at_rest,
         parts=None,
         reversals=reversals,
-        gain_error=_gain_error(fit, found),
+        gain_error=_gain_error(data, found),
         log=log,
         data=data,
         quantum=quantum,
@@ -223,14 +229,6 @@ def find_lost_motion(log: Log, options: Options) -> tuple[LostMotionAnswer | Non
     if free is not None:
         answer.remarks.append(FLOATS.format(100 * free.contact))
     return _described(_split(answer), explained, white), stands
-
-
-def _fit_plant(data: Positions, found: LostMotion, past: int) -> LostMotion:
-    """Return the fit of any linear plant whose response ends after few samples, without a gap."""
-    step = float(np.median(np.diff(data.t)))
-    before = [np.interp(data.t - k * step, data.t, data.u) for k in range(past)]
-    columns = np.column_stack([np.ones(data.t.size), *before])
-    return found._replace(residual=regression_residual(columns, data.y), numbers=past + 2)
 
 
 def _at_rest(data: Positions) -> Positions:
@@ -271,9 +269,8 @@ def positions_of(log: Log, options: Options) -> tuple[Positions | None, bool]:
     there[np.cumsum(there) > MOST] = False
     if there.sum() < FEWEST:
         return None, False
-    with np.errstate(over="ignore", under="ignore"):  # squares must be numbers, and not 0
-        squares = np.ptp(u[there]) ** 2, np.ptp(y[there]) ** 2
-    if not np.finfo(float).tiny < min(squares) <= max(squares) < np.inf:
+    ranges = np.ptp(u[there]), np.ptp(y[there])
+    if not 1e-150 < min(ranges) <= max(ranges) < 1e150:  # squares must be numbers, and not 0
         return None, False
     steps = printed_step(u[there]), printed_step(y[there])
     return Positions(t[there], u[there], y[there], *steps, _has_goal(log)), is_summed
@@ -322,22 +319,9 @@ def is_motor_position(log: Log) -> bool:
     return log.input_kinds == ("torque",) and log.output_kinds == ("position",)
 
 
-def _add_lags(
-    data: Positions, best: tuple[MotionFit, LostMotion]
-) -> tuple[MotionFit, LostMotion, list[LostMotion]]:
-    """Return the best fit with lags as well, and all fits that may be the true one."""
-    every = [best]
-    for structure in LAGGING:
-        one = MotionFit(data, structure)
-        every.append((one, one.fit()))
-    fit, found = min(every, key=lambda pair: pair[1].bic())
-    like = [one for _, one in every if one.rms < LIKE_BEST * found.rms]
-    return fit, found, like
-
-
-def _widest(fit: MotionFit, found: LostMotion, others: list[LostMotion]) -> Interval:
+def _widest(data: Positions, found: LostMotion, others: list[LostMotion]) -> Interval:
     """Return the gap's interval: the best fit's, and of all that may be true as far again."""
-    gap = fit.interval(found)
+    gap = MotionFit(data, found.structure).interval(found)
     gaps = [one.gap for one in others]
     more = max(gaps) - min(gaps) + (ASSUMED * gap.value if found.structure.lags else 0.0)
     low = min(gap.low, min(gaps)) - more
@@ -350,19 +334,11 @@ def _may_float(log: Log, has_goal: bool, white: bool) -> bool:
     return alike and log.t.size >= FEWEST_LATE and find_sample_time(log)[1]
 
 
-def _family(found: LostMotion, flat: LostMotion, curved: LostMotion, quantum: float) -> Family:
-    """Return the densities of lost motion, of none, and of a curve in its place."""
-    least = quantum / math.sqrt(12)
-    densities: dict[str, Density] = {}
-    for word, one in (("none", flat), ("play", found), ("other", curved)):
-        densities[word] = motion_density(word, one, least)
-    return densities
-
-
-def _gain_error(fit: MotionFit, found: LostMotion) -> float:
+def _gain_error(data: Positions, found: LostMotion) -> float:
     """Return the standard deviation of the gain [y/u]."""
+    fit = MotionFit(data, found.structure)
     ahead = fit.delay_and_lag(np.array([found.delay, found.lag]))
-    spread = math.sqrt(float(np.sum((ahead - ahead.mean()) ** 2)))
+    spread = float(ahead.std()) * math.sqrt(ahead.size)
     return max(found.colour, 1.0) ** 2 * found.rms / max(spread, 1e-300)
 
 
@@ -400,19 +376,14 @@ def _split(answer: LostMotionAnswer) -> LostMotionAnswer:
     columns = np.column_stack([(answer.data.u - y)[use], way, np.ones(way.size)])
     if way.size < FEWEST or np.linalg.matrix_rank(columns) < 3:
         return answer
-    kp, step, offset = np.linalg.lstsq(columns, i[use], rcond=None)[0]
-    left = i[use] - columns @ np.array([kp, step, offset])
-    inverse = np.linalg.inv(columns.T @ columns)
-    blocks = np.cumsum(np.diff(way, prepend=way[0]) != 0)
-    scores = [np.bincount(blocks, column * left) for column in columns.T]
-    sums = np.column_stack(scores)
-    count = len(sums)
-    V = inverse @ (sums.T @ sums) @ inverse * count / max(count - 3, 1)
-    V = np.maximum(V, inverse * float(left @ left) / way.size)
+    kp, step, _ = np.linalg.lstsq(columns, i[use], rcond=None)[0]
+    left = regression_residual(columns, i[use])
+    spread = sandwich_covariance(columns * left[:, None], columns.T @ columns)
+    V = np.maximum(spread.V, spread.naive * float(np.mean(left**2)))
     if kp <= 3 * math.sqrt(V[0, 0]):
         return answer
     slope = np.array([2 * step / kp**2, -2 / kp, 0.0])
-    half = student_quantile(max(count - 3.0, 2.0)) * math.sqrt(variance_along(V, slope))
+    half = student_quantile(spread.degrees) * math.sqrt(variance_along(V, slope))
     gap = Interval.from_half_width(float(-2 * step / kp), half)
     total = answer.gap
     around = max(total.high - total.value, total.value - total.low)

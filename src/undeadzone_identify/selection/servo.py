@@ -12,6 +12,7 @@ import math
 
 import msgspec
 import numpy as np
+from scipy.signal import lombscargle, ss2tf
 from scipy.stats import t as student
 
 from undeadzone.nonlinearities.sensor import DIRECTIONS
@@ -21,7 +22,7 @@ from undeadzone_identify.logs.grid import Grid
 from undeadzone_identify.logs.log import Options
 from undeadzone_identify.models import plant
 from undeadzone_identify.models.estimates import Interval, student_quantile
-from undeadzone_identify.models.least_squares import Density, regress_residual, regression_residual
+from undeadzone_identify.models.least_squares import Density, regress_residual
 from undeadzone_identify.models.likelihood import dead_zone, root_mean_square
 from undeadzone_identify.selection.adequacy import AT_SENSOR, Remainder, hat_columns
 from undeadzone_identify.selection.alternatives import (
@@ -45,14 +46,15 @@ from undeadzone_identify.selection.decision import (
 from undeadzone_identify.selection.odds import Family, model_probabilities
 from undeadzone_identify.servo.gap import (
     LONGEST,
-    STEPS,
     ServoGap,
+    covariance_of,
     degrees_of_reversals,
     gap_offset_interval,
     identify_servo_gap,
+    refit,
     servo_slopes,
 )
-from undeadzone_identify.servo.likelihood import RUBS, At, Servo, ServoLikelihood, discretise_servo
+from undeadzone_identify.servo.likelihood import RUBS, At, Servo, discretise_servo
 from undeadzone_identify.servo.observations import (
     Observations,
     build_observations,
@@ -88,7 +90,6 @@ TRIED = np.geomspace(0.7, 2.0, 12)  # widths of a zone of the input, over the le
 NATS = 3.0  # odds of 20 to 1
 LEVEL = 0.02  # of a friction, by which it is uncertain at least: how a motor sticks is assumed
 ROUNDED = 1.2  # times the rounding's rms: a residual below it is rounding
-MOVED = 1e-4  # of a number, for derivatives of the sampled plant
 
 
 def to_observations(grid: Grid, options: Options) -> Observations | None:
@@ -269,13 +270,11 @@ def friction_of(servo: ServoGap) -> Interval | None:
     Args:
         servo: without a gap that matters.
     """
-    free = list(servo.servo.structure.free_places(servo.log.ticks, False))
-    rubs = [place for place in (At.FRICTION, At.LOAD) if place in free]
-    if not rubs:
+    one = servo.servo
+    if not one.structure.parts & {"friction", "load"}:
         return None
-    places = [free.index(place) for place in rubs]
-    value = float(servo.servo.theta[rubs].sum())
-    error = math.sqrt(max(float(servo.covariance[np.ix_(places, places)].sum()), 0.0))
+    value = float(one.theta[RUBS].sum())
+    error = math.sqrt(max(float(covariance_of(servo, lambda theta: theta[RUBS].sum())), 0.0))
     degrees = degrees_of_reversals(servo.reversals)
     half = math.hypot(WIDER * student_quantile(degrees) * error, LEVEL * value)
     friction = Interval.from_half_width(value, half)
@@ -334,9 +333,8 @@ def _compare_noisy_servo(case: Case, servo: ServoGap, found: Findings) -> Findin
     models = (*found.models, _servo_family(case, servo))
     odds = model_probabilities(models, impossible_words(case))
     best = best_model_of("play", models) is models[-1]["play"]
-    if not best or min(odds.get("play", 0.0), servo.gap_probability) <= LIKELY:
-        return found
-    if _depends_on_position(servo):
+    likely = min(odds.get("play", 0.0), servo.gap_probability) > LIKELY
+    if not (best and likely) or _depends_on_position(servo):
         return found
     if servo.is_gap_reported:
         return add_servo_element(case, servo, found)._replace(models=models, odds=odds)
@@ -365,17 +363,13 @@ def find_repetition(servo: ServoGap) -> str | None:
     """
     z, errors = _errors_by_position(servo)
     way = max(float(np.ptp(z)), 1e-300)
-    squares = []
-    for halves in HALF_PERIODS:
-        angle = np.pi * halves * z / way
-        columns = np.column_stack([np.sin(angle), np.cos(angle)])
-        left = regression_residual(columns - columns.mean(axis=0), errors)
-        squares.append(float(left @ left))
-    share = 1 - min(squares) / max(float(errors @ errors), 1e-300)
+    rates = np.pi * np.array(HALF_PERIODS) / way
+    shares = lombscargle(z, errors, rates, normalize=True, floating_mean=True)
+    share = float(shares.max())
     chance = len(HALF_PERIODS) * math.exp(-0.5 * errors.size * share)  # of two columns
     if not Remainder("repetition", share, chance, errors[:0]).is_real:
         return None
-    period = 2 * way / HALF_PERIODS[int(np.argmin(squares))] * servo.log.y_scale
+    period = 2 * np.pi / rates[np.argmax(shares)] * servo.log.y_scale
     return (
         f"what a motor leaves repeats itself every {period:.3g} of its way ({100 * share:.0f} % of"
         " it), as cogging or an eccentric gear does: no gap is not certain. Record with a larger"
@@ -405,8 +399,7 @@ def find_input_zone(servo: ServoGap) -> str | None:
     for width in level * TRIED:
         zoned = log._replace(u=dead_zone(log.u + middle, width, width))
         begun = Servo(structure, theta, one.value)
-        tops = ServoLikelihood(zoned).maximise_from_starts([begun], STEPS)
-        gained.append(max((top.value for top in tops), default=-math.inf) - one.value)
+        gained.append(refit(zoned, begun).value - one.value)
     if max(gained) < -NATS:
         return None
     how = "better than" if max(gained) > NATS else "as well as"
@@ -529,7 +522,7 @@ def build_servo_element(case: Case, servo: ServoGap) -> Element:
         fit=servo,
         simulator=simulator,
         theta=theta,
-        V=_plant_covariance(servo, scale, count),
+        V=covariance_of(servo, lambda numbers: to_sampled_plant(servo, numbers, scale)),
         z=z,
         readings=readings,
         side=side,
@@ -549,13 +542,14 @@ def _servo_widths(
 ) -> dict[str, Interval | None]:
     """Return the play's widths [y]; an output offset widens its sides and its centre."""
     width, even = servo.gap, servo.gap.scale_by(0.5)
-    if centre is None:
-        return {"right": even, "left": even, "width": width, "centre": None}
     offset = math.inf if case.offset_prior is None else case.offset_prior * case.record_data.y_scale
-    centre = Interval.from_half_width(centre.value, math.hypot(centre.half_width, offset))
-    half = math.hypot(even.half_width, centre.half_width)
-    right = Interval.from_half_width(even.value + centre.value, half)
-    left = Interval.from_half_width(even.value - centre.value, half)
+    if centre is not None:
+        centre = Interval.from_half_width(centre.value, math.hypot(centre.half_width, offset))
+    around = centre or Interval(0.0, 0.0, 0.0)
+    half = math.hypot(even.half_width, around.half_width)
+    right, left = (
+        Interval.from_half_width(even.value + way * around.value, half) for way in (1, -1)
+    )
     return {"right": right, "left": left, "width": width, "centre": centre}
 
 
@@ -572,26 +566,10 @@ def to_sampled_plant(servo: ServoGap, theta: Floats, scale: float) -> Floats:
     places = [0] if one.structure.lag else [0, 1]
     places += [3] if "pole" in one.structure.parts else []
     F, b = A[0][np.ix_(places, places)], B[0, places, 0]
-    poles = np.linalg.eigvals(F)
-    whole = np.real(np.poly(F))
-    markov = [float((np.linalg.matrix_power(F, k) @ b)[0]) for k in range(len(places))]
-    numerator = np.convolve(whole, markov)[: len(places)]
+    numerator, whole = ss2tf(F, b[:, None], np.eye(1, b.size), np.zeros((1, 1)))
     if servo.is_integrating:
+        poles = np.roots(whole)
         nearest = int(np.argmin(np.abs(poles - 1)))
         whole = np.real(np.poly(np.delete(poles, nearest)))
     in_units = log.y_scale / log.u_scale * scale
-    return np.concatenate([np.atleast_1d(whole)[1:], numerator * in_units])
-
-
-def _plant_covariance(servo: ServoGap, scale: float, count: int) -> Floats:
-    """Return the covariance of a and b, from that of the servo's parameters."""
-    free = servo.servo.structure.free_places(servo.log.ticks, False)
-    theta = servo.servo.theta
-    rows = np.zeros((count, free.size))
-    for column, place in enumerate(free):
-        move = np.zeros(theta.size)
-        move[place] = MOVED * max(abs(theta[place]), 1.0 if place != At.GAIN else 0.0)
-        more = to_sampled_plant(servo, theta + move, scale)
-        less = to_sampled_plant(servo, theta - move, scale)
-        rows[:, column] = (more - less) / (2 * move[place])
-    return np.asarray(rows @ servo.covariance @ rows.T)
+    return np.concatenate([np.atleast_1d(whole)[1:], numerator[0, 1:] * in_units])

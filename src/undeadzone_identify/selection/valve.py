@@ -118,19 +118,14 @@ class ValveFindings:
         return _plant_behind(self._case, self._acting, self.late, self._part)
 
     @cached_property
-    def _scores(self) -> tuple[HeldOutScore, float]:
-        """Return how readings are predicted one step ahead, and the rms behind u itself."""
-        return _score(self._case, self._fits, self._acting, self._part)
-
-    @property
     def held_out(self) -> HeldOutScore:
         """Return how held-out readings are predicted one step ahead."""
-        return self._scores[0]
+        return _score(self._case, self._fits, self._acting, self._part)
 
-    @property
+    @cached_property
     def without(self) -> float:
         """Return the rms of the same without the valve, scaled as the readings."""
-        return self._scores[1]
+        return _score(self._case, self._fits, self._fits.log.u, self._part).error
 
     @cached_property
     def sensitivity(self) -> float:
@@ -325,19 +320,17 @@ def _comparable_families(
     return (family, *others)
 
 
-def _score(case: Case, fits: LoopFits, v: Floats, part: slice) -> tuple[HeldOutScore, float]:
-    """Score predictions of held-out blocks one step ahead, and the same behind u itself."""
-    regression, lags = fits.regression, fits.structure.lags
+def _score(case: Case, fits: LoopFits, v: Floats, part: slice) -> HeldOutScore:
+    """Score predictions of held-out blocks one step ahead behind a position."""
+    regression, scale = fits.regression, fits.log.deviation
     rows: Integers = regression.rows
     train = training_samples(case.recorded, case.options.held_out)[part][rows]
-    scale, errors = fits.log.deviation, []
-    for position in (v, fits.log.u):
-        columns = regression.regressors(position, lags)
-        coefficients = np.linalg.lstsq(columns[train], regression.y[train], rcond=1e-9)[0]
-        errors.append((regression.y - columns @ coefficients) * scale)
-    rms, without = (root_mean_square(e[~train]) for e in errors)
+    columns = regression.regressors(v, fits.structure.lags)
+    coefficients = np.linalg.lstsq(columns[train], regression.y[train], rcond=1e-9)[0]
+    e = (regression.y - columns @ coefficients) * scale
+    rms = root_mean_square(e[~train])
     share = 1 - rms / max(float(regression.y[~train].std()) * scale, 1e-12)
-    return HeldOutScore(rms, share, is_white(errors[0], ~train)), without
+    return HeldOutScore(rms, share, is_white(e, ~train))
 
 
 def _plant_behind(case: Case, v: Floats, late: int, part: slice) -> ChainFit | None:

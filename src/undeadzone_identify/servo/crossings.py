@@ -14,11 +14,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from scipy.stats import median_abs_deviation
 
 from undeadzone.util.arrays import Floats, Integers
 from undeadzone_identify.servo.likelihood import At, Servo, ServoLikelihood
 from undeadzone_identify.servo.observations import (
-    NORMAL,
     REACH,
     Observations,
     reading_noise_rms,
@@ -67,9 +67,7 @@ class GapCrossings(NamedTuple):
     @property
     def gap_scatter(self) -> float:
         """Return the standard deviation of the gaps by their median deviation [y]."""
-        if not self.gap.size:
-            return math.nan
-        return float(NORMAL * np.median(np.abs(self.gap - self.median_gap)))
+        return float(median_abs_deviation(self.gap, scale="normal"))
 
     @property
     def median_error(self) -> float:
@@ -84,17 +82,18 @@ class GapCrossings(NamedTuple):
             "duration": self.duration,
             "speed": np.abs(self.speed),
             "y": self.y,
-            "direction": self.side.astype(float),
+            "direction": self.side,
         }
-        rows = np.column_stack([_standardise_column(column) for column in columns.values()])
+        rows = np.column_stack(list(columns.values()))
+        rows = (rows - rows.mean(axis=0)) / (rows.std(axis=0) + 1e-300)
         rows = np.column_stack([np.ones(self.gap.size), rows])
         reach = OUTLIER * self.gap_scatter
         gaps = np.clip(self.gap, self.median_gap - reach, self.median_gap + reach)
-        slopes = np.linalg.lstsq(rows, gaps, rcond=1e-8)[0]
+        inverse = np.linalg.pinv(rows.T @ rows)
+        slopes = inverse @ rows.T @ gaps
         left = gaps - rows @ slopes
         degrees = max(self.gap.size - rows.shape[1], 1)
-        covariance = np.linalg.pinv(rows.T @ rows) * float(left @ left) / degrees
-        errors = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+        errors = np.sqrt(np.maximum(inverse.diagonal() * float(left @ left) / degrees, 1e-300))
         found = []
         for name, slope, error in zip(columns, slopes[1:], errors[1:], strict=True):
             share = abs(slope) / max(abs(self.median_gap), 1e-300)
@@ -104,11 +103,6 @@ class GapCrossings(NamedTuple):
                     f" standard deviation: {MEANING[name]}"
                 )
         return found
-
-
-def _standardise_column(column: Floats) -> Floats:
-    """Return a column scaled to mean 0 and variance 1, or zeros."""
-    return np.asarray((column - column.mean()) / (column.std() + 1e-300))
 
 
 def find_crossings(log: Observations, one: Servo, free: bool = False) -> GapCrossings:

@@ -15,24 +15,28 @@ by how much, and how far the gap scatters.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 from scipy.signal import lfilter
 from scipy.special import expit
-from scipy.stats import chi2
+from scipy.stats import chi2, kurtosis
 
 from undeadzone.compile import lanes
 from undeadzone.util.arrays import Flags, Floats, Integers, shift_rows
 from undeadzone_identify.models.estimates import (
     Interval,
+    central_differences,
+    perturb_each,
+    perturbation_steps,
     sandwich_covariance,
     student_quantile,
-    variance_along,
 )
+from undeadzone_identify.models.least_squares import regression_residual
+from undeadzone_identify.models.motion import round_to_quantum
 from undeadzone_identify.models.plant import mean_lag_products
 from undeadzone_identify.servo import predictor
 from undeadzone_identify.servo.crossings import GapCrossings, find_crossings
@@ -44,6 +48,7 @@ from undeadzone_identify.servo.likelihood import (
     ErrorSlopes,
     Servo,
     ServoLikelihood,
+    ServoStructure,
     build_lane_numbers,
     newton_terms,
 )
@@ -66,15 +71,15 @@ def _simulation_kernel() -> lanes.Kernel:
     state = ca.SX.sym("s", MEAN + 1)
     signals = ca.SX.sym("w", LATEST + 1 + 3)
     numbers = ca.SX.sym("p", len(NUMBERS) + LATEST + 1)
-    lane = predictor.Lane(numbers)
+    lane = predictor.build_lane(numbers)
     begun, starts, torque = ca.vertsplit(signals[LATEST + 1 :])
     acting = ca.dot(lane.taps, signals[: LATEST + 1])
     contact = predictor.contact_share(lane, state[0], state[1], state[MEAN])
     pushed = lane.offset + torque
     x = predictor.step_motor(lane, ca.vertsplit(state[:MEAN]), acting, pushed, contact).x
-    x = [ca.if_else(starts, first, one) for first, one in zip([begun, 0, 0, 0], x, strict=True)]
+    x = ca.if_else(starts, ca.vertcat(begun, 0, 0, 0), ca.vertcat(*x))
     level = ca.if_else(starts, begun, predictor.drag_load(lane, state[MEAN], x[0]))
-    step = ca.Function("simulated", [state, signals, numbers], [ca.vertcat(*x, level), level])
+    step = ca.Function("simulated", [state, signals, numbers], [ca.vertcat(x, level), level])
     own = LATEST + 1 + 2
     return lanes.build_kernel(step, exogenous=[own], width=16, fused=True)
 
@@ -95,9 +100,7 @@ def simulate_servo_logs(log: Observations, servo: Servo) -> list[Observations]:
     decay = math.exp(-log.step / SLOW_TIME)
     white = math.sqrt(1 - decay * decay) * draw.standard_normal((size, RUNS))
     torque += math.exp(theta[At.SLOW]) * lfilter([1.0], [1.0, -decay], white, axis=0)
-    rows = build_lane_numbers(
-        theta[None], log.step, log.quantum, log.ticks, False, servo.structure.lag
-    )
+    rows = build_lane_numbers(theta[None], log, False, servo.structure.lag)
     signals = np.column_stack([log.kernel_inputs(log.ok)[:, : LATEST + 1], np.zeros((size, 3))])
     signals[log.start, LATEST + 1] = log.y[log.start]
     signals[log.start, LATEST + 2] = 1.0
@@ -113,15 +116,14 @@ def _record_levels(
     """Return the log with simulated levels as read by its encoder, or with its noise."""
     if not log.ticks:
         return log._replace(y=level + math.exp(theta[At.NOISE]) * draw.standard_normal(level.size))
-    y = log.quantum * np.round(level / log.quantum) if log.quantum else level
+    y = round_to_quantum(level, log.quantum)
     side = change_sides(y, log.ok, log.start)
     return log._replace(y=y, side=side, boundary=y - side * log.quantum / 2)
 
 
-def refit_gaps(logs: Sequence[Observations], one: Servo) -> Floats:
-    """Return the gaps fitted to simulated logs, started from a servo (runs)."""
-    tops = (ServoLikelihood(log).maximise_from_starts([one], STEPS)[0] for log in logs)
-    return np.array([top.theta[At.GAP] for top in tops])
+def refit(log: Observations, one: Servo, fixed: Sequence[int] = ()) -> Servo:
+    """Return a servo that is fitted to another log, with some numbers fixed."""
+    return ServoLikelihood(log).maximise_from_starts([one], STEPS, fixed)[0]
 
 
 # --- The gap, and when none is given
@@ -147,7 +149,6 @@ SCATTERS = 0.5  # of the gap, by which no simulated log's may differ
 HEAVY = 40.0  # kurtosis of errors that are no servo's
 FAR = 8.0  # deviations beyond which one error is
 INPUT_SHARE = 0.04  # share of the errors of noisy readings that past inputs may explain
-MOVED = 1e-5  # of a number, for derivatives
 SLOW_SHARE = 0.05  # of the rms of white torques, from which others are claimed
 SHORT = 1 / 12  # of the time between reversals: correlation time of friction, as a filter's torque
 LAGS = 8  # of these inputs
@@ -245,8 +246,7 @@ class ServoGap(NamedTuple):
         half = float(one.theta[At.GAP]) / 2
         before = shift_rows(log.y, 1, log.start)
         readings = np.maximum(np.minimum(before, z + half), z - half)
-        if log.quantum:
-            readings = log.quantum * np.round(readings / log.quantum)
+        readings = round_to_quantum(readings, log.quantum)
         return z, readings, np.sign(readings - before).astype(int)
 
     def normalised_errors(self, one: Servo) -> Floats:
@@ -279,7 +279,7 @@ def identify_servo_gap(log: Observations | None) -> ServoGap | None:
         return None
     spread = _GapUncertainty(part, best, slopes)
     logs = simulate_servo_logs(part, best)
-    gaps = refit_gaps(logs, best)
+    gaps = np.array([refit(one, best).theta[At.GAP] for one in logs])
     gap = _correct_gap_bias(part, best, spread, gaps, [one.theta[At.GAP] for one in tops])
     found = ServoGap(
         log=log,
@@ -288,7 +288,7 @@ def identify_servo_gap(log: Observations | None) -> ServoGap | None:
         crossings=_correct_crossing_bias(find_crossings(log, best), logs, best),
         reversals=spread.reversals,
         covariance=spread.covariance,
-        gained=best.value - _value_without_gap(part, best),
+        gained=best.value - refit(part, best.replace_number(At.GAP, 0.0), [At.GAP]).value,
         reasons=(),
         is_servo=False,
         has_bursts=are_errors_in_bursts(slopes.normalised),
@@ -315,39 +315,37 @@ def gap_offset_interval(found: ServoGap, level: float) -> Interval | None:
     one = found.servo
     if found.is_integrating:
         return None
-    rest = _rest_position(one)
-    free = one.structure.free_places(log.ticks, False)
-    slopes = np.zeros(free.size)
-    for column, place in enumerate(free):
-        move = np.zeros(one.theta.size)
-        move[place] = MOVED
-        more = _rest_position(one._replace(theta=one.theta + move))
-        slopes[column] = (more - rest) / MOVED
-    error = math.sqrt(variance_along(found.covariance, slopes))
-    half = WIDER * student_quantile(degrees_of_reversals(found.reversals)) * error
+    rest = _rest_position(one.structure, one.theta)
+    variance = covariance_of(found, lambda theta: _rest_position(one.structure, theta))
+    half = WIDER * student_quantile(degrees_of_reversals(found.reversals)) * math.sqrt(variance)
     return Interval.from_half_width(-rest * log.y_scale - level, half * log.y_scale)
 
 
-def _rest_position(one: Servo) -> float:
+def covariance_of(found: ServoGap, quantity: Callable[[Floats], Any]) -> Any:
+    """Return the variance of a number of a servo, or the covariance of several (K x K).
+
+    Args:
+        found: whose numbers have a covariance.
+        quantity: of the servo's numbers (P).
+    """
+    one = found.servo
+    free = one.structure.free_places(found.log.ticks, False)
+    steps = perturbation_steps(one.theta[free])
+    points = perturb_each(one.theta, free, steps)[1:]
+    slopes = central_differences(np.array([quantity(theta) for theta in points]), steps)
+    return slopes.T @ found.covariance @ slopes
+
+
+def _rest_position(structure: ServoStructure, theta: Floats) -> float:
     """Return the value of z at rest for u = 0, from the first reading, scaled."""
-    theta = one.theta
-    stiffness = math.exp(theta[At.DAMPING] if one.structure.lag else theta[At.SPRING])
+    stiffness = math.exp(theta[At.DAMPING if structure.lag else At.SPRING])
     return float(theta[At.GAIN] * theta[At.OFFSET]) / stiffness
-
-
-def _value_without_gap(log: Observations, one: Servo) -> float:
-    """Return the log likelihood of a servo without a gap."""
-    return (
-        ServoLikelihood(log)
-        .maximise_from_starts([one.replace_number(At.GAP, 0.0)], STEPS, (At.GAP,))[0]
-        .value
-    )
 
 
 def servo_slopes(log: Observations, one: Servo) -> ErrorSlopes:
     """Return the counted errors of a servo and their derivatives by its free parameters."""
     free = one.structure.free_places(log.ticks, False)
-    return ServoLikelihood(log).error_slopes(one.theta[None], [free], one.structure.lag)[0]
+    return ServoLikelihood(log).error_slopes(one.theta[None], [free], [one.structure.lag])[0]
 
 
 class _GapUncertainty:
@@ -476,9 +474,8 @@ def collect_odd_errors(log: Observations, slopes: ErrorSlopes) -> list[str]:
     """
     r = slopes.normalised
     r = r - r.mean()
-    power = float(r @ r) + 1e-300
     reasons = []
-    if np.abs(r).max() > FAR and r.size * float(np.sum(r**4)) > HEAVY * power**2:
+    if np.abs(r).max() > FAR and kurtosis(r, fisher=False) > HEAVY:
         reasons.append("a few readings are far from what any servo does")
     if log.ticks:
         return reasons
@@ -487,8 +484,7 @@ def collect_odd_errors(log: Observations, slopes: ErrorSlopes) -> list[str]:
         reasons.append("errors follow from errors before them: no model of a motor explains them")
     used = np.flatnonzero(log.error_samples(False))
     past = np.column_stack([shift_rows(log.u, 1 + j, log.start)[used] for j in range(LAGS)])
-    past = past - past.mean(axis=0)
-    explained = past @ np.linalg.lstsq(past, r, rcond=1e-8)[0]
-    if float(explained @ explained) > INPUT_SHARE * power:
+    left = regression_residual(past - past.mean(axis=0), r)
+    if 1 - float(left @ left) / max(float(r @ r), 1e-300) > INPUT_SHARE:
         reasons.append("past inputs explain errors: no model of a motor explains them")
     return reasons

@@ -9,13 +9,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import f as fisher
 
 from undeadzone.nonlinearities.play import levels
 from undeadzone.util.arrays import Flags, Floats, Integers, shift_rows
 from undeadzone_identify.logs.grid import common_spacing
-from undeadzone_identify.models.least_squares import regression_residual
-from undeadzone_identify.models.motion import reading_changes, white_noise_rms
+from undeadzone_identify.models.least_squares import regress_residual, regression_residual
+from undeadzone_identify.models.motion import last_reading_rows, reading_changes, white_noise_rms
 from undeadzone_identify.servo.predictor import LATEST
 
 LAGS = 10  # samples of the past that are taken out
@@ -54,11 +53,8 @@ def tick_loop_p_value(u: Floats, y: Floats) -> float:
     before = regression_residual(known, target)
     if np.std(before) < LEAST * np.std(target):
         return 1.0
-    after = regression_residual(np.column_stack([known, now]), target)
-    share = 1 - float(after @ after) / float(before @ before)
-    degrees = target.size - known.shape[1] - OWN
-    ratio = share / max(1 - share, 1e-12) * degrees / OWN
-    return float(fisher.sf(ratio, OWN, degrees)) if share > SHARE else 1.0
+    share, chance = regress_residual(regression_residual(known, now), before)[2:]
+    return chance if share > SHARE else 1.0
 
 
 def _inlier_rows(columns: Floats, target: Floats) -> Flags:
@@ -122,10 +118,8 @@ class Observations(NamedTuple):
         """Return the flags of ticks opposite to the previous tick of their record (N)."""
         at = np.flatnonzero(self.side)
         turned = np.zeros(self.side.size, bool)
-        record = np.searchsorted(self.start, at, side="right")
-        same = record[1:] == record[:-1]
-        turned[at[1:]] = (self.side[at[1:]] != self.side[at[:-1]]) & same
-        return turned
+        turned[at[1:]] = np.diff(self.side[at]) != 0
+        return turned & ~self.first_ticks
 
     @property
     def first_ticks(self) -> Flags:
@@ -133,7 +127,7 @@ class Observations(NamedTuple):
         at = np.flatnonzero(self.side)
         record = np.searchsorted(self.start, at, side="right")
         begun = np.zeros(self.side.size, bool)
-        begun[at[np.append(True, np.diff(record) > 0)[: at.size]]] = True
+        begun[at[np.diff(record, prepend=-1) > 0]] = True
         return begun
 
     def kernel_inputs(self, counted: Flags) -> Floats:
@@ -165,9 +159,8 @@ class Observations(NamedTuple):
             most: samples.
             least: reversals; where so many samples have fewer, twice as many are taken, and so on.
         """
-        turned = np.cumsum(
-            np.append(0, (self if self.ticks else to_schmitt_ticks(self)).reversal_ticks)
-        )
+        ticked = self if self.ticks else to_schmitt_ticks(self)
+        turned = np.cumsum(np.append(0, ticked.reversal_ticks))
         while most < self.u.size and np.max(turned[most:] - turned[:-most]) < least:
             most *= 2
         if self.u.size <= most:
@@ -175,14 +168,9 @@ class Observations(NamedTuple):
         first = int(np.argmax(turned[most:] - turned[:-most]))
         part = slice(first, first + most)
         inside = self.start[(self.start > first) & (self.start < first + most)] - first
-        return self._replace(
-            u=self.u[part],
-            y=self.y[part],
-            ok=self.ok[part],
-            start=np.append(0, inside),
-            side=self.side[part],
-            boundary=self.boundary[part],
-        )
+        signals = ("u", "y", "ok", "side", "boundary")
+        parts = {name: getattr(self, name)[part] for name in signals}
+        return self._replace(start=np.append(0, inside), **parts)
 
 
 def build_observations(
@@ -202,39 +190,31 @@ def build_observations(
     if not (u_scale > 0 and y_scale > 0):
         return None
     level = float(y[ok][0])
-    filled = hold_last_reading(np.where(ok, (y - level) / y_scale, 0.0), ok)
+    filled = ((y - level) / y_scale)[last_reading_rows(ok)]
     side = change_sides(filled, ok, start)
     at = np.flatnonzero(side)
     if at.size < FEWEST:
         return None
     spacing = common_spacing(np.unique(filled[ok]))
-    none = np.zeros(y.size, int)
-    log = Observations(
+    turning = float(np.mean(side[at[1:]] != side[at[:-1]]))
+    exact_enough = spacing > 0 or at.size < (1 - MOVING) * y.size
+    ticks = turning < TURNING and exact_enough
+    side = side * ticks
+    return Observations(
         step=step if USUAL[0] <= step <= USUAL[1] else math.sqrt(USUAL[0] * USUAL[1]),
         seconds=step,
         u=u / u_scale,
         y=filled,
         ok=ok,
         start=start,
-        ticks=True,
-        quantum=spacing,
-        side=none,
-        boundary=filled,
+        ticks=ticks,
+        quantum=spacing * ticks,
+        side=side,
+        boundary=filled - side * spacing / 2,
         u_scale=u_scale,
         y_scale=y_scale,
         loop=tick_loop_p_value(u, filled),
     )
-    turning = float(np.mean(side[at[1:]] != side[at[:-1]]))
-    exact_enough = spacing > 0 or at.size < (1 - MOVING) * y.size
-    if turning < TURNING and exact_enough:
-        return log._replace(side=side, boundary=filled - side * spacing / 2)
-    return log._replace(ticks=False, quantum=0.0)
-
-
-def hold_last_reading(y: Floats, ok: Flags) -> Floats:
-    """Return the readings with the last reading held over missing samples (N)."""
-    last = np.maximum.accumulate(np.where(ok, np.arange(y.size), -1))
-    return np.where(last >= 0, y[np.maximum(last, 0)], 0.0)
 
 
 def change_sides(y: Floats, ok: Flags, start: Integers) -> Integers:

@@ -24,7 +24,9 @@ Gaussian.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -41,7 +43,7 @@ SLOWEST = 1e-9  # rate after a tick against which the prediction moved
 
 PLANT = (
     *("a00", "a01", "a02", "a03", "a10", "a11", "a12", "a13", "a22", "a33"),
-    *("bz", "bv", "bi", "fz", "fv"),
+    *("b00", "b10", "b30", "b01", "b11"),
     *("q00", "q01", "q11", "q02", "q12", "q22"),
 )
 OTHERS = (
@@ -50,22 +52,16 @@ OTHERS = (
 )
 NUMBERS = (*PLANT, *OTHERS)  # then the weights of u(t), u(t - 1), ...
 MEAN = 4  # z, v, d, i
-TRIANGLE = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))  # of the covariance of z, v, d
+COVARIANCE = 6  # numbers of the upper part of the covariance of z, v, d
 SEEN = ("error", "log_s", "z", "v")  # what a kernel tells of each sample
 DEGREES = 6.0  # of freedom of an error
 WORST = -1e6  # log density of an error that is no number
 
 
-class Lane:
-    """Parameters of a lane by their names in `NUMBERS`, and the weights of its inputs."""
-
-    def __init__(self, numbers: Any) -> None:
-        self._named = {name: numbers[place] for place, name in enumerate(NUMBERS)}
-        self.taps = numbers[len(NUMBERS) :]
-
-    def __getattr__(self, name: str) -> Any:
-        """Return a parameter by name."""
-        return self._named[name]
+def build_lane(numbers: Any) -> Any:
+    """Return the parameters of a lane by name, and the weights of its inputs as `taps`."""
+    named = dict(zip(NUMBERS, ca.vertsplit(numbers[: len(NUMBERS)]), strict=True))
+    return SimpleNamespace(**named, taps=numbers[len(NUMBERS) :])
 
 
 class _Motion(NamedTuple):
@@ -82,7 +78,7 @@ class _Motion(NamedTuple):
     brake: Any
 
 
-def step_motor(lane: Lane, x: list[Any], u: Any, torque: Any, contact: Any) -> _Motion:
+def step_motor(lane: Any, x: list[Any], u: Any, torque: Any, contact: Any) -> _Motion:
     """Return the mean of the motor's state one sample later.
 
     Args:
@@ -93,29 +89,29 @@ def step_motor(lane: Lane, x: list[Any], u: Any, torque: Any, contact: Any) -> _
         contact: share of the sample in which the gear pushes the load, with the sign of its way.
     """
     z, v, d, i = x
-    push = lane.a10 * z + lane.a12 * d + lane.a13 * i + lane.bv * u + lane.fv * torque
-    rolled = lane.a00 * z + lane.a01 * v + lane.a02 * d + lane.a03 * i + lane.bz * u
-    rolled = rolled + lane.fz * torque
+    push = lane.a10 * z + lane.a12 * d + lane.a13 * i + lane.b10 * u + lane.b11 * torque
+    rolled = lane.a00 * z + lane.a01 * v + lane.a02 * d + lane.a03 * i + lane.b00 * u
+    rolled = rolled + lane.b01 * torque
     sign = ca.if_else(v == 0, ca.sign(push), ca.sign(v))
     friction = lane.friction + lane.load * ca.fmax(sign * contact, 0.0)
     turned = lane.friction + lane.load * ca.fmax(-sign * contact, 0.0)  # once it turned
     rubs = lane.friction + lane.load > 0
-    ahead = lane.a11 * v + push - sign * ca.fabs(lane.fv) * friction
+    ahead = lane.a11 * v + push - sign * ca.fabs(lane.b11) * friction
     passes = ca.logic_and(ahead * sign < 0, rubs)
-    brake = ca.fabs(lane.fv) * ca.if_else(v == 0, friction, turned)
+    brake = ca.fabs(lane.b11) * ca.if_else(v == 0, friction, turned)
     stops = ca.logic_or(v == 0, passes)
     rests = ca.logic_and(rubs, ca.logic_and(stops, ca.fabs(push) <= brake))
     before = ca.fabs(v) / ca.fmax(ca.fabs(v) + ca.fabs(ahead), 1e-300)  # share until it stops
     drag = sign * ca.if_else(passes, before * friction - (1 - before) * turned, friction)
-    slid_z = rolled - ca.fabs(lane.fz) * drag
-    slid_v = lane.a11 * v + push - ca.fabs(lane.fv) * drag
+    slid_z = rolled - ca.fabs(lane.b01) * drag
+    slid_v = lane.a11 * v + push - ca.fabs(lane.b11) * drag
     stopped = z + 0.5 * before * v * lane.step * ca.if_else(v == 0, 0.0, 1.0)
     new_z = ca.if_else(rests, stopped, slid_z)
     new_v = ca.if_else(rests, 0.0, slid_v)
-    return _Motion([new_z, new_v, lane.a22 * d, lane.a33 * i + lane.bi * u], rests, brake)
+    return _Motion([new_z, new_v, lane.a22 * d, lane.a33 * i + lane.b30 * u], rests, brake)
 
 
-def contact_share(lane: Lane, z: Any, v: Any, level: Any) -> Any:
+def contact_share(lane: Any, z: Any, v: Any, level: Any) -> Any:
     """Return the share of a sample in which the gear pushes the load, with the motion's sign.
 
     Args:
@@ -132,59 +128,59 @@ def contact_share(lane: Lane, z: Any, v: Any, level: Any) -> Any:
     return ca.if_else(v == 0, resting, moving)
 
 
-def drag_load(lane: Lane, level: Any, z: Any) -> Any:
+def drag_load(lane: Any, level: Any, z: Any) -> Any:
     """Return the level of the load after the motor has dragged it."""
     return apply_backlash(ca, z, level, lane.gap / 2, lane.gap / 2)
 
 
-def _propagate_covariance(lane: Lane, P: Any, motion: _Motion) -> Any:
+def _propagate_covariance(lane: Any, P: Any, motion: _Motion) -> Any:
     """Return the covariance of z, v, d one sample later and the transition matrix."""
     rests = motion.rests
     deviation = ca.sqrt(ca.fmax(P[1, 1], 0.0))
     retained = ca.fmax(1 - motion.brake / ca.fmax(deviation, 1e-300), 0.0)
     retained = ca.if_else(deviation > 0, retained, 0.0)
     loose = ca.if_else(rests, ca.if_else(retained > 0, 1.0, 0.0), 1.0)
-    F = ca.SX.zeros(3, 3)
-    F[0, 0] = ca.if_else(rests, 1.0, lane.a00)
-    F[0, 1] = lane.a01 * loose
-    F[0, 2] = ca.if_else(rests, 0.0, lane.a02)
-    F[1, 0] = ca.if_else(rests, 0.0, lane.a10)
-    F[1, 1] = ca.if_else(rests, retained, lane.a11)
-    F[1, 2] = ca.if_else(rests, 0.0, lane.a12)
-    F[2, 2] = lane.a22
-    Q = ca.SX.zeros(3, 3)
-    for (row, column), name in zip(TRIANGLE, PLANT[-6:], strict=True):
-        entry = getattr(lane, name) * (1.0 if row == column == 2 else loose)
-        Q[row, column] = entry
-        Q[column, row] = entry
-    return F @ P @ F.T + Q, F
+    sliding = [[lane.a00, lane.a01, lane.a02], [lane.a10, lane.a11, lane.a12], [0, 0, lane.a22]]
+    resting = [[1, lane.a01 * loose, 0], [0, retained, 0], [0, 0, lane.a22]]
+    F = ca.if_else(rests, ca.blockcat(resting), ca.blockcat(sliding))
+    own = [getattr(lane, name) for name in PLANT[-COVARIANCE:]]
+    acts = ca.diag(ca.vertcat(loose, loose, 1))
+    return F @ P @ F.T + acts @ _from_upper_part(ca.vertcat(*own)) @ acts, F
 
 
-def _from_upper_part(entries: list[Any]) -> Any:
+def _from_upper_part(entries: Any) -> Any:
     """Build a covariance of z, v, d from its upper part."""
-    P = ca.SX(3, 3)
-    for (row, column), entry in zip(TRIANGLE, entries, strict=True):
-        P[row, column] = entry
-        P[column, row] = entry
-    return P
+    return ca.triu2symm(ca.SX(ca.Sparsity.upper(3), entries))
 
 
-def _upper_part(P: Any) -> list[Any]:
+def _upper_part(P: Any) -> Any:
     """Return the upper part of a covariance of z, v, d."""
-    return [P[row, column] for row, column in TRIANGLE]
+    return ca.triu(ca.densify(P)).nz[:]
 
 
-def _initial_covariance(lane: Lane, variance: Any) -> Any:
+def _initial_covariance(lane: Any, variance: Any) -> Any:
     """Return the covariance of z, v, d at the start of a record."""
     return ca.diag(ca.vertcat(variance, lane.first_v, lane.first_d))
 
 
-class _PredictorOutput(NamedTuple):
-    """Next state, `SEEN`, and whether the error counts."""
+class _Before(NamedTuple):
+    """Servo ahead of a reading.
 
-    following: Any
-    seen: Any
-    counts: Any
+    Attributes:
+        lane: its parameters.
+        was: the state a sample before.
+        x: the mean of z, v, d, i.
+        P: the covariance of z, v, d.
+        F: their transition.
+        signals: of the sample beside the inputs.
+    """
+
+    lane: Any
+    was: Any
+    x: Any
+    P: Any
+    F: Any
+    signals: list[Any]
 
 
 def student_log_density(error: Any, log_s: Any) -> Any:
@@ -200,27 +196,43 @@ def student_log_density(error: Any, log_s: Any) -> Any:
 
 
 def _build_predictor(
-    name: str, state: Any, signals: Any, numbers: Any, out: _PredictorOutput, what: str
-) -> Any:
-    """Build a kernel that outputs all of `SEEN`, errors, or the sum of their log densities."""
-    if what != "sums":
-        seen = out.seen if what == "all" else out.seen[:2]
-        step = ca.Function(name, [state, signals, numbers], [out.following, seen])
-        return lanes.build_kernel(step, params=range(numbers.shape[0]), width=WIDTH, fused=True)
-    total = ca.SX.sym("total")
-    added = total + ca.if_else(out.counts != 0, student_log_density(out.seen[0], out.seen[1]), 0.0)
-    whole = ca.vertcat(state, total), signals, numbers
-    step = ca.Function(name, [*whole], [ca.vertcat(out.following, added), ca.SX(0, 1)])
-    return lanes.build_kernel(step, params=range(numbers.shape[0]), width=WIDTH, fused=True)
+    update: Callable[[_Before], tuple[Any, Any]], own: int, signals: int, sums: bool
+) -> lanes.Kernel:
+    """Build a kernel that outputs all of `SEEN`, or the sum of the errors' log densities.
+
+    Args:
+        update: it returns the state after a reading, and `SEEN`.
+        own: numbers of the state besides mean and covariance, the level of the load first.
+        signals: beside the inputs; the last one is whether the error counts.
+        sums: whether log densities of errors are added up, and nothing is recorded.
+    """
+    state = ca.SX.sym("s", MEAN + COVARIANCE + own)
+    exogenous = ca.SX.sym("w", LATEST + 1 + signals)
+    numbers = ca.SX.sym("p", len(NUMBERS) + LATEST + 1)
+    lane = build_lane(numbers)
+    mean, upper, behind = ca.vertsplit(state, [0, MEAN, MEAN + COVARIANCE, state.numel()])
+    acting = ca.dot(lane.taps, exogenous[: LATEST + 1])
+    contact = contact_share(lane, mean[0], mean[1], behind[0])
+    motion = step_motor(lane, ca.vertsplit(mean), acting, lane.offset, contact)
+    P, F = _propagate_covariance(lane, _from_upper_part(upper), motion)
+    *rest, counts = ca.vertsplit(exogenous[LATEST + 1 :])
+    after, seen = update(_Before(lane, state, ca.vertcat(*motion.x), P, F, rest))
+    if sums:
+        total = ca.SX.sym("total")
+        gained = ca.if_else(counts != 0, student_log_density(seen[0], seen[1]), 0.0)
+        state, after = ca.vertcat(state, total), ca.vertcat(after, total + gained)
+        seen = ca.SX(0, 1)
+    step = ca.Function("servo", [state, exogenous, numbers], [after, seen])
+    return lanes.build_kernel(step, params=range(numbers.numel()), width=WIDTH, fused=True)
 
 
 @cache
-def tick_predictor(what: str = "all") -> lanes.Kernel:
+def tick_predictor(sums: bool = False) -> lanes.Kernel:
     """Build the predictor of ticks.
 
     Args:
-        what: it tells: all of `SEEN`, errors (the first two), or sums: log densities are added
-            up in the last state, and nothing is recorded.
+        sums: whether log densities of errors are added up in the last state, and nothing is
+            recorded; else all of `SEEN` is.
 
     Returns:
         A kernel whose inputs are u(t), u(t - 1), ..., the side of a tick or 0, its boundary,
@@ -229,23 +241,19 @@ def tick_predictor(what: str = "all") -> lanes.Kernel:
         Errors are of ticks alone; a free one forgets z at a reversal, so that nothing is known of
         the gap.
     """
-    state = ca.SX.sym("s", MEAN + len(TRIANGLE) + 1)
-    signals = ca.SX.sym("w", LATEST + 1 + 6)
-    numbers = ca.SX.sym("p", len(NUMBERS) + LATEST + 1)
-    lane = Lane(numbers)
-    side, boundary, turns, first, starts, counts = ca.vertsplit(signals[LATEST + 1 :])
-    inputs = signals[: LATEST + 1]
-    acting = ca.dot(lane.taps, inputs)
-    level = state[-1]
-    contact = contact_share(lane, state[0], state[1], level)
-    motion = step_motor(lane, ca.vertsplit(state[:MEAN]), acting, lane.offset, contact)
-    P, _ = _propagate_covariance(lane, _from_upper_part(ca.vertsplit(state[MEAN:-1])), motion)
-    x = [ca.if_else(starts, 0.0, one) for one in motion.x]
+    return _build_predictor(_hear_tick, 1, 6, sums)
+
+
+def _hear_tick(before: _Before) -> tuple[Any, Any]:
+    """Return the state after a sample with a tick or without, and `SEEN`."""
+    lane, was, moved, P = before[:4]
+    side, boundary, turns, first, starts = before.signals
+    x = ca.if_else(starts, 0.0, moved)
     P = ca.if_else(starts, _initial_covariance(lane, 0.0), P)
     swept = ca.fmin(ca.fabs(x[1]) * lane.step, lane.quantum)
     swept = ca.fmax(swept, SURE * lane.quantum)
-    turned = ca.logic_and(state[1] * side > 0, x[1] * side < 0)
-    slower = ca.fabs(x[1]) + ca.fabs(state[1])  # within the sample, past a peak
+    turned = ca.logic_and(was[1] * side > 0, x[1] * side < 0)
+    slower = ca.fabs(x[1]) + ca.fabs(was[1])  # within the sample, past a peak
     fallen = ca.if_else(turned, 0.5 * x[1] ** 2 * lane.step / ca.fmax(slower, 1e-300), 0.0)
     R = swept**2 / 12 + lane.rms**2 + fallen**2
     at = boundary + side * ((swept + lane.gap) / 2 - fallen)
@@ -253,65 +261,54 @@ def tick_predictor(what: str = "all") -> lanes.Kernel:
     P[0, 0] = P[0, 0] + ca.if_else(ca.logic_and(side != 0, forgets), UNKNOWN, 0.0)
     S = P[0, 0] + R
     error = at - x[0]
-    gain = [ca.if_else(side != 0, P[k, 0] / S, 0.0) for k in range(3)]
     seen = ca.vertcat(error, 0.5 * ca.log(S), x[0], x[1])
-    updated = [x[k] + gain[k] * error for k in range(3)]
+    gain = ca.if_else(side != 0, P[:, 0] / S, 0.0)
+    updated = x[:3] + gain * error
     left = ca.if_else(side != 0, R / S, 1.0)
-    after = P - ca.vertcat(*gain) @ P[0, :]
-    for k in range(3):
-        after[0, k] = left * P[0, k]
-        after[k, 0] = left * P[0, k]
-    P = after
+    along = left * P[:, 0]
+    P = P - gain @ P[0, :]
+    P[:, 0] = along
+    P[0, :] = along.T
     against = ca.logic_and(side != 0, updated[1] * side <= 0)
     against = ca.logic_and(against, ca.logic_not(turned))
     updated[1] = ca.if_else(against, side * SLOWEST, updated[1])
-    level = ca.if_else(
-        side != 0, updated[0] - side * lane.gap / 2, drag_load(lane, level, updated[0])
-    )
-    following = ca.vertcat(*updated, x[3], *_upper_part(P), ca.if_else(starts, 0.0, level))
-    return _build_predictor(
-        "ticks", state, signals, numbers, _PredictorOutput(following, seen, counts), what
-    )
+    dragged = drag_load(lane, was[-1], updated[0])
+    level = ca.if_else(side != 0, updated[0] - side * lane.gap / 2, dragged)
+    level = ca.if_else(starts, 0.0, level)
+    return ca.vertcat(updated, x[3], _upper_part(P), level), seen
 
 
 @cache
-def noise_predictor(what: str = "all") -> lanes.Kernel:
+def noise_predictor(sums: bool = False) -> lanes.Kernel:
     """Build the predictor of noisy readings.
 
     Args:
-        what: it tells: all of `SEEN`, errors (the first two), or sums: log densities are added
-            up in the last state, and nothing is recorded.
+        sums: whether log densities of errors are added up in the last state, and nothing is
+            recorded; else all of `SEEN` is.
 
     Returns:
         A kernel whose inputs are u(t), u(t - 1), ..., the reading, whether there is one, whether a
         record starts, and whether its error counts; whose lanes differ in `NUMBERS` and in how
         late the input acts.
     """
-    state = ca.SX.sym("s", MEAN + len(TRIANGLE) + 5)
-    signals = ca.SX.sym("w", LATEST + 1 + 4)
-    numbers = ca.SX.sym("p", len(NUMBERS) + LATEST + 1)
-    lane = Lane(numbers)
-    reading, there, starts, counts = ca.vertsplit(signals[LATEST + 1 :])
-    inputs = signals[: LATEST + 1]
-    upper = ca.vertsplit(state[MEAN : MEAN + len(TRIANGLE)])
-    level = state[MEAN + len(TRIANGLE)]
-    of_level = state[MEAN + len(TRIANGLE) + 1 :]
-    contact = contact_share(lane, state[0], state[1], level)
-    acting = ca.dot(lane.taps, inputs)
-    motion = step_motor(lane, ca.vertsplit(state[:MEAN]), acting, lane.offset, contact)
-    P, F = _propagate_covariance(lane, _from_upper_part(upper), motion)
-    with_level = F @ of_level[:3]
+    return _build_predictor(_hear_reading, 5, 4, sums)
+
+
+def _hear_reading(before: _Before) -> tuple[Any, Any]:
+    """Return the state after a sample with a noisy reading or without, and `SEEN`."""
+    lane, was, moved, P, F, (reading, there, starts) = before
+    level, *of_level = ca.vertsplit(was[MEAN + COVARIANCE :])
+    with_level = F @ ca.vertcat(*of_level[:3])
     own = of_level[3]
     R = lane.rms**2
-    at_start = [reading, 0.0, 0.0, 0.0]
-    x = [ca.if_else(starts, begun, one) for begun, one in zip(at_start, motion.x, strict=True)]
+    x = ca.if_else(starts, ca.vertcat(reading, 0.0, 0.0, 0.0), moved)
     P = ca.if_else(starts, _initial_covariance(lane, lane.gap**2 / 12 + R), P)
     level = ca.if_else(starts, reading, level)
     own = ca.if_else(starts, R, own)
     with_level = ca.if_else(starts, ca.vertcat(R, 0.0, 0.0), with_level)
     apart = ca.fmax(P[0, 0] - 2 * with_level[0] + own, 1e-300)
     mean, slope, rest = dead_zone_moments(x[0] - level, apart, lane.gap / 2)
-    slope, rest, mean = (ca.if_else(starts, 0.0, one) for one in (slope, rest, mean))
+    slope, rest, mean = ca.vertsplit(ca.if_else(starts, 0.0, ca.vertcat(slope, rest, mean)))
     level = level + mean
     own = (1 - slope) ** 2 * own + 2 * slope * (1 - slope) * with_level[0]
     own = own + slope**2 * P[0, 0] + rest
@@ -322,15 +319,12 @@ def noise_predictor(what: str = "all") -> lanes.Kernel:
     seen = ca.vertcat(error, 0.5 * ca.log(S), x[0], x[1])
     gain = ca.if_else(is_read, with_level / S, ca.SX.zeros(3))
     gain_own = ca.if_else(is_read, own / S, 0.0)
-    after = [x[k] + gain[k] * error for k in range(3)]
+    after = x[:3] + gain * error
     P = P - gain @ with_level.T
-    following = ca.vertcat(
-        *after, x[3], *_upper_part(P), level + gain_own * error,
-        with_level - gain * own, own - gain_own * own,
-    )  # fmt: skip
-    return _build_predictor(
-        "noise", state, signals, numbers, _PredictorOutput(following, seen, counts), what
-    )
+    with_level = with_level - gain * own
+    level = level + gain_own * error
+    own = own - gain_own * own
+    return ca.vertcat(after, x[3], _upper_part(P), level, with_level, own), seen
 
 
 def dead_zone_moments(mean: Any, variance: Any, half: Any) -> tuple[Any, Any, Any]:

@@ -11,10 +11,11 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.signal import lfilter
+from scipy.signal import lfilter, ss2tf
 
 from undeadzone.util.arrays import Floats, shift_rows
 from undeadzone_identify.servo.crossings import find_crossings
@@ -77,8 +78,7 @@ def search_servos(log: Observations) -> list[Servo]:
     exchanged = exchange_gap_and_friction(min(tops, key=likelihood.bic))
     exchanged = likelihood.maximise_from_starts(exchanged, 3 * LAST, (At.TORQUE,))
     tops += likelihood.maximise_from_starts(exchanged, 3 * LAST)
-    ranked = sorted(_merge_best_servos({}, tops).values(), key=likelihood.bic)
-    return [one for one in ranked if likelihood.bic(one) <= likelihood.bic(ranked[0]) + REACHED]
+    return _likely_structures(likelihood, tops)
 
 
 # --- Without a gap
@@ -89,21 +89,29 @@ def fit_without_gap(log: Observations) -> list[Servo]:
     likelihood = ServoLikelihood(log, free=True)
     if likelihood.used.size < 3 * len(At):
         return []
-    begun = initial_servos(log)
-    families = sorted({one.structure for one in begun}, key=repr)
-    tops = likelihood.maximise_from_starts(begun, FIRST, (At.TORQUE,))
-    tops = list(itertools.chain(*(_best_of_structure(tops, family, BEAM) for family in families)))
+    tops = likelihood.maximise_from_starts(initial_servos(log), FIRST, (At.TORQUE,))
+    tops = _best_of_structures(tops, BEAM)
     weaker = [one.replace_number(At.TORQUE, math.log(TORQUES[-1])) for one in tops]
     tops += likelihood.maximise_from_starts(weaker, THEN, (At.TORQUE,))
     tops = likelihood.maximise_from_starts(tops, LAST)
-    tops = list(itertools.chain(*(_best_of_structure(tops, family, 2) for family in families)))
-    return sorted(tops, key=likelihood.bic)
+    return sorted(_best_of_structures(tops, 2), key=likelihood.bic)
 
 
-def _best_of_structure(tops: Sequence[Servo], family: ServoStructure, count: int) -> list[Servo]:
-    """Return the best servos of a structure."""
-    own = [one for one in tops if one.structure == family and math.isfinite(one.value)]
-    return sorted(own, key=lambda one: -one.value)[:count]
+def _best_of_structures(tops: Sequence[Servo], count: int = 1) -> list[Servo]:
+    """Return the likeliest servos of each structure."""
+    found = list[Servo]()
+    counts = Counter[ServoStructure]()
+    for one in sorted(tops, key=lambda top: -top.value):
+        if math.isfinite(one.value) and counts[one.structure] < count:
+            counts[one.structure] += 1
+            found.append(one)
+    return found
+
+
+def _likely_structures(likelihood: ServoLikelihood, tops: Sequence[Servo]) -> list[Servo]:
+    """Return the likeliest servo of each structure within `REACHED` of BIC, best first."""
+    ranked = sorted(_best_of_structures(tops), key=likelihood.bic)
+    return [one for one in ranked if likelihood.bic(one) <= likelihood.bic(ranked[0]) + REACHED]
 
 
 def initial_servos(log: Observations) -> list[Servo]:
@@ -131,12 +139,11 @@ def _initial_servo(
     late: float,
 ) -> Servo:
     """Return a start point with the gain that suits its other parameters."""
-    theta = np.zeros(len(At))
+    theta = structure.disable_absent_parts(np.zeros(len(At)))
     theta[At.DAMPING] = math.log(rate)
     theta[At.GAIN] = 1.0
-    theta[At.POLE] = math.inf
-    theta[At.SPRING] = math.log(spring) if spring else -math.inf
-    theta[At.SLOW] = -math.inf
+    if spring:
+        theta[At.SPRING] = math.log(spring)
     theta[At.GAP] = max(MEMORY * log.quantum, 1e-6)
     theta[At.TORQUE] = math.log(TORQUES[0])
     theta[At.DELAY] = late
@@ -152,12 +159,9 @@ def _initial_servo(
 def _frictionless_output(log: Observations, theta: Floats, lag: bool) -> Floats:
     """Return z of a servo without friction (N)."""
     A, B, _ = discretise_servo(theta[None], log.step, lag)
-    F = A[0, :2, :2]
-    b = B[0, :2, 0]
+    numerator, denominator = ss2tf(A[0, :2, :2], B[0, :2, :1], [[1.0, 0.0]], [[0.0]])
     late = shift_rows(log.u, 1 + round(theta[At.DELAY]), log.start)
-    denominator = np.array([1.0, -np.trace(F), np.linalg.det(F)])
-    numerator = np.array([b[0], F[0, 1] * b[1] - F[1, 1] * b[0]])
-    return np.asarray(lfilter(numerator, denominator, late))
+    return np.asarray(lfilter(numerator[0, 1:], denominator, late))
 
 
 # --- The gap
@@ -186,33 +190,19 @@ def fit_with_gap(log: Observations, begun: Sequence[Servo]) -> list[Servo]:
         one.replace_number(At.TORQUE, math.log(x)) for one, x in itertools.product(begun, TORQUES)
     ]
     first = likelihood.maximise_from_starts(first, THEN, (At.TORQUE,))
-    fits = _merge_best_servos({}, likelihood.maximise_from_starts(first, LAST))
+    fits = _best_of_structures(likelihood.maximise_from_starts(first, LAST))
     for _ in range(ROUNDS):
         if not fits:
             return []
-        best = min(fits.values(), key=likelihood.bic)
-        own = best.structure
+        best = min(fits, key=likelihood.bic)
+        own, known = best.structure, {one.structure for one in fits}
         trials = neighbour_servos(best, log.step)
-        trials = [x for x in trials if x.structure not in fits or x.structure.parts < own.parts]
+        trials = [x for x in trials if x.structure not in known or x.structure.parts < own.parts]
         more = likelihood.maximise_from_starts(trials, THEN, (At.TORQUE,))
-        fits = _merge_best_servos(fits, likelihood.maximise_from_starts(more, LAST))
-        if min(fits.values(), key=likelihood.bic).structure == own:
+        fits = _best_of_structures(fits + likelihood.maximise_from_starts(more, LAST))
+        if min(fits, key=likelihood.bic).structure == own:
             break
-    ranked = sorted(fits.values(), key=likelihood.bic)
-    most = likelihood.bic(ranked[0]) + REACHED
-    return [one for one in ranked if likelihood.bic(one) <= most][:ALTERNATIVES]
-
-
-def _merge_best_servos(
-    fits: dict[ServoStructure, Servo], more: Sequence[Servo]
-) -> dict[ServoStructure, Servo]:
-    """Return the fits and the servos `more` together: of each structure the likeliest servo."""
-    best = dict(fits)
-    for one in more:
-        own = best.get(one.structure)
-        if math.isfinite(one.value) and (own is None or one.value > own.value):
-            best[one.structure] = one
-    return best
+    return _likely_structures(likelihood, fits)[:ALTERNATIVES]
 
 
 def neighbour_servos(one: Servo, step: float) -> list[Servo]:
@@ -221,27 +211,19 @@ def neighbour_servos(one: Servo, step: float) -> list[Servo]:
     for name, place in PARTS.items():
         if one.structure.lag and name in ("friction", "load", "spring"):
             continue
-        parts = one.structure.parts ^ {name}
-        structure = one.structure._replace(parts=parts)
-        if name not in parts:
-            found.append(Servo(structure, structure.disable_absent_parts(one.theta), -math.inf))
-            if name == "pole":
-                found.append(
-                    Servo(
-                        structure,
-                        structure.disable_absent_parts(_exchange_pole(one.theta, step)),
-                        -math.inf,
-                    )
-                )
-            continue
-        for value in _part_start_values(name, one, step):
-            more = one.replace_number(place, value)
+        structure = one.structure._replace(parts=one.structure.parts ^ {name})
+        numbers = [one.theta] if name in one.structure.parts else []
+        if numbers and name == "pole":
+            numbers.append(_exchange_pole(one.theta, step))
+        for value in [] if numbers else _part_start_values(name, one, step):
+            more = one.replace_number(place, value).theta
             if name == "load":  # of what rubbed at the motor
-                more = more.replace_number(At.FRICTION, max(more.theta[At.FRICTION] - value, 0.0))
+                more[At.FRICTION] = max(more[At.FRICTION] - value, 0.0)
             if name == "pole":  # what a pole is late
-                late = more.theta[At.DELAY] - math.exp(-value) / step
-                more = more.replace_number(At.DELAY, max(late, 0.0))
-            found.append(more._replace(structure=structure, value=-math.inf))
+                more[At.DELAY] = max(more[At.DELAY] - math.exp(-value) / step, 0.0)
+            numbers.append(more)
+        every = [structure.disable_absent_parts(theta) for theta in numbers]
+        found += [Servo(structure, theta, -math.inf) for theta in every]
     return found
 
 
@@ -261,10 +243,11 @@ def exchange_gap_and_friction(one: Servo) -> list[Servo]:
     to_level = math.exp(one.theta[At.SPRING]) / (2 * abs(float(one.theta[At.GAIN])) + 1e-300)
     found = []
     for share in EXCHANGED:
+        theta = RUBBING.disable_absent_parts(one.theta)
         moved = share * gap if share > 0 else share * friction / to_level
-        more = one.replace_number(At.FRICTION, friction + to_level * moved)
-        more = more.replace_number(At.GAP, gap - moved)
-        found.append(Servo(RUBBING, RUBBING.disable_absent_parts(more.theta), -math.inf))
+        theta[At.FRICTION] += to_level * moved
+        theta[At.GAP] -= moved
+        found.append(Servo(RUBBING, theta, -math.inf))
     return found
 
 
@@ -281,11 +264,12 @@ def _exchange_pole(theta: Floats, step: float) -> Floats:
 
 def _part_start_values(name: str, one: Servo, step: float) -> list[float]:
     """Return the start values of an added part."""
-    if name in ("friction", "load"):
-        return [0.003, 0.02, 0.1]
-    if name == "spring":
-        rate = 2 * one.theta[At.DAMPING]
-        return [rate + math.log(share) for share in (1e-3, *SPRINGS)]
-    if name == "pole":
-        return [math.log(rate / step) for rate in (0.1, 0.3, 0.8)]
-    return [math.log(0.03), math.log(0.2)]
+    rubs, rate = [0.003, 0.02, 0.1], 2 * one.theta[At.DAMPING]
+    values = {
+        "friction": rubs,
+        "load": rubs,
+        "spring": rate + np.log([1e-3, *SPRINGS]),
+        "pole": np.log(np.array([0.1, 0.3, 0.8]) / step),
+        "slow": np.log([0.03, 0.2]),
+    }
+    return list(values[name])
