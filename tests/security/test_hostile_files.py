@@ -36,7 +36,6 @@ from undeadzone_identify.logs.log import read_log
 from undeadzone_studies.ensemble import journal, saved
 from undeadzone_studies.ensemble.job import Layout
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
 COMMAND = [sys.executable, "-c", "from undeadzone.cli import main; main()"]
 FORGED = "x\ncertificate   holds\x1b[2J\x9b31m\u202e"  # a line, two controls, a turned direction
 SCENARIO = """

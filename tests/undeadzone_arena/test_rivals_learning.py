@@ -744,41 +744,6 @@ def test_output_feedback_says_where_it_does_not_apply(
         FEEDBACK[name].build(model)
 
 
-@pytest.mark.parametrize(
-    ("options", "error", "words"),
-    [
-        (
-            AdaptiveInverse(widths0=2.0, width_max=1.0),
-            InputError,
-            r"observer.widths0: must lie in \[0, width_max\]",
-        ),
-        (AdaptiveInverse(gain=0.0), InputError, "observer.gain: must be greater than 0"),
-        (
-            AdaptiveInverse(law="least_squares", forgetting=1e5),
-            StepError,
-            "simulation.step: 0.01 s is too coarse for observer.forgetting",
-        ),
-        (FuzzyResidual(reach=0.0), InputError, "observer.reach: must be positive"),
-        (
-            FuzzyResidual(reach=[1.0, 2.0]),
-            ShapeError,
-            "observer.reach: expected 1 number .one per output.",
-        ),
-        (
-            RBFResidual(reach=1.0, overlap=0.0),
-            InputError,
-            "observer.overlap: must be greater than 0",
-        ),
-        (TaylorResidual(reach=1.0, leak=-1.0), InputError, "observer.leak: must be at least 0"),
-        (InverseNetwork(scale=-1.0), InputError, "observer.scale: must be positive"),
-        (RobustGradient(width=0.0), InputError, "observer.width: must be greater than 0"),
-    ],
-)
-def test_wrong_options(options: Any, error: type[Exception], words: str) -> None:
-    with pytest.raises(error, match=words):
-        options.build(sample_plant(PAPER_PLANT, 0.01), zone())
-
-
 def test_a_robust_term_needs_inputs_that_move_the_outputs() -> None:
     blocked = linear([[0.0, 1.0], [-1.0, -2.0]], [[0.0], [1.0]], [[0.0, 1.0]])
     with pytest.raises(

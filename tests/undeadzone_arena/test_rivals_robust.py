@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 import once
 from scenes import PAPER_PLANT, OnNumbers, linear, random_plant, response, scene, slopes
 from undeadzone.compile import interpret
-from undeadzone.errors import InputError, ShapeError, StepError, StructureError
+from undeadzone.errors import InputError, StructureError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Estimate, Observer, Reading
 from undeadzone.linalg.matrices import companion_form
@@ -634,91 +634,6 @@ def test_full_state_is_the_truth_and_needs_it() -> None:
         built.step(built.params, None, ca.SX(0.0), Reading(ca.SX(0.7), ca.SX(1.0)))
 
 
-SAMPLED = sample_plant(PAPER_PLANT, 0.01)
-PENDULUM = system(Plant(states=["a", "b"], inputs=["u"], f=["b", "-sin(a) + u"], h=["a"]))
-
-
-@pytest.mark.parametrize(
-    ("options", "model", "error", "words"),
-    [
-        (
-            WalcottZak(L=[1.0, 2.0], poles=POLES),
-            PAPER_PLANT,
-            InputError,
-            "give one of L, poles, speed, found L and poles",
-        ),
-        (
-            WalcottZak(L=[-5.0, 0.0]),
-            PAPER_PLANT,
-            StructureError,
-            "observer.L: A - L C is not stable",
-        ),
-        (WalcottZak(boundary=0.0), PAPER_PLANT, InputError, "observer.boundary: must be positive"),
-        (WalcottZak(rho=[1.0, 2.0]), PAPER_PLANT, ShapeError, "observer.rho: expected 1 number"),
-        (
-            WalcottZak(rho=50.0, boundary=0.1),
-            SAMPLED,
-            StepError,
-            "simulation.step: 0.01 s is too coarse for rho / boundary",
-        ),
-        (WalcottZak(gamma=-1.0), PAPER_PLANT, InputError, "observer.gamma: must not be negative"),
-        (
-            HighGain(epsilon=0.0),
-            PAPER_PLANT,
-            InputError,
-            "observer.epsilon: must be greater than 0",
-        ),
-        (HighGain(epsilon=0.004), SAMPLED, StepError, "too coarse for observer.epsilon = 0.004 s"),
-        (
-            HighGain(widths0=2.0, width_max=1.0),
-            PAPER_PLANT,
-            InputError,
-            r"observer.widths0: must lie in \[0, width_max\]",
-        ),
-        (
-            SuperTwisting(lipschitz=0.0),
-            PAPER_PLANT,
-            InputError,
-            "observer.lipschitz: must be positive",
-        ),
-        (
-            SuperTwisting(),
-            system(Plant(companion=np.poly(-np.ones(9))[:0:-1])),
-            StructureError,
-            "gains for up to 8 derivatives of one output, this plant needs 9",
-        ),
-        (Interval(right=[0.0, 1.0]), PENDULUM, InputError, "'interval' bounds linear plants only"),
-        (
-            Interval(right=[1.0, 1.0]),
-            PAPER_PLANT,
-            InputError,
-            r"observer.right: a range \[lo, hi\] must have 0 <= lo < hi",
-        ),
-        (
-            Interval(right=[0.0, 1.0], disturbance=-1.0),
-            PAPER_PLANT,
-            InputError,
-            "observer.disturbance: must not be negative",
-        ),
-        (
-            Interval(right=[0.0, 1.0], x_max=[1.0, 1.0, 1.0]),
-            PAPER_PLANT,
-            ShapeError,
-            "observer.x_max: expected 2 numbers",
-        ),
-        (
-            Interval(right=[0.0, 1.0], contraction=-1.0),
-            PAPER_PLANT,
-            InputError,
-            "observer.contraction: must be at least 0",
-        ),
-    ],
-)
-def test_wrong_observers(options: Any, model: System, error: type[Exception], words: str) -> None:
-    with pytest.raises(error, match=words):
-        options.build(model, zone(model.p))
-
-
 @pytest.mark.parametrize(
     "options", [WalcottZak(gamma=1.0), HighGain(gamma=1.0), SuperTwisting(gamma=1.0)]
 )
@@ -744,43 +659,6 @@ def test_outputs_that_tell_the_same_are_refused() -> None:
     plant = linear(PAPER_PLANT.linear.A, PAPER_PLANT.linear.B, [[1.0, 0.0], [2.0, 0.0]])
     with pytest.raises(StructureError, match="one of 2 outputs is redundant"):
         HighGain().build(plant, zone(2))
-
-
-@pytest.mark.parametrize(
-    ("options", "model", "error", "words"),
-    [
-        (SlidingMode(gain=0.0), PAPER_PLANT, InputError, "controller.gain: must be positive"),
-        (
-            SlidingMode(gain=1.0, boundary=-1.0),
-            PAPER_PLANT,
-            InputError,
-            "controller.boundary: must be positive",
-        ),
-        (
-            SlidingMode(gain=1.0, poles=[-1.0, -2.0]),
-            PAPER_PLANT,
-            ShapeError,
-            "controller.poles: expected 1 pole",
-        ),
-        (
-            SlidingMode(gain=10.0, boundary=0.05),
-            SAMPLED,
-            StepError,
-            "too coarse: gain / boundary = 200 1/s",
-        ),
-        (
-            SlidingMode(gain=1.0),
-            linear(-np.eye(2), np.ones((2, 2)), [[1, 0]]),
-            StructureError,
-            "B has rank 1, not 2",
-        ),
-    ],
-)
-def test_wrong_sliding_mode_controllers(
-    options: SlidingMode, model: System, error: type[Exception], words: str
-) -> None:
-    with pytest.raises(error, match=words):
-        options.build(model)
 
 
 def test_canonical_coordinates_of_a_chain_are_its_states() -> None:

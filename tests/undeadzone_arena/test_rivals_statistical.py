@@ -5,7 +5,6 @@ Where they must coincide with Kalman, filterpy or least squares, and where they 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
@@ -22,7 +21,7 @@ from scipy.stats import norm
 import undeadzone_arena.unscented as unscented
 from requirements import import_package
 from scenes import EXACT_SENSOR, PAPER_PLANT, OnNumbers, linear, random_plant, scene
-from undeadzone.errors import InputError, ShapeError
+from undeadzone.errors import InputError
 from undeadzone.interfaces import (
     COLUMNS,
     Estimate,
@@ -727,52 +726,6 @@ def test_continuous_time_is_refused_with_what_to_do(method: Any) -> None:
     if method is EKF:
         with pytest.raises(InputError, match=r"Set simulation\.time"):
             method(right=[0.5, 2.0], mode="measured").build(PAPER_PLANT, zone())
-
-
-@pytest.mark.parametrize(
-    ("options", "where", "error", "words"),
-    [
-        (lambda: EKF(right=[0.5, 2.0]), zone(kind="jump"), InputError, "Use 'censored'"),
-        (lambda: Tobit(right=[0.5, 2.0]), zone(kind="jump"), InputError, "Use 'censored'"),
-        (lambda: MovingHorizon(right=[0.5, 2.0]), zone(kind="jump"), InputError, "Use 'censored'"),
-        (lambda: EKF(right=[2.0, 0.5]), zone(), InputError, "observer.right: a range"),
-        (lambda: UKF(right=1.0), zone(), ShapeError, "observer.right: expected the declared range"),
-        (lambda: UKF(right=[0.5, 2.0], alpha=2.0), zone(), InputError, "observer.alpha"),
-        (lambda: UKF(right=[0.5, 2.0], kappa=-4.0), zone(), InputError, "observer.alpha"),
-        (lambda: UKF(right=[0.5, 2.0], alpha=1e-3), zone(), InputError, "Raise alpha or beta"),
-        (lambda: EKF(right=[0.5, 2.0], swing=-1.0), zone(), InputError, "observer.swing"),
-        (
-            lambda: EKF(right=[0.5, 2.0], disturbance=[1.0, 2.0]),
-            zone(),
-            ShapeError,
-            "observer.disturbance",
-        ),
-        (
-            lambda: ParticleFilter(right=[0.5, 2.0], particles=1),
-            zone(),
-            InputError,
-            "observer.particles",
-        ),
-        (lambda: MovingHorizon(right=[0.5, 2.0], slack=0.0), zone(), InputError, "observer.slack"),
-        (
-            lambda: MovingHorizon(right=[0.5, 2.0], horizon=1e3, period=0.05),
-            zone(),
-            InputError,
-            "observer.period",
-        ),
-        (
-            lambda: MovingHorizon(right=[0.5, 2.0], horizon=-1.0),
-            zone(),
-            InputError,
-            "observer.horizon",
-        ),
-    ],
-)
-def test_wrong_options_are_named(
-    options: Callable[[], Any], where: Zone, error: type[Exception], words: str
-) -> None:
-    with pytest.raises(error, match=words):
-        options().build(MODEL, where)
 
 
 # --- Their parts

@@ -439,35 +439,6 @@ def test_its_policy_allows_its_own_script_alone() -> None:
     assert not re.search(r"https?:|//[a-z]|\bfetch\(|XMLHttp|WebSocket|@import|url\(", frame)
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"sensor": {"drift": 0.1}}, "sensor.drift"),
-        ({"sensor": {"dropout": 0.1}}, "sensor.dropout"),
-        ({"simulation": {"order": 8}}, "simulation.order"),
-        ({"simulation": SAMPLED | {"duration": 5000.0}}, "simulation.duration"),
-        ({"sensor": {"play": {"right": 0.1, "left": 0.1}}, "simulation": SAMPLED}, "sensor.play"),
-        ({"controller": {"method": "lqr"}, "simulation": SAMPLED}, "controller.method"),
-        (
-            {
-                "observer": {"method": "particle_filter", "right": [0.0, 2.0]},
-                "sensor": {"noise": 0.02},
-                "simulation": SAMPLED,
-            },
-            "observer.method",
-        ),
-        (
-            {"plant": PENDULUM, "reference": {"kind": "step", "amplitude": 1.0}},
-            "reference",
-        ),
-    ],
-    ids=lambda value: value if isinstance(value, str) else "",
-)
-def test_what_the_page_cannot_show_is_refused(changes: dict[str, Any], message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        build_live_page(scene(**changes))
-
-
 def test_the_command_writes_one_file_and_replaces_its_own_only(tmp_path: Path) -> None:
     scenario, out = scene(simulation=SAMPLED), tmp_path / "new" / "page.html"
     exported = uz.export(scenario, to="page", out=out)

@@ -26,7 +26,7 @@ from undeadzone.analysis.identifiability.play_and_zone import (
     gap_prior_rows,
 )
 from undeadzone.compile import interpret, lanes
-from undeadzone.errors import InputError, UndeadzoneError
+from undeadzone.errors import InputError
 from undeadzone.linalg.matrices import Matrices
 from undeadzone.nonlinearities.sensor import Sensor, resolve
 from undeadzone.observers.filtering import constant_states
@@ -142,39 +142,6 @@ def test_without_a_zone_it_is_the_play() -> None:
 
 
 # What is refused
-
-
-@pytest.mark.parametrize(
-    ("sensor", "words"),
-    [
-        ({"play": [0.5, -0.1]}, "sensor.play: gaps must not be negative"),
-        ({"play": 0.5}, "expected \\[c_r, c_l\\].*found one number"),
-        ({"play": [0.1, 0.2, 0.3]}, "expected \\[c_r, c_l\\]"),
-        ({"play": [[0.0, 1.0], [0.0, 1.0]]}, "a simulation needs them"),
-        ({"kind": "jump"}, 'ahead of kind = "deadzone", found "jump"'),
-        ({"kind": "play"}, "its gaps in sensor.right"),
-        ({"noise_before": 0.1}, "like a ratchet"),
-        ({"load_friction": 0.1}, "only a play has a load"),
-        ({"window": 0.02}, "at least 4 samples"),
-    ],
-)
-def test_a_sensor_that_cannot_be_is_refused(sensor: dict[str, Any], words: str) -> None:
-    with pytest.raises(UndeadzoneError, match=words):
-        resolve_scenario(both(sensor, KALMAN))
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"simulation": {"time": "continuous", "step": 1e-3}}, "sensor.play: a play shows"),
-        ({"model": {"play": [[0.5, 0.5], [0.0, 1.0]]}}, "model.play: a range \\[lo, hi\\] must"),
-        ({"model": {"play": [-1.0, 0.5]}}, "model.play: gaps must not be negative"),
-        ({"behind_play": 30.0}, "behind_play"),
-    ],
-)
-def test_a_scenario_that_cannot_be_is_refused(changes: dict[str, Any], words: str) -> None:
-    with pytest.raises(UndeadzoneError, match=words):
-        resolve_scenario(both({}, KALMAN, **changes))
 
 
 def test_gaps_of_no_play_are_refused() -> None:

@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scenes import PAPER_PLANT, linear, random_plant
-from undeadzone.errors import StructureError
+from scenes import PAPER_PLANT, random_plant
 from undeadzone.linalg.matrices import Matrices
 from undeadzone.linalg.structure import (
     output_chains,
@@ -55,35 +54,6 @@ def test_slow_and_fast_plants_are_judged_alike(form: dict[str, Any], rate: float
     n = A.shape[0]
     A = np.where(np.arange(n)[:, None] == n - 1, A * rate ** (n - np.arange(n)), A)
     require_structure(Matrices(A, B, C), "plant")
-
-
-@pytest.mark.parametrize(
-    ("A", "B", "C", "words"),
-    [
-        (
-            [[-1.0, 0.0], [0.0, -2.0]],
-            [[1.0], [1.0]],
-            [[1.0, 0.0]],
-            r"plant: the pair \(A, C\) is unobservable: mode -2. Measure another output",
-        ),
-        (
-            [[-1.0, 0.0], [0.0, -2.0]],
-            [[1.0], [0.0]],
-            [[1.0, 1.0]],
-            r"plant: the pair \(A, B\) is uncontrollable: mode -2. Add an input",
-        ),
-        ([[0.0, 1.0], [-1.0, -2.0]], [[0.0], [1.0]], [[0.0, 0.0]], "is unobservable: modes -1"),
-        (
-            [[0.0, 1.0], [-4.0, 0.0]],
-            [[0.0], [0.0]],
-            [[1.0, 0.0]],
-            r"uncontrollable: modes (-?0)?.*2j",
-        ),
-    ],
-)
-def test_the_mode_at_fault_is_named(A: Any, B: Any, C: Any, words: str) -> None:
-    with pytest.raises(StructureError, match=words):
-        require_structure(linear(A, B, C).linear, "plant")
 
 
 @pytest.mark.parametrize("unit", [1e-9, 1e-3, 1e3, 1e9])

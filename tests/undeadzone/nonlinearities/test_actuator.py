@@ -17,7 +17,7 @@ from scenes import EXACT_SENSOR, PAPER_PLANT, scene
 from undeadzone.analysis.identifiability.linear import unobservable_changes
 from undeadzone.analysis.identifiability.sensor_and_actuator import sensor_actuator_identifiability
 from undeadzone.compile import interpret, lanes
-from undeadzone.errors import InputError, ShapeError, StructureError
+from undeadzone.errors import InputError, StructureError
 from undeadzone.nonlinearities.actuator import (
     Actuator,
     ActuatorModel,
@@ -133,37 +133,6 @@ def test_a_known_zone_that_is_inverted_is_none(time: str) -> None:
 
 
 # What is refused
-
-
-@pytest.mark.parametrize(
-    ("changes", "error", "words"),
-    [
-        ({"actuator": {"right": -1.0}}, InputError, "actuator.right"),
-        ({"actuator": {"slope": [1.0, 0.0]}}, InputError, "must be positive"),
-        ({"actuator": {"limit": [1.0, 2.0]}}, InputError, "lo < 0 < hi"),
-        ({"actuator": {"rate": [1.0]}}, ShapeError, r"\[falling, rising\]"),
-        ({"model": {"actuator": {"right": [0.0, 6.0], "left": 1.0}}}, InputError, "a range too"),
-        (
-            {"model": {"actuator": {"right": [6.0, 0.0]} | {"left": [0.0, 6.0]}}},
-            InputError,
-            "0 <= lo",
-        ),
-        ({"observer": {"method": "certified"}}, InputError, "cannot estimate the widths"),
-        ({"observer": {"method": "ekf", "right": [0.0, 3.0]}}, InputError, "cannot estimate"),
-        (
-            {"model": None, "observer": {"method": "particle_filter", "right": [0.0, 3.0]}},
-            InputError,
-            "knows no actuator",
-        ),
-        ({"compensator": COASTS | {"every": 0.5}}, InputError, "must be shorter"),
-        ({"model": None, "actuator": None}, InputError, "no actuator to compensate"),
-    ],
-)
-def test_what_cannot_be_is_refused(
-    changes: dict[str, Any], error: type[Exception], words: str
-) -> None:
-    with pytest.raises(error, match=words):
-        resolve_scenario(loop(**changes))
 
 
 @pytest.mark.parametrize(

@@ -100,29 +100,6 @@ def test_a_command_with_hysteresis_turns_less_often() -> None:
     assert turns(1.0) < turns(0.0)
 
 
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"actuator": PLAY | {"slope": [1.0, 2.0]}}, 'actuator.slope: kind = "play" has none'),
-        ({"actuator": PLAY | {"rate": [1.0, 2.0]}}, 'actuator.rate: kind = "play" has none'),
-        (
-            {"model": {"actuator": {"right": [0.0, 6.0], "left": [0.0, 6.0]}}},
-            "model.actuator.right: the gaps of a play must be known",
-        ),
-        ({"compensator": {"method": "inverse"}}, "Use 'play_inverse'"),
-        ({"compensator": {"method": "smooth_inverse"}}, "Use 'play_inverse'"),
-        ({"compensator": {"method": "play_inverse", "hold": -1.0}}, "compensator.hold"),
-        (
-            {"actuator": {"right": 1.0}, "compensator": {"method": "play_inverse"}},
-            "'play_inverse' needs",
-        ),
-    ],
-)
-def test_what_cannot_be_is_refused(changes: dict[str, Any], words: str) -> None:
-    with pytest.raises(InputError, match=words):
-        resolve_scenario(loop(**changes))
-
-
 def test_a_play_needs_samples() -> None:
     observer = {"method": "certified", "L": [1.0, 1.5], "gamma": 10.0}
     simulation = {"time": "continuous", "step": 1e-3}

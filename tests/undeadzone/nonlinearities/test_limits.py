@@ -21,7 +21,7 @@ from scenes import OnNumbers, scene
 from undeadzone.analysis.branch_schedule import plan_schedule
 from undeadzone.cli import group
 from undeadzone.compile import interpret, lanes
-from undeadzone.errors import InputError, ShapeError
+from undeadzone.errors import InputError
 from undeadzone.interfaces import Estimate, Reading, require_graph, to_reading
 from undeadzone.logs.range_ends import RUN, RunningEnds, _UpperLimit, range_ends
 from undeadzone.nonlinearities.limits import Limits
@@ -70,26 +70,6 @@ def saturated(limits: Any, time: str = "continuous", **changes: Any) -> Run:
 
 
 # The key
-
-
-@pytest.mark.parametrize(
-    ("limits", "error", "words"),
-    [
-        ([1.0, 2.0], InputError, "lo < 0 < hi"),
-        ([-1.0, float("nan")], InputError, "lo < 0 < hi"),
-        ([1.0], ShapeError, "one such pair per output"),
-        ([[-1.0, 1.0], [-1.0, 1.0]], ShapeError, "one such pair per output"),
-        ([-1.0, [1.0]], InputError, "expected"),
-        ([-1.0, 0.02], InputError, "lies within the silence"),
-        ("wide", InputError, "expected a list"),
-    ],
-)
-def test_a_range_that_cannot_be_is_refused(
-    limits: Any, error: type[InputError], words: str
-) -> None:
-    with pytest.raises(error, match=words) as caught:
-        resolve_scenario(scene(sensor={"noise": 0.01, "range": limits}))
-    assert str(caught.value).startswith("sensor.range")
 
 
 def test_a_limit_may_be_missing_on_either_side() -> None:

@@ -144,22 +144,6 @@ def test_backlash_is_another_name_of_play() -> None:
 # What is refused
 
 
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"simulation": {"time": "continuous", "step": 1e-3}}, "one reading to the next"),
-        ({"sensor": {"noise_before": 0.1}}, "like a ratchet"),
-        ({"sensor": {"window": 0.02}}, "at least 4 samples"),
-        ({"observer": {"method": "ekf", "right": [0.0, 2.0]}}, "a play is not"),
-        ({"observer": {"method": "moving_horizon", "right": [0.0, 2.0]}}, "a play is not"),
-    ],
-)
-def test_what_no_method_knows_is_refused(changes: dict[str, Any], words: str) -> None:
-    tables = {"sensor": {}, "observer": KALMAN} | changes
-    with pytest.raises(InputError, match=words):
-        resolve_scenario(slow(tables.pop("sensor"), tables.pop("observer"), **tables))
-
-
 @pytest.mark.parametrize("key", ["start", "window"])
 def test_keys_of_a_play_are_refused_of_a_dead_zone(key: str) -> None:
     with pytest.raises(InputError, match=f"sensor.{key}: only a play"):

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from scenes import scene, slopes
-from undeadzone.errors import InputError
 from undeadzone.numerics.dense_output import (
     DenseStep,
     Levels,
@@ -181,33 +180,6 @@ def test_an_excursion_within_a_step_is_seen() -> None:
     assert not (coarse.side == 1).any()
     assert float(np.abs(truth.d_hat[-1] - truth.d_hat[0]).max()) > 1e-4
     assert gap(coarse, truth) < 1e-9
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"simulation": {"order": 3}}, "simulation.order: expected 4 to 20, found 3"),
-        (
-            {"simulation": {"order": 8, "time": "sampled"}},
-            "simulation.order: above 4 only in continuous time",
-        ),
-        (
-            {"simulation": {"order": 8, "switching": "plain"}},
-            "simulation.order: above 4 only in continuous time",
-        ),
-        (
-            {
-                "simulation": {"order": 8},
-                "controller": {"method": "state_feedback", "alpha": 5.0, "robust": {"gain": 0.5}},
-            },
-            "simulation.order: above 4 only for a plant, an observer and a controller "
-            "that are linear",
-        ),
-    ],
-)
-def test_what_has_no_series_is_refused(changes: dict[str, Any], words: str) -> None:
-    with pytest.raises(InputError, match=words):
-        simulate(scene(**changes))
 
 
 @pytest.mark.parametrize(("edge", "after"), [(0.0, -1.0), (0.1, 0.0)])

@@ -361,23 +361,6 @@ def test_a_leak_by_the_error_leaves_the_truth_alone_and_sigma_does_not() -> None
 # --- Wrong input
 
 
-@pytest.mark.parametrize(
-    ("adaptation", "words"),
-    [
-        ({"method": "sigma", "leak": -1.0}, "observer.adaptation.leak: must be at least 0"),
-        ({"method": "least_squares", "reset": 1.0}, "observer.adaptation.reset: must be below 1"),
-        ({"method": "least_squares", "forgetting": -1.0}, "observer.adaptation.forgetting"),
-        ({"method": "normalised", "weight": -1.0}, "observer.adaptation.weight"),
-        ({"method": "sigma"}, "observer.adaptation.leak: missing"),
-        ({"method": "sigm", "leak": 1.0}, "Did you mean 'sigma'"),
-        ({"method": "sigma", "leek": 1.0}, "Did you mean 'leak'"),
-    ],
-)
-def test_wrong_options_are_named(adaptation: dict[str, Any], words: str) -> None:
-    with pytest.raises(InputError, match=words):
-        run(adaptation)
-
-
 def test_a_bound_of_widths_must_be_positive_for_each_output() -> None:
     with pytest.raises(InputError, match="must be positive, found -1"):
         read_initial_widths(0.0, [3.0, -1.0], 2)

@@ -21,7 +21,7 @@ import undeadzone as uz
 from scenes import EXACT_SENSOR, PAPER_PLANT, OnNumbers, linear, random_plant, scene
 from undeadzone.compile import interpret
 from undeadzone.controllers.state_feedback import rest_response
-from undeadzone.errors import InputError, ShapeError
+from undeadzone.errors import InputError
 from undeadzone.interfaces import Estimate
 from undeadzone.linalg.hold import zoh
 from undeadzone.linalg.matrices import Matrices
@@ -679,43 +679,6 @@ def test_twenty_seconds_at_1_khz_leave_every_covariance_positive() -> None:
 
 
 # --- Wrong input
-
-
-@pytest.mark.parametrize(
-    ("changes", "model", "error", "words"),
-    [
-        ({}, PAPER_PLANT, InputError, r"Set simulation\.time"),
-        ({"bias": [1.0, 2.0]}, MODEL, ShapeError, "observer.bias: expected 1 number"),
-        ({"disturbance": -1.0}, MODEL, InputError, "observer.disturbance: must not be negative"),
-        (
-            {"correlation_time": 0.0},
-            MODEL,
-            InputError,
-            "observer.correlation_time: must be greater than 0",
-        ),
-        ({"washout_time": -1.0}, MODEL, InputError, "observer.washout_time"),
-        (
-            {"tolerance": {"A[0,0]": 0.1}},
-            MODEL,
-            InputError,
-            r"expected an entry of A or B that is not 0: A\[0,1\], A\[1,0\]",
-        ),
-        ({"tolerance": {"D[0,0]": 0.1}}, MODEL, InputError, "observer.tolerance.D"),
-        (
-            {"calibrated": 1.0},
-            MODEL,
-            InputError,
-            "observer.calibrated: must be a probability below 1",
-        ),
-        ({"levels": 0}, MODEL, InputError, "observer.levels: expected 1 to 10"),
-        ({"tolerance": -0.1}, MODEL, InputError, "observer.tolerance"),
-    ],
-)
-def test_wrong_options_are_named(
-    changes: dict[str, Any], model: System, error: type[Exception], words: str
-) -> None:
-    with pytest.raises(error, match=words):
-        Censored(**{"right": RANGE} | changes).build(model, zone())
 
 
 def test_tolerance_of_a_nonlinear_plant_is_one_number() -> None:

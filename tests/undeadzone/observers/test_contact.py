@@ -453,20 +453,6 @@ def test_six_joints_at_once_are_refused_with_the_way_out() -> None:
         uz.simulate(six_joints())
 
 
-@pytest.mark.parametrize(
-    ("changes", "key"),
-    [
-        ({"half": [0.06, 0.0]}, "observer.half"),
-        ({"half": [0.0, 0.06], "payload": [-1.0, 1.0]}, "observer.payload"),
-        ({"half": [0.0, 0.06], "compliance": 0.0}, "observer.compliance"),
-        ({"half": [0.0, 0.06], "contact": 0.5}, "observer.contact"),
-    ],
-)
-def test_impossible_options_are_refused(changes: dict[str, Any], key: str) -> None:
-    with pytest.raises(uz.InputError, match=key):
-        uz.simulate(servo(observer=changes))
-
-
 def test_without_gears_it_is_refused() -> None:
     tables = tomllib.loads(SERVO)
     del tables["plant"]["arm"]["gears"], tables["model"]

@@ -16,7 +16,6 @@ from hypothesis import strategies as st
 
 from scenes import EXACT_SENSOR, OnNumbers, random_plant, scene
 from undeadzone.compile import interpret
-from undeadzone.errors import InputError, ShapeError
 from undeadzone.interfaces import Estimate
 from undeadzone.nonlinearities import sensor
 from undeadzone.nonlinearities.sensor import Sensor, Zone, resolve
@@ -528,89 +527,3 @@ def test_lanes_and_the_virtual_machine_agree() -> None:
     assert usual.d_hat == pytest.approx(compiled.d_hat, rel=1e-12)
     assert usual.x_hat == pytest.approx(compiled.x_hat, rel=1e-9, abs=1e-12)
     assert usual.d_hat[-1] == pytest.approx([0.08, 0.05] * 2, abs=0.03)
-
-
-SEPARATE: dict[str, Any] = {"joints": "separate", "disturbance": 0.1}
-
-
-@pytest.mark.parametrize(
-    ("options", "model", "kind", "error", "message"),
-    [
-        ({"start": [0.0]}, arm(), "deadzone", ShapeError, "observer.start: expected 4 numbers"),
-        (
-            {"uncertain": {"paylod": 1.0}},
-            arm(),
-            "deadzone",
-            InputError,
-            "observer.uncertain.paylod: unknown parameter. The model has m1",
-        ),
-        (
-            {"uncertain": {"payload": 0.0}},
-            arm(),
-            "deadzone",
-            InputError,
-            "observer.uncertain.payload: must be greater than 0",
-        ),
-        (
-            {"uncertain": {"a": 1.0}},
-            sample_plant(random_plant(np.random.default_rng(0), 2), TS),
-            "deadzone",
-            InputError,
-            "none with a name",
-        ),
-        (
-            {"correlation_time": 1e-9},
-            arm(),
-            "deadzone",
-            InputError,
-            "observer.correlation_time: must lie between",
-        ),
-        (
-            {"silence": False},
-            arm(),
-            "jump",
-            InputError,
-            "observer.silence: readings of a jump sensor only bound",
-        ),
-        (
-            SEPARATE | {"uncertain": {"payload": 1.0}},
-            arm(),
-            "deadzone",
-            InputError,
-            "observer.uncertain: a parameter binds the joints",
-        ),
-        (
-            SEPARATE | EXACT,
-            arm(),
-            "deadzone",
-            InputError,
-            "observer.disturbance: must be positive for separate joints",
-        ),
-        (
-            SEPARATE,
-            sample_plant(system(PENDULUMS), TS),
-            "deadzone",
-            InputError,
-            "observer.joints: separate joints need",
-        ),
-        (
-            SEPARATE,
-            sample_plant(random_plant(np.random.default_rng(0), 2), TS),
-            "deadzone",
-            InputError,
-            "observer.joints: separate joints need",
-        ),
-        (
-            {},
-            system(Plant(arm=TwoLink())),
-            "deadzone",
-            InputError,
-            'Set simulation.time = "sampled"',
-        ),
-    ],
-)
-def test_what_is_wrong_is_named(
-    options: dict[str, Any], model: System, kind: str, error: type[Exception], message: str
-) -> None:
-    with pytest.raises(error, match=message):
-        Extended(right=RANGE, **options).build(model, zone(model.p, kind=kind))

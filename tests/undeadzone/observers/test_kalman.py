@@ -22,7 +22,7 @@ from scipy.stats import norm, truncnorm
 from further import further
 from requirements import import_package
 from scenes import EXACT_SENSOR, PAPER_PLANT, OnNumbers, random_plant, scene
-from undeadzone.errors import InputError, ShapeError
+from undeadzone.errors import InputError
 from undeadzone.interfaces import Reading
 from undeadzone.nonlinearities import sensor
 from undeadzone.nonlinearities.sensor import Sensor, Zone, resolve
@@ -497,39 +497,6 @@ def test_a_nonlinear_plant_is_expanded_where_the_estimate_is() -> None:
 
 
 # --- Wrong input
-
-
-@pytest.mark.parametrize(
-    ("changes", "model", "where", "error", "words"),
-    [
-        ({}, PAPER_PLANT, zone(), InputError, 'simulation.time = "sampled"'),
-        ({}, MODEL, zone(kind="jump"), InputError, "Use 'censored'"),
-        ({"right": [2.0, 0.5]}, MODEL, zone(), InputError, "observer.right: a range"),
-        ({"left": [-1.0, 0.5]}, MODEL, zone(), InputError, "observer.left: a range"),
-        ({"right": 1.0}, MODEL, zone(), ShapeError, "observer.right: expected the declared range"),
-        ({"noise": 0.0}, MODEL, zone(), InputError, "observer.noise: must be positive"),
-        (
-            {"x_std": [1.0, 2.0, 3.0]},
-            MODEL,
-            zone(),
-            ShapeError,
-            "observer.x_std: expected 2 numbers",
-        ),
-        (
-            {"disturbance": -1.0},
-            MODEL,
-            zone(),
-            InputError,
-            "observer.disturbance: must not be negative",
-        ),
-        ({"drift": -1.0}, MODEL, zone(), InputError, "observer.drift"),
-    ],
-)
-def test_wrong_options_are_named(
-    changes: dict[str, Any], model: System, where: Zone, error: type[Exception], words: str
-) -> None:
-    with pytest.raises(error, match=words):
-        Kalman(**{"right": [0.5, 2.0]} | changes).build(model, where)
 
 
 def test_continuous_time_is_refused_with_what_to_do() -> None:

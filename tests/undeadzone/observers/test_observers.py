@@ -259,35 +259,6 @@ def test_default_gain_is_certified_in_either_time() -> None:
         assert run.largest_rise_of_V < 1e-9
 
 
-@pytest.mark.parametrize(
-    ("options", "error", "words"),
-    [
-        (
-            {"L": [1.0, 2.0, 3.0]},
-            ShapeError,
-            r"observer.L: expected a 2 x 1 matrix \(states x outputs\), found 3 x 1",
-        ),
-        ({"L": [[1.0, 2.0]]}, ShapeError, "observer.L: expected a 2 x 1 matrix .*, found 1 x 2"),
-        ({"L": [1.0, float("inf")]}, InputError, "observer.L: every number must be finite"),
-        ({"gamma": -1.0}, InputError, "observer.gamma: must not be negative, found -1"),
-        ({"gamma": [1.0, 2.0]}, ShapeError, "observer.gamma: expected 1 number .*, found 2"),
-        ({"widths0": [0.5, -0.1]}, InputError, r"observer.widths0: must lie in \[0, width_max\]"),
-        (
-            {"widths0": [0.5, 2.0], "width_max": 1.0},
-            InputError,
-            r"observer.widths0: must lie in \[0, width_max\]",
-        ),
-        ({"widths0": [0.5, 2.0, 1.0]}, ShapeError, "observer.widths0: expected "),
-        ({"width_max": 0.0}, InputError, "observer.width_max: must be positive"),
-    ],
-)
-def test_wrong_options_of_certified(
-    options: dict[str, Any], error: type[Exception], words: str
-) -> None:
-    with pytest.raises(error, match=words):
-        Certified(**options).build(PAPER_PLANT, ZONE)
-
-
 def test_a_list_of_gains_needs_one_output_and_a_default_needs_stability() -> None:
     with pytest.raises(
         ShapeError, match=r"observer.L: expected 2 x 2 \(states x outputs\), found 2 numbers"

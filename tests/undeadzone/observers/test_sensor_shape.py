@@ -16,7 +16,6 @@ from benchmarks.filters.problems.assumed_worlds import KINDS, problems
 import undeadzone as uz
 from further import further
 from scenes import EXACT_SENSOR, PAPER_PLANT
-from undeadzone.errors import InputError, ShapeError
 from undeadzone.interfaces import Estimate
 from undeadzone.nonlinearities.sensor import Sensor, deadzone, resolve
 from undeadzone.observers.filtering.sensor_shape import resolve_shape
@@ -197,18 +196,3 @@ def test_a_log_says_that_its_readings_repeat() -> None:
     )
     assert "10 % of the readings of output 0 repeat the one before" in remarks
     assert "polls faster" not in quiet
-
-
-@pytest.mark.parametrize(
-    ("options", "kind", "words"),
-    [
-        ({"rounding": -0.1}, InputError, "sensor.rounding"),
-        ({"slope_std": [0.1, 0.1]}, ShapeError, "one per output"),
-        ({"lag": float("nan")}, InputError, "sensor.lag"),
-        ({"lag": 0.1, "kind": "play"}, InputError, "only a dead zone without a play"),
-        ({"rounding": 0.1, "kind": "jump"}, InputError, "leave it out"),
-    ],
-)
-def test_what_cannot_be_is_refused(options: dict[str, Any], kind: type, words: str) -> None:
-    with pytest.raises(kind, match=words):
-        resolve(Sensor(right=1.0, left=1.0, **options), 1, TS)

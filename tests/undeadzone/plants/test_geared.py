@@ -389,45 +389,7 @@ def test_joint_by_joint_a_coupled_gap_is_as_it_was_declared() -> None:
     assert (run.x_std[:, 2:4] >= 0.03 / np.sqrt(3)).all()
 
 
-@pytest.mark.parametrize(
-    ("observer", "words"),
-    [
-        ({"groups": [["q1", "q2"]]}, 'joints = "coupled" is one group'),
-        ({"joints": "separate", "groups": [["q1", "q3"]]}, "expected one or 2 different names"),
-        ({"joints": "separate", "groups": [["q1", "q1"]]}, "expected one or 2 different names"),
-        ({"joints": "separate", "groups": [["q1", "q2"], ["q2"]]}, "belongs to one group alone"),
-    ],
-)
-def test_groups_that_cannot_be_are_refused(observer: dict[str, Any], words: str) -> None:
-    contact = {"method": "contact", "half": [0.0, 0.1], **observer}
-    with pytest.raises(uz.InputError, match=words):
-        resolve_scenario(scenario(observer=contact))
-
-
 # --- Refusals
-
-
-@pytest.mark.parametrize(
-    ("address", "value", "words"),
-    [
-        ("sensor.right", 0.01, "sensor.right: an arm with gears is read by encoders"),
-        ("sensor.play", [0.1, 0.1], "sensor.play: an arm with gears is read by encoders"),
-        ("plant.arm.reference", 0.1, "have no zone about a posture"),
-        ("plant.arm.measured", "velocity", "plant.arm.measured: encoders"),
-        ("plant.arm.gears.inertia", 0.0, "plant.arm.gears.inertia: must be positive"),
-        ("plant.parameters.half1", -0.1, "plant.parameters.half1: must not be negative"),
-        ("plant.x0", [0.0, 1.0], "plant.x0: expected 4 numbers"),
-        ("simulation.time", "continuous", "plant.arm.gears: contacts close and open too fast"),
-        ("observer", {"method": "extended", "right": 0.1}, "'extended' takes motors for links"),
-        ("controller", {"method": "lqr"}, "'lqr' takes motors for links"),
-        ("plant.delay", 3, "plant.delay: a controller foretells"),
-        ("controller.crossing", 0.0, "controller.crossing: must be greater than 0"),
-    ],
-)
-def test_what_does_not_go_with_gears_is_refused(address: str, value: Any, words: str) -> None:
-    with pytest.raises(InputError) as refusal:
-        uz.simulate(scenario().replace(address, value))
-    assert words in str(refusal.value)
 
 
 def test_online_refuses_what_does_not_know_gears() -> None:

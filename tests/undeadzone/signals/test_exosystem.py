@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from undeadzone.errors import FileError, InputError, ShapeError
+from undeadzone.errors import FileError
 from undeadzone.signals import exosystem as signals
 from undeadzone.signals.exosystem import (
     Random,
@@ -202,59 +202,6 @@ def test_unreadable_csv(tmp_path: Path) -> None:
     ]:
         with pytest.raises(FileError, match=f"reference.path: cannot read .*{words}"):
             build_exosystem("reference", Samples(path=f"{tmp_path}/{path}"), 1)
-
-
-@pytest.mark.parametrize(
-    ("signal", "error", "words"),
-    [
-        (
-            Sine(amplitude=[1.0, 2.0, 3.0], frequency=1.0),
-            ShapeError,
-            "reference.amplitude: expected 2 numbers .*, found 3",
-        ),
-        (
-            Sine(amplitude=1.0, frequency=0.0),
-            InputError,
-            "reference.frequency: must be greater than 0",
-        ),
-        (
-            Sine(amplitude=1.0, frequency=float("nan")),
-            InputError,
-            "reference.frequency: every number must be finite",
-        ),
-        (Sines(components=[]), InputError, "reference.components: expected at least one"),
-        (
-            Sines(
-                components=[Tone(amplitude=1.0, frequency=1.0), Tone(amplitude=1.0, frequency=-2.0)]
-            ),
-            InputError,
-            r"reference.components\[1\].frequency",
-        ),
-        (
-            Step(amplitude=1.0, before=[1.0, 2.0, 3.0]),
-            ShapeError,
-            "reference.before: expected 2 numbers",
-        ),
-        (
-            Step(amplitude=1.0, time=float("inf")),
-            InputError,
-            "reference.time: every number must be finite",
-        ),
-        (
-            Trapezoid(amplitude=1.0, rise=0.0, hold=1.0),
-            InputError,
-            "reference.rise: must be greater than 0",
-        ),
-        (
-            Trapezoid(amplitude=1.0, rise=1.0, hold=-1.0),
-            InputError,
-            "reference.hold: must be at least 0",
-        ),
-    ],
-)
-def test_wrong_signals(signal: Signal, error: type[Exception], words: str) -> None:
-    with pytest.raises(error, match=words):
-        build_exosystem("reference", signal, 2)
 
 
 def test_random_is_a_disturbance_only() -> None:

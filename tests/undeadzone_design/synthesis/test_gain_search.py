@@ -20,7 +20,6 @@ from undeadzone.errors import (
     InputError,
     ProofError,
     ShapeError,
-    StructureError,
     UndeadzoneError,
 )
 from undeadzone.feedforward.targets import linear_targets
@@ -321,43 +320,6 @@ def test_an_edge_that_is_not_reached_is_left_out_and_named(
     assert found.identifiable[0].std["left"] == np.inf
     assert "times as large" in found.identifiable[0].cures[0]
     assert found.best.rate > 0.5
-
-
-@pytest.mark.parametrize(
-    ("changes", "error", "words"),
-    [
-        (
-            {"plant": {"integrators": 2}},
-            StructureError,
-            "plant: no gains can be certified: the model has a chain of integrators",
-        ),
-        (
-            {"plant": {"companion": [-1.0, 1.0]}},
-            StructureError,
-            "plant: no gains can be certified: the model is unstable",
-        ),
-        (
-            {"reference": {"kind": "sine", "amplitude": 0.5, "frequency": 1.0}},
-            InputError,
-            "reference: it never leaves the dead zone.*2.1 times as large",
-        ),
-        (
-            {"controller": {"method": "pd", "k_p": 1.0, "k_d": 1.0}},
-            InputError,
-            "controller.method: a design plans on z = r",
-        ),
-        (
-            {"sensor": {"kind": "jump"}},
-            InputError,
-            "sensor.kind: a jump sensor has no automatic design",
-        ),
-    ],
-)
-def test_tasks_without_an_answer(
-    changes: dict[str, Any], error: type[UndeadzoneError], words: str
-) -> None:
-    with pytest.raises(error, match=words):
-        design(scene(**changes), "rate")
 
 
 @pytest.mark.parametrize("margin", [0.0, 1.0, -0.1])

@@ -25,8 +25,6 @@ from undeadzone_studies.ensemble import dask_cluster, job, journal, run_blocks
 
 pytestmark = pytest.mark.usefixtures("closed_stores")
 
-ROOT = Path(__file__).parents[3]
-
 
 def local(workers: int) -> LocalCluster:
     return LocalCluster(
