@@ -38,13 +38,18 @@ EXACT_SENSOR: dict[str, Any] = {"rounding": 0.0, "slope_std": 0.0, "lag": 0.0}
 """What a sensor is told whose edges are sharp, whose slope is known, and which is never late."""
 
 
-def table(**changes: Any) -> dict[str, Any]:
-    """The tables of `PAPER` with changes.
+def tables_of(text: str) -> dict[str, Any]:
+    """Tables of a scenario, as its file has them."""
+    return tomllib.loads(text)
+
+
+def table(text: str = "", **changes: Any) -> dict[str, Any]:
+    """The tables of `PAPER` with those of a text and with changes.
 
     Those of `sensor` and `simulation` are merged, other tables replaced (None: dropped).
     """
-    data = tomllib.loads(PAPER)
-    for key, value in changes.items():
+    data = tables_of(PAPER)
+    for key, value in (tables_of(text) | changes).items():
         if key in ("sensor", "simulation"):
             data[key] = data[key] | value
         else:
@@ -52,9 +57,9 @@ def table(**changes: Any) -> dict[str, Any]:
     return {key: value for key, value in data.items() if value is not None}
 
 
-def scene(**changes: Any) -> Scenario:
+def scene(text: str = "", **changes: Any) -> Scenario:
     """The scenario of `table`."""
-    return convert(table(**changes))
+    return convert(table(text, **changes))
 
 
 def linear(A: Any, B: Any, C: Any) -> System:

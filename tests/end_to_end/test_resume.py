@@ -174,11 +174,11 @@ def test_what_is_stopped_before_its_first_answer_leaves_nothing(
 
 
 def small() -> Scenario:
-    return scene(
-        sensor={"noise": 0.01},
-        simulation={"time": "sampled", "step": 1e-2, "duration": 0.5},
-        observer={"method": "certified", "L": [1.0, 1.5], "gamma": 10.0},
-    )
+    return scene("""
+        sensor = { noise = 0.01 }
+        simulation = { time = "sampled", step = 0.01, duration = 0.5 }
+        observer = { method = "certified", L = [1.0, 1.5], gamma = 10.0 }
+        """)
 
 
 def tuned(keep: Path | None) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 import once
-from scenes import PAPER_PLANT, linear, random_plant, scene
+from scenes import PAPER_PLANT, linear, random_plant, scene, tables_of
 from undeadzone.compile import interpret
 from undeadzone.errors import InputError, ShapeError, StepError, StructureError
 from undeadzone.feedforward.targets import Target
@@ -356,10 +356,10 @@ def test_one_jump_function_is_the_adaptive_inverse() -> None:
 
 
 def test_true_widths_that_do_not_move_are_the_oracle() -> None:
-    tables: dict[str, Any] = {
-        "sensor": {"right": 1.3, "left": 0.6, "noise": 0.05},
-        "simulation": {"time": "sampled", "step": 0.01, "duration": 4.0},
-    }
+    tables: dict[str, Any] = tables_of("""
+        sensor = { right = 1.3, left = 0.6, noise = 0.05 }
+        simulation = { time = "sampled", step = 0.01, duration = 4.0 }
+        """)
     inverse = simulate(
         scene(
             observer={
@@ -478,14 +478,15 @@ def test_one_of_them_as_generated_C(tmp_path: Path) -> None:
 def arena(
     observer: dict[str, Any], controller: dict[str, Any] | None = None, **changes: Any
 ) -> Run:
-    tables: dict[str, Any] = {
-        "plant": {
-            "A": [[0.0, 1.0], [-1.0, -2.0]],
-            "B": [[0.0], [1.0]],
-            "C": [[1.0, 0.0]],
-            "x0": [1.0, 0.0],
-        }
-    } | changes
+    tables: dict[str, Any] = (
+        tables_of("""
+        plant.A = [[0.0, 1.0], [-1.0, -2.0]]
+        plant.B = [[0.0], [1.0]]
+        plant.C = [[1.0, 0.0]]
+        plant.x0 = [1.0, 0.0]
+        """)
+        | changes
+    )
     tables["simulation"] = {"time": "sampled", "step": 5e-3, "duration": 20.0} | changes.get(
         "simulation", {}
     )
@@ -557,7 +558,9 @@ def test_fast_poles_hide_the_residual(name: str) -> None:
 
 def test_the_adaptive_inverse_is_near_the_oracle_where_only_the_width_is_unknown() -> None:
     bias = {"disturbance": {"kind": "step", "amplitude": 1.0}}
-    wrong = {"model": {"A": [[0.0, 1.0], [-0.9, -1.8]], "B": [[0.0], [1.05]]}}
+    wrong = tables_of("""
+        model = { A = [[0.0, 1.0], [-0.9, -1.8]], B = [[0.0], [1.05]] }
+        """)
     for changes in ({}, {"sensor": {"noise": 0.02}}, bias, wrong):
         oracle = arena({"method": "oracle", "L": [58.0, 840.0]}, **changes)
         assert (
@@ -584,46 +587,40 @@ def test_a_robust_gradient_learns_from_guesses_of_zero() -> None:
     ],
 )
 def test_two_outputs_and_third_order(options: dict[str, Any]) -> None:
-    two: dict[str, Any] = {
+    two: dict[str, Any] = tables_of("""
+        sensor = { right = [0.5, 0.3], left = [0.4, 0.6] }
+        reference = { kind = "sine", amplitude = [2.0, 2.5], frequency = 0.5, phase = [0.0, 1.0] }
+        controller = { method = "state_feedback", poles = [-8.0, -9.0] }
+        """) | {
         "plant": {
             "A": [[-1.0, 0.5], [-0.5, -2.0]],
             "B": np.eye(2).tolist(),
             "C": [[1.0, 0.0], [0.2, 1.0]],
             "x0": [0.5, -0.5],
-        },
-        "sensor": {"right": [0.5, 0.3], "left": [0.4, 0.6]},
-        "reference": {
-            "kind": "sine",
-            "amplitude": [2.0, 2.5],
-            "frequency": 0.5,
-            "phase": [0.0, 1.0],
-        },
-        "controller": {"method": "state_feedback", "poles": [-8.0, -9.0]},
+        }
     }
     run = arena(options, **two)
     assert run.widths.sum(axis=1) == pytest.approx([0.9, 0.9], abs=0.12)
-    third: dict[str, Any] = {
-        "plant": {"companion": [6.0, 11.0, 6.0], "x0": [0.5, 0.0, 0.0]},
-        "sensor": {"right": 0.5, "left": 0.5},
-        "reference": {"kind": "sine", "amplitude": 2.0, "frequency": 0.5},
-        "controller": {"method": "state_feedback", "poles": [-8.0, -9.0, -10.0]},
-    }
+    third: dict[str, Any] = tables_of("""
+        plant = { companion = [6.0, 11.0, 6.0], x0 = [0.5, 0.0, 0.0] }
+        sensor = { right = 0.5, left = 0.5 }
+        reference = { kind = "sine", amplitude = 2.0, frequency = 0.5 }
+        controller = { method = "state_feedback", poles = [-8.0, -9.0, -10.0] }
+        """)
     assert arena(options, **third).widths == pytest.approx(np.full((1, 2), 0.5), abs=0.1)
 
 
 def test_a_nonlinear_plant_and_a_step_too_coarse_for_its_gain() -> None:
-    pendulum: dict[str, Any] = {
-        "plant": {
-            "states": ["a", "v"],
-            "f": ["v", "-9.81 * sin(a) - 1.5 * v + u"],
-            "h": ["a"],
-            "x0": [0.3, 0.0],
-        },
-        "sensor": {"right": 0.3, "left": 0.3},
-        "reference": {"kind": "sine", "amplitude": 1.2, "frequency": 0.5},
-        "controller": {"method": "state_feedback", "poles": [-6.0, -6.0]},
-        "simulation": {"time": "sampled", "substeps": 2},
-    }
+    pendulum: dict[str, Any] = tables_of("""
+        plant.states = ["a", "v"]
+        plant.f = ["v", "-9.81 * sin(a) - 1.5 * v + u"]
+        plant.h = ["a"]
+        plant.x0 = [0.3, 0.0]
+        sensor = { right = 0.3, left = 0.3 }
+        reference = { kind = "sine", amplitude = 1.2, frequency = 0.5 }
+        controller = { method = "state_feedback", poles = [-6.0, -6.0] }
+        simulation = { time = "sampled", substeps = 2 }
+        """)
     run = arena({"method": "adaptive_inverse"}, **pendulum)
     assert run.rms_estimation < 0.03
     assert run.widths == pytest.approx(np.full((1, 2), 0.3), abs=0.03)

@@ -19,7 +19,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import once
-from scenes import PAPER_PLANT, OnNumbers, linear, random_plant, response, scene, slopes
+from scenes import PAPER_PLANT, OnNumbers, linear, random_plant, response, scene, slopes, tables_of
 from undeadzone.compile import interpret
 from undeadzone.errors import InputError, StructureError
 from undeadzone.feedforward.targets import Target
@@ -276,10 +276,10 @@ def _beside(pairs: list[int], n: int) -> Floats:
 def test_interval_on_generated_C(tmp_path: Path) -> None:
     loop, state, exogenous = prepare(
         resolve_scenario(
-            scene(
-                observer={"method": "interval", "right": [0.3, 2.0], "disturbance": 0.1},
-                simulation={"duration": 1.0, "time": "sampled"},
-            )
+            scene("""
+                observer = { method = "interval", right = [0.3, 2.0], disturbance = 0.1 }
+                simulation = { duration = 1.0, time = "sampled" }
+                """)
         )
     )
     generator = ca.CodeGenerator("step")
@@ -459,10 +459,10 @@ NAIVE: list[dict[str, Any]] = [
     {"method": "super_twisting", "lipschitz": 200.0},
     {"method": "high_gain", "epsilon": 0.02},
 ]
-LOOP: dict[str, Any] = {
-    "controller": {"method": "state_feedback", "poles": [-10.0, -11.0]},
-    "simulation": {"duration": 6.0, "step": 2e-3, "time": "sampled"},
-}
+LOOP: dict[str, Any] = tables_of("""
+controller = { method = "state_feedback", poles = [-10.0, -11.0] }
+simulation = { duration = 6.0, step = 0.002, time = "sampled" }
+""")
 
 
 @pytest.mark.parametrize("observer", NAIVE, ids=lambda observer: observer["method"])
@@ -484,14 +484,14 @@ def test_with_known_widths_they_are_right(observer: dict[str, Any]) -> None:
 @pytest.mark.parametrize(
     "observer",
     [
-        {
-            "method": "walcott_zak",
-            "poles": [-8.4, -8.5],
-            "rho": 7.7,
-            "boundary": 0.36,
-            "gamma": 22.0,
-            "width_max": 3.0,
-        },
+        tables_of("""
+            method = "walcott_zak"
+            poles = [-8.4, -8.5]
+            rho = 7.7
+            boundary = 0.36
+            gamma = 22.0
+            width_max = 3.0
+            """),
         {"method": "high_gain", "epsilon": 0.145, "gamma": 22.0, "width_max": 3.0},
     ],
     ids=lambda observer: observer["method"],
@@ -599,21 +599,23 @@ def test_sliding_mode_suppresses_a_disturbance_below_its_gain(n: int) -> None:
 
 
 def test_sliding_mode_drives_a_nonlinear_plant() -> None:
-    pendulum = {
-        "states": ["angle", "rate"],
-        "inputs": ["torque"],
-        "f": ["rate", "-9.81 * sin(angle) - 1.5 * rate + torque"],
-        "h": ["angle"],
-        "x0": [0.3, 0.0],
-    }
+    pendulum = tables_of("""
+        states = ["angle", "rate"]
+        inputs = ["torque"]
+        f = ["rate", "-9.81 * sin(angle) - 1.5 * rate + torque"]
+        h = ["angle"]
+        x0 = [0.3, 0.0]
+        """)
     run = simulate(
         scene(
+            """
+            sensor = { right = 0.0, left = 0.0 }
+            observer = { method = "high_gain", epsilon = 0.05 }
+            controller = { method = "sliding_mode", gain = 1.0, poles = [-5.0], rate = 5.0 }
+            reference = { kind = "sine", amplitude = 1.5, frequency = 0.5 }
+            simulation = { duration = 5.0, step = 0.005 }
+            """,
             plant=pendulum,
-            sensor={"right": 0.0, "left": 0.0},
-            observer={"method": "high_gain", "epsilon": 0.05},
-            controller={"method": "sliding_mode", "gain": 1.0, "poles": [-5.0], "rate": 5.0},
-            reference={"kind": "sine", "amplitude": 1.5, "frequency": 0.5},
-            simulation={"duration": 5.0, "step": 5e-3},
         )
     )
     assert run.rms_tracking < 1e-6

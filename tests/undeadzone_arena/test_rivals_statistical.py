@@ -20,7 +20,7 @@ from scipy.stats import norm
 
 import undeadzone_arena.unscented as unscented
 from requirements import import_package
-from scenes import EXACT_SENSOR, PAPER_PLANT, OnNumbers, linear, random_plant, scene
+from scenes import EXACT_SENSOR, PAPER_PLANT, OnNumbers, linear, random_plant, scene, tables_of
 from undeadzone.errors import InputError
 from undeadzone.interfaces import (
     COLUMNS,
@@ -66,13 +66,13 @@ seeds = st.integers(0, 2**32 - 1)
 TS = 0.05
 MODEL = sample_plant(PAPER_PLANT, TS)
 ALL = [EKF, UKF, Tobit, ParticleFilter, MovingHorizon]
-PENDULUM = {
-    "states": ["angle", "rate"],
-    "inputs": ["u"],
-    "f": ["rate", "-9.81 * sin(angle) - 0.5 * rate + u"],
-    "h": ["angle"],
-    "x0": [0.5, 0.0],
-}
+PENDULUM = tables_of("""
+states = ["angle", "rate"]
+inputs = ["u"]
+f = ["rate", "-9.81 * sin(angle) - 0.5 * rate + u"]
+h = ["angle"]
+x0 = [0.5, 0.0]
+""")
 SAMPLED = {"time": "sampled", "step": 0.01, "duration": 6.0}
 
 
@@ -637,18 +637,18 @@ def test_the_live_loop_is_the_loop() -> None:
         assert signal == pytest.approx(same, rel=1e-9, abs=1e-9), name
 
 
-CHAIN = {
-    "A": [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-4.0, -6.0, -4.0]],
-    "B": [[0.0], [0.0], [4.0]],
-    "C": [[1.0, 0.0, 0.0]],
-    "x0": [0.5, 0.0, 0.0],
-}
-TWO = {
-    "A": [[-1.0, 0.5], [-0.5, -2.0]],
-    "B": [[1.0, 0.0], [0.0, 1.0]],
-    "C": [[1.0, 0.0], [0.2, 1.0]],
-    "x0": [0.5, -0.5],
-}
+CHAIN = tables_of("""
+A = [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-4.0, -6.0, -4.0]]
+B = [[0.0], [0.0], [4.0]]
+C = [[1.0, 0.0, 0.0]]
+x0 = [0.5, 0.0, 0.0]
+""")
+TWO = tables_of("""
+A = [[-1.0, 0.5], [-0.5, -2.0]]
+B = [[1.0, 0.0], [0.0, 1.0]]
+C = [[1.0, 0.0], [0.2, 1.0]]
+x0 = [0.5, -0.5]
+""")
 PLANTS: dict[str, tuple[Any, Any]] = {
     "third order": (CHAIN, {"method": "state_feedback", "poles": [-6.0, -6.0, -6.0]}),
     "two outputs": (TWO, {"method": "state_feedback", "alpha": 5.0}),
@@ -674,9 +674,11 @@ def test_any_plant_runs_and_its_estimates_are_finite_with_their_standard_deviati
     }
     run = simulate(
         scene(
+            """
+            sensor = { right = 0.8, left = 0.6, noise = 0.01 }
+            simulation = { time = "sampled", step = 0.02, duration = 4.0 }
+            """,
             observer={"method": method.__struct_config__.tag, "right": [0.3, 1.5]},
-            sensor={"right": 0.8, "left": 0.6, "noise": 0.01},
-            simulation={"time": "sampled", "step": 0.02, "duration": 4.0},
             **changes,
         )
     )

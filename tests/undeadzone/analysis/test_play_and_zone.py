@@ -18,6 +18,7 @@ from test_play import CENSORED, KALMAN, late, slow
 
 import undeadzone as uz
 from further import further
+from scenes import tables_of
 from undeadzone.analysis.branch_schedule import plan_schedule, schedule_of_record
 from undeadzone.analysis.identifiability.play_and_zone import (
     ReadingConditions,
@@ -247,18 +248,21 @@ def test_missing_limited_and_wrong_readings_do_no_harm() -> None:
 
 
 def test_each_output_has_gaps_of_its_own() -> None:
-    plant = {
-        "A": [[0.0, 1.0, 0.0, 0.0], [-1.0, -2.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0], [0, 0, -2, -3]],
-        "B": [[0.0, 0.0], [1.0, 0.0], [0.0, 0.0], [0.0, 1.0]],
-        "C": [[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]],
-    }
-    sensor = {"right": [1.0, 0.4], "left": [0.7, 0.6], "play": [[0.5, 0.3], [0.2, 0.7]]}
-    changes: dict[str, Any] = {
-        "plant": plant,
-        "controller": {"method": "state_feedback", "poles": [-8.0, -8.4, -8.8, -9.2]},
-        "model": {"play": [[[0.0, 1.0], [0.0, 1.0]], [[0.0, 1.0], [0.0, 1.0]]]},
-        "reference": {"kind": "sine", "amplitude": [5.0, 4.0], "frequency": 0.2},
-    }
+    plant = tables_of("""
+        A = [[0.0, 1.0, 0.0, 0.0], [-1.0, -2.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0], [0, 0, -2, -3]]
+        B = [[0.0, 0.0], [1.0, 0.0], [0.0, 0.0], [0.0, 1.0]]
+        C = [[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]]
+        """)
+    sensor = tables_of("""
+        right = [1.0, 0.4]
+        left = [0.7, 0.6]
+        play = [[0.5, 0.3], [0.2, 0.7]]
+        """)
+    changes: dict[str, Any] = tables_of("""
+        controller = { method = "state_feedback", poles = [-8.0, -8.4, -8.8, -9.2] }
+        model = { play = [[[0.0, 1.0], [0.0, 1.0]], [[0.0, 1.0], [0.0, 1.0]]] }
+        reference = { kind = "sine", amplitude = [5.0, 4.0], frequency = 0.2 }
+        """) | {"plant": plant}
     run = simulate(both(sensor | {"noise": 0.02}, KALMAN, **changes))
     for i, (c, d) in enumerate([([0.5, 0.3], [1.0, 0.7]), ([0.2, 0.7], [0.4, 0.6])]):
         own = {"play": c, "right": d[0], "left": d[1], "noise": 0.02}
@@ -352,7 +356,11 @@ def test_known_gaps_leave_nothing_hidden() -> None:
 
 
 def test_an_integrator_hides_the_sum_of_the_centres_too() -> None:
-    motor = {"A": [[0.0, 1.0], [0.0, -2.0]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]]}
+    motor = tables_of("""
+        A = [[0.0, 1.0], [0.0, -2.0]]
+        B = [[0.0], [1.0]]
+        C = [[1.0, 0.0]]
+        """)
     run = simulate(both({"noise": 0.02}, KALMAN, model=RANGES, plant=motor))
     (verdict,) = run.info.identifiable
     assert verdict["width"]

@@ -10,7 +10,7 @@ import pytest
 from test_engines import distance, parts
 
 import undeadzone as uz
-from scenes import scene
+from scenes import scene, tables_of
 from undeadzone.compile import interpret, lanes
 from undeadzone.interfaces import Estimate
 from undeadzone.results.run import Run
@@ -21,7 +21,11 @@ from undeadzone_studies.ensemble.run_ensemble import replay_deviation, run_ensem
 
 TS = 5e-3
 GAPS = {"right": 0.06, "left": 0.04}
-MOTOR = {"A": [[0.0, 1.0], [0.0, -10.0]], "B": [[0.0], [100.0]], "C": [[1.0, 0.0]]}
+MOTOR = tables_of("""
+A = [[0.0, 1.0], [0.0, -10.0]]
+B = [[0.0], [100.0]]
+C = [[1.0, 0.0]]
+""")
 KALMAN = {"method": "kalman", "right": [0.0, 0.2], "disturbance": 0.05}
 KNOWN = {"method": "oracle", "L": [20.0, 100.0]}
 NAIVE = {"method": "luenberger", "poles": [-40.0, -44.0]}

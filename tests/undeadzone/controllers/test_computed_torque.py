@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm, solve_discrete_are
 
-from scenes import random_plant, scene, slopes, table
+from scenes import random_plant, scene, slopes, table, tables_of
 from undeadzone.controllers import LQR, ComputedTorque
 from undeadzone.controllers.lqr import Params, linearise_trajectory, trajectory_gains
 from undeadzone.errors import StepError
@@ -32,13 +32,13 @@ from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
 
 TWO = {"kind": "two_link"}
-FAST = {
-    "kind": "sine",
-    "amplitude": [0.5, 1.2],
-    "frequency": 1.0,
-    "phase": [0.0, -1.5707963],
-    "offset": [-1.5, 1.5],
-}
+FAST = tables_of("""
+kind = "sine"
+amplitude = [0.5, 1.2]
+frequency = 1.0
+phase = [0.0, -1.5707963]
+offset = [-1.5, 1.5]
+""")
 REST = {"kind": "step", "amplitude": [0.4, -0.7]}
 LINK = {"plant": {"arm": {"kind": "elastic_joint", "measured": "link"}}, "tracked": [0]}
 TORQUE: dict[str, Any] = {"method": "computed_torque", "bandwidth": 15.0}

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from test_engines import distance, parts, small
 
 import undeadzone as uz
-from scenes import EXACT_SENSOR, PAPER_PLANT, scene
+from scenes import EXACT_SENSOR, PAPER_PLANT, scene, tables_of
 from undeadzone.analysis.identifiability.linear import unobservable_changes
 from undeadzone.analysis.identifiability.sensor_and_actuator import sensor_actuator_identifiability
 from undeadzone.compile import interpret, lanes
@@ -53,16 +53,17 @@ COASTS = INVERSE | {"coast": 0.8}
 
 def loop(**changes: Any) -> Scenario:
     """The paper's plant behind a dead zone at either end."""
-    tables: dict[str, Any] = {
+    tables: dict[str, Any] = tables_of("""
+        reference = { kind = "sine", amplitude = 4.0, frequency = 0.4 }
+        controller = { method = "state_feedback", poles = [-6.0, -6.3] }
+        disturbance = { kind = "random", rms = 0.5, correlation_time = 0.0001 }
+        """) | {
         "sensor": {"right": 1.0, "left": 0.7, "noise": 0.01} | EXACT_SENSOR,
         "actuator": {"right": RIGHT, "left": LEFT},
         "model": {"actuator": RANGES},
         "compensator": COASTS,
         "observer": KALMAN,
-        "reference": {"kind": "sine", "amplitude": 4.0, "frequency": 0.4},
-        "controller": {"method": "state_feedback", "poles": [-6.0, -6.3]},
         "simulation": {"time": "sampled", "step": TS, "duration": 20.0},
-        "disturbance": {"kind": "random", "rms": 0.5, "correlation_time": 1e-4},
     }
     simulation = tables["simulation"] | changes.pop("simulation", {})
     return scene(**tables | changes | {"simulation": simulation})
@@ -315,17 +316,16 @@ def test_robust_adaptive_control_learns_as_fast_in_samples() -> None:
 def test_the_adaptive_inverse_learns_the_widths_behind_a_clean_sensor() -> None:
     """Of a plant that is fast beside its reference; behind slow ones it learns the sum slowly."""
     compensator = {"method": "adaptive_inverse", "width_max": 6.0}
-    changes = {
-        "plant": {"A": [[-4.0]], "B": [[4.0]], "C": [[1.0]]},
-        "actuator": {"right": 1.0, "left": 0.7},
-        "reference": {"kind": "sine", "amplitude": 3.0, "frequency": 0.1},
-        "controller": {"method": "state_feedback", "poles": [-8.0]},
-        "sensor": {"right": 0.0, "left": 0.0, "noise": 0.0},
-        "observer": {"method": "full_state"},
-        "model": {"actuator": {"right": 0.0, "left": 0.0}},
-        "disturbance": None,
-        "simulation": {"duration": 60.0},
-    }
+    changes = tables_of("""
+        plant = { A = [[-4.0]], B = [[4.0]], C = [[1.0]] }
+        actuator = { right = 1.0, left = 0.7 }
+        reference = { kind = "sine", amplitude = 3.0, frequency = 0.1 }
+        controller = { method = "state_feedback", poles = [-8.0] }
+        sensor = { right = 0.0, left = 0.0, noise = 0.0 }
+        observer = { method = "full_state" }
+        model = { actuator = { right = 0.0, left = 0.0 } }
+        simulation = { duration = 60.0 }
+        """) | {"disturbance": None}
     learnt = simulate(loop(compensator=compensator, **changes))
     none = simulate(loop(compensator={"method": "none"}, **changes))
     assert late(learnt, learnt.z - learnt.r) < 0.1 * late(none, none.z - none.r)

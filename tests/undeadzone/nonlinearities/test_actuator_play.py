@@ -10,7 +10,7 @@ import pytest
 from test_engines import distance, parts, small
 
 import undeadzone as uz
-from scenes import EXACT_SENSOR, scene
+from scenes import EXACT_SENSOR, scene, tables_of
 from undeadzone.compile import interpret, lanes
 from undeadzone.errors import InputError
 from undeadzone.nonlinearities.actuator import (
@@ -36,13 +36,14 @@ PLAY = {"kind": "play", "right": RIGHT, "left": LEFT}
 
 def loop(**changes: Any) -> Scenario:
     """The paper's plant behind an actuator with play."""
-    tables: dict[str, Any] = {
+    tables: dict[str, Any] = tables_of("""
+        observer = { method = "kalman", right = [0.0, 3.0], disturbance = 0.5 }
+        reference = { kind = "sine", amplitude = 4.0, frequency = 0.4 }
+        controller = { method = "state_feedback", poles = [-6.0, -6.3] }
+        simulation = { time = "sampled", step = 0.01, duration = 10.0 }
+        """) | {
         "sensor": {"right": 1.0, "left": 0.7, "noise": 0.01} | EXACT_SENSOR,
         "actuator": PLAY,
-        "observer": {"method": "kalman", "right": [0.0, 3.0], "disturbance": 0.5},
-        "reference": {"kind": "sine", "amplitude": 4.0, "frequency": 0.4},
-        "controller": {"method": "state_feedback", "poles": [-6.0, -6.3]},
-        "simulation": {"time": "sampled", "step": 0.01, "duration": 10.0},
     }
     simulation = tables["simulation"] | changes.pop("simulation", {})
     return scene(**tables | changes | {"simulation": simulation})

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from test_engines import distance, parts
 
 import undeadzone as uz
-from scenes import scene
+from scenes import scene, tables_of
 from undeadzone.analysis.branch_schedule import plan_schedule
 from undeadzone.compile import interpret, lanes
 from undeadzone.errors import InputError
@@ -321,7 +321,11 @@ def test_v_never_rises(right: float, left: float, x0: float, start: float) -> No
 
 def rise(right: float, left: float, x0: float, start: float) -> float:
     """The largest rise of V in a step, relative to V at first; readings exact, held ones heard."""
-    plant = {"A": [[0.0, 1.0], [-1.0, -2.0]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]]}
+    plant = tables_of("""
+        A = [[0.0, 1.0], [-1.0, -2.0]]
+        B = [[0.0], [1.0]]
+        C = [[1.0, 0.0]]
+        """)
     sensor = {"right": right, "left": left, "start": start}
     observer = CERTIFIED | {"silence": True}
     simulation = {"duration": 6.0}
@@ -354,7 +358,11 @@ def test_the_certificate_is_that_of_the_dead_zone() -> None:
 
 
 def test_an_integrator_hides_the_centre_of_its_play_but_not_the_width() -> None:
-    motor = {"A": [[0.0, 1.0], [0.0, -2.0]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]]}
+    motor = tables_of("""
+        A = [[0.0, 1.0], [0.0, -2.0]]
+        B = [[0.0], [1.0]]
+        C = [[1.0, 0.0]]
+        """)
     run = simulate(slow({"noise": 0.01}, KALMAN, plant=motor))
     (verdict,) = run.info.identifiable
     assert verdict["width"]

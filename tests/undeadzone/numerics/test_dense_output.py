@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from scenes import scene, slopes
+from scenes import scene, slopes, tables_of
 from undeadzone.numerics.dense_output import (
     DenseStep,
     Levels,
@@ -21,22 +21,20 @@ from undeadzone.numerics.dense_output import (
 from undeadzone.results.run import Run
 from undeadzone.simulation.simulate import simulate
 
-TWO = {
-    "plant": {
-        "A": [[0.0, 1.0, 0.0], [-2.0, -1.5, 0.3], [0.1, 0.0, -3.0]],
-        "B": [[0.0, 0.0], [1.0, 0.0], [0.0, 2.0]],
-        "C": [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]],
-    },
-    "sensor": {"right": [0.6, 0.4], "left": [0.5, 0.7]},
-    "reference": {"kind": "sine", "amplitude": [2.0, 1.5], "frequency": 0.5},
-    # Gains as slow as the plant: the short RK4 steps are the truth.
-    "observer": {"method": "certified", "gamma": 4.0, "L": [[1.0, 0.0], [1.5, 0.0], [0.0, 1.0]]},
-    "controller": {"method": "state_feedback", "alpha": 5.0},
-}
-GRAZING = {
-    "reference": {"kind": "sine", "amplitude": 1.002, "frequency": 1.0},
-    "plant": {"A": [[0, 1], [-1, -2]], "B": [[0], [1]], "C": [[1, 0]]},
-}
+TWO = tables_of("""
+plant.A = [[0.0, 1.0, 0.0], [-2.0, -1.5, 0.3], [0.1, 0.0, -3.0]]
+plant.B = [[0.0, 0.0], [1.0, 0.0], [0.0, 2.0]]
+plant.C = [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
+sensor = { right = [0.6, 0.4], left = [0.5, 0.7] }
+reference = { kind = "sine", amplitude = [2.0, 1.5], frequency = 0.5 }
+# Gains as slow as the plant: the short RK4 steps are the truth.
+observer = { method = "certified", gamma = 4.0, L = [[1.0, 0.0], [1.5, 0.0], [0.0, 1.0]] }
+controller = { method = "state_feedback", alpha = 5.0 }
+""")
+GRAZING = tables_of("""
+reference = { kind = "sine", amplitude = 1.002, frequency = 1.0 }
+plant = { A = [[0, 1], [-1, -2]], B = [[0], [1]], C = [[1, 0]] }
+""")
 
 
 def run(order: int, step: float, duration: float = 3.0, **changes: Any) -> Run:

@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scenes import PAPER_PLANT, OnNumbers, scene
+from scenes import PAPER_PLANT, OnNumbers, scene, tables_of
 from undeadzone.analysis.certificate.passivity import certify
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Estimate
@@ -315,7 +315,10 @@ def test_a_leak_leaves_the_bias_that_theory_predicts() -> None:
     leak, gamma = 0.2, 0.5
     outcome = simulate(
         scene(
-            plant={"A": [[0.0, 1.0], [-1.0, -2.0]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]]},
+            """
+            plant = { A = [[0.0, 1.0], [-1.0, -2.0]], B = [[0.0], [1.0]], C = [[1.0, 0.0]] }
+            simulation = { duration = 60.0, step = 0.005 }
+            """,
             observer={
                 "method": "certified",
                 "L": [0.0, 0.0],
@@ -323,7 +326,6 @@ def test_a_leak_leaves_the_bias_that_theory_predicts() -> None:
                 "widths0": 0.2,
                 "adaptation": {"method": "sigma", "leak": leak},
             },
-            simulation={"duration": 60.0, "step": 5e-3},
         ),
         check_step=False,
     )
@@ -336,7 +338,11 @@ def test_a_leak_leaves_the_bias_that_theory_predicts() -> None:
 
 def test_a_leak_by_the_error_leaves_the_truth_alone_and_sigma_does_not() -> None:
     exact = {"widths0": [1.0, 1.0], "L": [0.0, 0.0]}
-    plant = {"A": [[0.0, 1.0], [-1.0, -2.0]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]]}
+    plant = tables_of("""
+        A = [[0.0, 1.0], [-1.0, -2.0]]
+        B = [[0.0], [1.0]]
+        C = [[1.0, 0.0]]
+        """)
     truth, started = {}, {}
     for method in ("sigma", "e_modification"):
         options = {

@@ -18,7 +18,7 @@ from scipy.linalg import expm
 from scipy.stats import norm, truncnorm
 
 import undeadzone as uz
-from scenes import EXACT_SENSOR, PAPER_PLANT, OnNumbers, linear, random_plant, scene
+from scenes import EXACT_SENSOR, PAPER_PLANT, OnNumbers, linear, random_plant, scene, tables_of
 from undeadzone.compile import interpret
 from undeadzone.controllers.state_feedback import rest_response
 from undeadzone.errors import InputError
@@ -408,15 +408,17 @@ def test_intervals_fail_if_a_coloured_disturbance_is_modelled_as_white() -> None
 def test_two_outputs_and_two_inputs_in_the_loop() -> None:
     run = simulate(
         scene(
-            plant={
-                "A": [[-1.0, 0.5], [-0.5, -2.0]],
-                "B": [[1.0, 0.0], [0.0, 1.0]],
-                "C": [[1.0, 0.0], [0.2, 1.0]],
-                "x0": [0.5, -0.5],
-            },
-            sensor={"right": [0.8, 0.5], "left": [0.6, 1.0], "noise": [0.01, 0.02]},
-            reference={"kind": "sine", "amplitude": [3.0, 2.0], "frequency": 0.5},
-            disturbance={"kind": "random", "rms": [0.5, 0.3], "correlation_time": 0.2},
+            """
+            plant.A = [[-1.0, 0.5], [-0.5, -2.0]]
+            plant.B = [[1.0, 0.0], [0.0, 1.0]]
+            plant.C = [[1.0, 0.0], [0.2, 1.0]]
+            plant.x0 = [0.5, -0.5]
+            sensor = { right = [0.8, 0.5], left = [0.6, 1.0], noise = [0.01, 0.02] }
+            reference = { kind = "sine", amplitude = [3.0, 2.0], frequency = 0.5 }
+            disturbance = { kind = "random", rms = [0.5, 0.3], correlation_time = 0.2 }
+            controller = { method = "state_feedback", poles = [-4.0, -5.0] }
+            simulation = { time = "sampled", step = 0.01, duration = 20.0 }
+            """,
             observer={
                 "method": "censored",
                 "right": [[0.3, 1.2], [0.2, 1.5]],
@@ -424,8 +426,6 @@ def test_two_outputs_and_two_inputs_in_the_loop() -> None:
                 "correlation_time": 0.2,
             }
             | {"bias": 0.0, "tolerance": 0.0, "drift": 0.0},
-            controller={"method": "state_feedback", "poles": [-4.0, -5.0]},
-            simulation={"time": "sampled", "step": 0.01, "duration": 20.0},
         )
     )
     assert run.d_std is not None
@@ -558,12 +558,11 @@ def test_a_range_that_is_surely_wrong_is_not_insisted_upon() -> None:
 
 
 def closed(observer: dict[str, Any], **changes: Any) -> Run:
-    tables: dict[str, Any] = {
-        "sensor": {"right": 1.3, "left": 0.9, "noise": 0.01},
-        "observer": {"method": "censored", "right": RANGE} | observer,
-        "controller": {"method": "state_feedback", "poles": [-8.0, -9.0]},
-        "simulation": {"time": "sampled", "step": 0.01, "duration": 20.0},
-    }
+    tables: dict[str, Any] = tables_of("""
+        sensor = { right = 1.3, left = 0.9, noise = 0.01 }
+        controller = { method = "state_feedback", poles = [-8.0, -9.0] }
+        simulation = { time = "sampled", step = 0.01, duration = 20.0 }
+        """) | {"observer": {"method": "censored", "right": RANGE} | observer}
     return simulate(scene(**tables | changes))
 
 
@@ -579,10 +578,10 @@ def test_what_the_model_leaves_out_is_countered_at_rest(n: int) -> None:
 
 
 def test_what_it_knows_of_the_disturbance_reaches_the_controller() -> None:
-    changes = {
-        "disturbance": {"kind": "sine", "amplitude": 4.0, "frequency": 0.3},
-        "sensor": {"right": 1.1, "left": 1.1, "noise": 0.01},
-    }
+    changes = tables_of("""
+        disturbance = { kind = "sine", amplitude = 4.0, frequency = 0.3 }
+        sensor = { right = 1.1, left = 1.1, noise = 0.01 }
+        """)
     with_it, without = (
         closed(
             {"disturbance": 3.0, "correlation_time": 0.3},
@@ -602,15 +601,13 @@ def test_ranges_alone_do_with_a_wrong_model() -> None:
 
     Stiffness and damping are a fifth larger than the model's.
     """
-    changes = {
-        "plant": {
-            "A": [[0.0, 1.0], [-1.2, -2.4]],
-            "B": [[0.0], [1.0]],
-            "C": [[1.0, 0.0]],
-            "x0": [0.5, 0.0],
-        },
-        "model": {"A": [[0.0, 1.0], [-1.0, -2.0]]},
-    }
+    changes = tables_of("""
+        plant.A = [[0.0, 1.0], [-1.2, -2.4]]
+        plant.B = [[0.0], [1.0]]
+        plant.C = [[1.0, 0.0]]
+        plant.x0 = [0.5, 0.0]
+        model = { A = [[0.0, 1.0], [-1.0, -2.0]] }
+        """)
     doubting, sure = (
         closed({}, **changes),
         closed(dict.fromkeys(("disturbance", "bias", "tolerance", "drift"), 0.0), **changes),
@@ -620,7 +617,11 @@ def test_ranges_alone_do_with_a_wrong_model() -> None:
     assert (np.abs(doubting.d_hat[-1] - [1.3, 0.9]) < 3 * doubting.d_std[-1]).all()
 
 
-UNSTABLE = {"A": [[0.0, 1.0], [1.0, -0.5]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]]}
+UNSTABLE = tables_of("""
+A = [[0.0, 1.0], [1.0, -0.5]]
+B = [[0.0], [1.0]]
+C = [[1.0, 0.0]]
+""")
 
 
 @pytest.mark.parametrize("plant", [{"integrators": 2}, UNSTABLE], ids=["integrators", "unstable"])
@@ -651,9 +652,11 @@ def test_twenty_seconds_at_1_khz_leave_every_covariance_positive() -> None:
     """
     problem = resolve_scenario(
         scene(
-            sensor={"right": 1.3, "left": 0.9, "noise": 1e-4},
+            """
+            sensor = { right = 1.3, left = 0.9, noise = 0.0001 }
+            simulation = { time = "sampled", step = 0.001, duration = 20.0 }
+            """,
             observer={"method": "censored", "right": RANGE, "x_std": 100.0},
-            simulation={"time": "sampled", "step": 1e-3, "duration": 20.0},
         )
     )
     loop, state, exogenous = prepare(problem)

@@ -17,6 +17,7 @@ import pytest
 import once
 import undeadzone as uz
 from requirements import import_package
+from scenes import tables_of
 from undeadzone.cli import group
 from undeadzone.interfaces import Reading
 from undeadzone.numerics.first_passage import arrival_shares, chance_beyond, condition_on_edge
@@ -423,17 +424,19 @@ def six_joints(**observer: Any) -> uz.Scenario:
     arm = {"kind": "urdf", "path": str(EXAMPLES / "ur5.urdf"), "tip": "tool0"}
     gears = {"half": 0.02, "inertia": [1.5, 1.5, 0.6, 0.2, 0.2, 0.02], "friction": 0.1}
     return convert(
-        {
+        tables_of("""
+            sensor = { right = 0.0, left = 0.0, noise = 0.0005 }
+            controller = { method = "computed_torque", bandwidth = 10.0 }
+            simulation = { time = "sampled", step = 0.001, duration = 0.1, substeps = 2 }
+            """)
+        | {
             "plant": {"arm": {**arm, "gears": gears}, "x0": start},
-            "sensor": {"right": 0.0, "left": 0.0, "noise": 5e-4},
             "reference": {
                 "kind": "quintic",
                 "points": [start[:6], [x + 0.1 for x in start[:6]]],
                 "times": [0.0, 1.0],
             },
             "observer": {"method": "contact", "half": [0.0, 0.06], **observer},
-            "controller": {"method": "computed_torque", "bandwidth": 10.0},
-            "simulation": {"time": "sampled", "step": 1e-3, "duration": 0.1, "substeps": 2},
         }
     )
 

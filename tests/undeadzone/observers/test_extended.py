@@ -502,15 +502,17 @@ def test_intervals_cover_the_truth_over_random_arms(
 
 def test_lanes_and_the_virtual_machine_agree() -> None:
     scenario = scene(
-        plant={
-            "states": ["a", "b", "v", "w"],
-            "inputs": ["s", "t"],
-            "f": ["v", "w", "-sin(a) - v + 0.2 * b + s", "-2 * sin(b) - w + 0.2 * a + t"],
-            "h": ["a", "b"],
-            "x0": [0.2, 0.0, 0.0, 0.0],
-        },
-        sensor={"right": 0.08, "left": 0.05, "noise": 1e-3},
-        reference={"kind": "sine", "amplitude": [0.5, 0.4], "frequency": 1.0},
+        """
+        plant.states = ["a", "b", "v", "w"]
+        plant.inputs = ["s", "t"]
+        plant.f = ["v", "w", "-sin(a) - v + 0.2 * b + s", "-2 * sin(b) - w + 0.2 * a + t"]
+        plant.h = ["a", "b"]
+        plant.x0 = [0.2, 0.0, 0.0, 0.0]
+        sensor = { right = 0.08, left = 0.05, noise = 0.001 }
+        reference = { kind = "sine", amplitude = [0.5, 0.4], frequency = 1.0 }
+        controller = { method = "state_feedback", poles = [-5, -6, -7, -8] }
+        simulation = { time = "sampled", step = 0.005, duration = 4.0, substeps = 1 }
+        """,
         observer={
             "method": "extended",
             "right": RANGE,
@@ -520,8 +522,6 @@ def test_lanes_and_the_virtual_machine_agree() -> None:
             "silence": False,
             "joints": "separate",
         },
-        controller={"method": "state_feedback", "poles": [-5, -6, -7, -8]},
-        simulation={"time": "sampled", "step": 5e-3, "duration": 4.0, "substeps": 1},
     )
     usual, compiled = (simulate(scenario, engine=engine) for engine in ("interpret", "lanes"))
     assert usual.d_hat == pytest.approx(compiled.d_hat, rel=1e-12)

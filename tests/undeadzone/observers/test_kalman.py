@@ -21,7 +21,7 @@ from scipy.stats import norm, truncnorm
 
 from further import further
 from requirements import import_package
-from scenes import EXACT_SENSOR, PAPER_PLANT, OnNumbers, random_plant, scene
+from scenes import EXACT_SENSOR, PAPER_PLANT, OnNumbers, random_plant, scene, tables_of
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Reading
 from undeadzone.nonlinearities import sensor
@@ -469,26 +469,26 @@ def test_a_run_is_saved_with_its_standard_deviations(tmp_path: Any) -> None:
 
 
 def test_a_nonlinear_plant_is_expanded_where_the_estimate_is() -> None:
-    pendulum = {
-        "states": ["angle", "rate"],
-        "inputs": ["u"],
-        "f": ["rate", "-9.81 * sin(angle) - 0.5 * rate + u"],
-        "h": ["angle"],
-        "x0": [2.0, 0.0],
-    }
+    pendulum = tables_of("""
+        states = ["angle", "rate"]
+        inputs = ["u"]
+        f = ["rate", "-9.81 * sin(angle) - 0.5 * rate + u"]
+        h = ["angle"]
+        x0 = [2.0, 0.0]
+        """)
     run = simulate(
         scene(
+            """
+            reference = { kind = "sine", amplitude = 1.5, frequency = 0.5 }
+            observer.method = "kalman"
+            observer.right = [0.05, 0.6]
+            observer.x_std = [1.5, 3.0]
+            observer.disturbance = 0.0
+            controller = { method = "state_feedback", poles = [-5.0, -5.0] }
+            simulation = { time = "sampled", step = 0.01, duration = 8.0 }
+            """,
             plant=pendulum,
             sensor={"right": 0.3, "left": 0.2, "noise": 0.01} | EXACT_SENSOR,
-            reference={"kind": "sine", "amplitude": 1.5, "frequency": 0.5},
-            observer={
-                "method": "kalman",
-                "right": [0.05, 0.6],
-                "x_std": [1.5, 3.0],
-                "disturbance": 0.0,
-            },
-            controller={"method": "state_feedback", "poles": [-5.0, -5.0]},
-            simulation={"time": "sampled", "step": 0.01, "duration": 8.0},
         )
     )
     assert run.d_std is not None

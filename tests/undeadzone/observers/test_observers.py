@@ -13,7 +13,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.linalg import solve_continuous_are
 
-from scenes import PAPER_PLANT, OnNumbers, linear, random_plant, scene
+from scenes import PAPER_PLANT, OnNumbers, linear, random_plant, scene, tables_of
 from undeadzone.analysis.certificate.passivity import certify
 from undeadzone.errors import InputError, ShapeError, StructureError
 from undeadzone.nonlinearities import sensor
@@ -149,10 +149,10 @@ def test_certified_with_true_widths_and_no_adaptation_is_the_oracle() -> None:
 
 
 def test_without_a_dead_zone_certified_is_luenbergers_observer() -> None:
-    tables: dict[str, Any] = {
-        "sensor": {"right": 0.0, "left": 0.0, "slope": 2.0},
-        "simulation": {"time": "sampled", "step": 0.01, "duration": 3.0},
-    }
+    tables: dict[str, Any] = tables_of("""
+        sensor = { right = 0.0, left = 0.0, slope = 2.0 }
+        simulation = { time = "sampled", step = 0.01, duration = 3.0 }
+        """)
     certified = simulate(
         scene(observer={"method": "certified", "L": L.tolist(), "gamma": 0.0}, **tables)
     )

@@ -18,7 +18,7 @@ from scipy.signal import lfilter
 import once
 import undeadzone as uz
 from commands import undeadzone
-from scenes import PAPER_PLANT, linear, scene
+from scenes import PAPER_PLANT, linear, scene, tables_of
 from undeadzone.analysis.certificate.design_file import Design
 from undeadzone.cli import common
 from undeadzone.errors import EarlierMeaning, InputError, ShapeError
@@ -44,19 +44,25 @@ TEXTS = ("README.md", "KNOWN_GAPS.md", "docs", "examples", "src", "benchmarks")
 BOTH = "(c_r - c_l + d_r - d_l)/2"  # the sum of two centres
 # Where the earlier meaning is told of.
 EARLIER = {"docs/versions.md", "src/undeadzone/util/earlier.py"}
-MOTOR = {"A": [[0.0, 1.0], [0.0, -10.0]], "B": [[0.0], [50.0]], "C": [[1.0, 0.0]]}
+MOTOR = tables_of("""
+A = [[0.0, 1.0], [0.0, -10.0]]
+B = [[0.0], [50.0]]
+C = [[1.0, 0.0]]
+""")
 MODEL = sample_plant(system(Plant(**MOTOR, x0=[0.0, 0.0])), 0.01)
 
 
 def motor(**observer: Any) -> Any:
     return scene(
+        """
+        sensor = { right = 0.12, left = 0.12, noise = 0.002 }
+        reference = { kind = "sine", amplitude = 1.5, frequency = 0.5 }
+        controller = { method = "state_feedback" }
+        simulation = { time = "sampled", step = 0.01, duration = 8.0 }
+        """,
         schema=SCHEMA,
         plant=MOTOR | {"x0": [0.3, 0.0]},
-        sensor={"right": 0.12, "left": 0.12, "noise": 0.002},
-        reference={"kind": "sine", "amplitude": 1.5, "frequency": 0.5},
         observer={"method": "kalman", "right": [0.0, 0.5]} | observer,
-        controller={"method": "state_feedback"},
-        simulation={"time": "sampled", "step": 0.01, "duration": 8.0},
     )
 
 

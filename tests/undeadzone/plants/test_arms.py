@@ -20,7 +20,7 @@ from test_run_ensemble import table
 
 from commands import undeadzone as command
 from requirements import import_package
-from scenes import scene
+from scenes import scene, tables_of
 from undeadzone.compile import interpret
 from undeadzone.errors import FileError, InputError, StepError
 from undeadzone.nonlinearities.sensor import quantise, side
@@ -56,19 +56,18 @@ def two_link(
     duration: float = 0.4, arm: Any = None, plant: Any = None, sensor: Any = None, **changes: Any
 ) -> Scenario:
     """A two-link arm behind dead zones in both joints, on a figure eight of its tip."""
-    base: dict[str, Any] = {
+    base: dict[str, Any] = tables_of("""
+        reference.kind = "figure_eight"
+        reference.centre = [0.2351, -0.4853]
+        reference.width = 0.3
+        reference.height = 0.2
+        reference.period = 4.0
+        controller = { method = "computed_torque", bandwidth = 12.0 }
+        """) | {
         "plant": {"arm": {"kind": "two_link", "reference": [-1.65, 1.2]} | (arm or {}), "x0": START}
         | (plant or {}),
         "sensor": {"right": RIGHT.tolist(), "left": LEFT.tolist(), "noise": 0.001} | (sensor or {}),
-        "reference": {
-            "kind": "figure_eight",
-            "centre": [0.2351, -0.4853],
-            "width": 0.3,
-            "height": 0.2,
-            "period": 4.0,
-        },
         "observer": FILTER,
-        "controller": {"method": "computed_torque", "bandwidth": 12.0},
         "simulation": SAMPLED | {"duration": duration},
     }
     return scene(**base | changes)

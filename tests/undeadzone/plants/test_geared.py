@@ -16,6 +16,7 @@ from benchmarks.gears.contact_urdf_arms import Outcome, line
 import undeadzone as uz
 from commands import undeadzone
 from requirements import import_package
+from scenes import tables_of
 from undeadzone.analysis.identifiability.linear import WidthIdentifiability
 from undeadzone.errors import InputError
 from undeadzone.numerics.runge_kutta import rk4_change
@@ -77,17 +78,18 @@ def along(plant: Geared, x0: Floats, u: Floats, h: float) -> Floats:
 
 def scenario(**changes: Any) -> uz.Scenario:
     """The two-link arm with gears on its figure of eight, its state known."""
-    tables: dict[str, Any] = {
+    tables: dict[str, Any] = tables_of("""
+        sensor = { right = 0.0, left = 0.0, noise = 0.001 }
+        observer = { method = "full_state" }
+        controller = { method = "computed_torque", bandwidth = 14.0 }
+        simulation = { time = "sampled", duration = 5.0, step = 0.001, substeps = 4 }
+        """) | {
         "plant": {
             "arm": {"kind": "two_link", "torque_max": [60.0, 25.0], "gears": GEARS | FRICTION},
             "x0": [-1.7, 1.4, 0.0, 0.0],
             "parameters": {"payload": 0.5},
         },
-        "sensor": {"right": 0.0, "left": 0.0, "noise": 0.001},
         "reference": EIGHT,
-        "observer": {"method": "full_state"},
-        "controller": {"method": "computed_torque", "bandwidth": 14.0},
-        "simulation": {"time": "sampled", "duration": 5.0, "step": 1e-3, "substeps": 4},
     }
     return convert(tables | changes)
 
@@ -213,14 +215,15 @@ def test_motors_led_across_their_gaps_keep_the_tip_on_its_path(known: uz.Run) ->
 def test_a_link_that_needs_no_torque_is_brought_back_to_its_path() -> None:
     """It floats in its gap, 20 mrad off: no torque is planned that would choose a flank for it."""
     gears = {"half": 0.03, "inertia": 0.012}
-    tables: dict[str, Any] = {
+    tables: dict[str, Any] = tables_of("""
+        reference = { kind = "quintic", points = [[0.0], [0.0]], times = [0.0, 1.5] }
+        simulation = { time = "sampled", duration = 1.5, step = 0.001, substeps = 4 }
+        """) | {
         "plant": {
             "arm": {"kind": "one_link", "torque_max": 3.0, "gears": gears},
             "x0": [0.02, 0.0],
             "parameters": {"m": 0.35, "l": 0.25, "c": 0.125, "I": 0.0018, "g": 0.0, "b1": 0.01},
-        },
-        "reference": {"kind": "quintic", "points": [[0.0], [0.0]], "times": [0.0, 1.5]},
-        "simulation": {"time": "sampled", "duration": 1.5, "step": 1e-3, "substeps": 4},
+        }
     }
     run = uz.simulate(scenario(**tables))
     assert run.z[0, 0] == pytest.approx(0.02, abs=1e-3)
@@ -319,7 +322,15 @@ def test_a_file_runs_and_its_numbers_are_json(tmp_path: Path) -> None:
 
 # --- Joints about nearly one axis
 
-COAXIAL = {
+COAXIAL = tables_of("""
+sensor = { right = 0.0, left = 0.0, noise = 0.001 }
+reference.kind = "quintic"
+reference.points = [[0.0, 0.0], [0.3, 0.3], [-0.3, -0.3], [0.0, 0.0]]
+reference.times = [0.0, 1.0, 3.0, 4.0]
+reference.repeat = true
+observer = { method = "contact", joints = "separate", half = [0.0, 0.03] }
+simulation = { time = "sampled", duration = 1.5, step = 0.001, substeps = 9 }
+""") | {
     "plant": {
         "arm": {
             "kind": "two_link",
@@ -330,16 +341,7 @@ COAXIAL = {
             **{"m1": 1.0, "m2": 1.0, "l1": 1e-4, "c1": 1e-4, "c2": 1e-4, "g": 0.0},
             **{"I1": 0.037, "I2": 1.4176},
         },
-    },
-    "sensor": {"right": 0.0, "left": 0.0, "noise": 1e-3},
-    "reference": {
-        "kind": "quintic",
-        "points": [[0.0, 0.0], [0.3, 0.3], [-0.3, -0.3], [0.0, 0.0]],
-        "times": [0.0, 1.0, 3.0, 4.0],
-        "repeat": True,
-    },
-    "observer": {"method": "contact", "joints": "separate", "half": [0.0, 0.03]},
-    "simulation": {"time": "sampled", "duration": 1.5, "step": 1e-3, "substeps": 9},
+    }
 }
 
 

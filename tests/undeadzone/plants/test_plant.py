@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from scenes import PAPER_PLANT, random_plant, response, scene, slopes
+from scenes import PAPER_PLANT, random_plant, response, scene, slopes, tables_of
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.linalg.hold import zoh
 from undeadzone.linalg.matrices import Matrices
@@ -44,13 +44,13 @@ from undeadzone_arena.gain_defaults import rate_or_default
 
 seeds = st.integers(0, 2**32 - 1)
 FREQUENCIES = [0.0, 0.3, 1.0, 7.0, 200.0]
-PENDULUM: dict[str, Any] = {
-    "f": ["rate", "-g / l * sin(angle) - b * rate + torque"],
-    "h": ["angle"],
-    "states": ["angle", "rate"],
-    "inputs": ["torque"],
-    "parameters": {"g": 9.81, "l": 0.5, "b": 0.8},
-}
+PENDULUM: dict[str, Any] = tables_of("""
+f = ["rate", "-g / l * sin(angle) - b * rate + torque"]
+h = ["angle"]
+states = ["angle", "rate"]
+inputs = ["torque"]
+parameters = { g = 9.81, l = 0.5, b = 0.8 }
+""")
 
 
 def move(plant: System, x: Any, u: Any) -> Floats:

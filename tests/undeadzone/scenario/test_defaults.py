@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from scenes import scene
+from scenes import scene, tables_of
 from undeadzone.analysis.certificate.passivity import certify
 from undeadzone.controllers import LQR, ComputedTorque, StateFeedback
 from undeadzone.errors import InputError
@@ -25,11 +25,11 @@ from undeadzone.scenario.schema import Units
 from undeadzone.simulation.feedback import feedback_shares
 from undeadzone.simulation.simulate import simulate
 
-BARE: dict[str, Any] = {
-    "plant": {"A": [[0.0, 1.0], [-1.0, -2.0]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]]},
-    "sensor": {"right": 1.0, "left": 0.7},
-    "reference": {"kind": "sine", "amplitude": 5.0, "frequency": 0.5},
-}
+BARE: dict[str, Any] = tables_of("""
+plant = { A = [[0.0, 1.0], [-1.0, -2.0]], B = [[0.0], [1.0]], C = [[1.0, 0.0]] }
+sensor = { right = 1.0, left = 0.7 }
+reference = { kind = "sine", amplitude = 5.0, frequency = 0.5 }
+""")
 
 
 def plant(unit: float) -> System:

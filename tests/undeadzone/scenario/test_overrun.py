@@ -11,7 +11,7 @@ from benchmarks.loops.behind_play import gap_error
 from benchmarks.loops.plants.two_masses import GAIN, TAU, TS, TURN, two_masses
 
 import undeadzone as uz
-from scenes import scene
+from scenes import scene, tables_of
 from undeadzone.errors import InputError
 from undeadzone.scenario.overrun import decelerations
 from undeadzone.scenario.problem import resolve_scenario
@@ -25,12 +25,13 @@ MOTOR = {"A": [[0.0, 1.0], [0.0, -1 / TAU]], "B": [[0.0], [GAIN]], "C": [[1.0, 0
 
 def motor(sensor: dict[str, Any], **changes: Any) -> Scenario:
     """A motor that drives a load through gears."""
-    tables: dict[str, Any] = {
+    tables: dict[str, Any] = tables_of("""
+        observer = { method = "kalman", right = [0.0, 0.2], disturbance = 0.05 }
+        controller = { method = "state_feedback", poles = [-20.0, -21.0] }
+        """) | {
         "plant": MOTOR,
         "sensor": {"kind": "play", "right": 0.06, "left": 0.04, "noise": 1e-3} | sensor,
         "reference": SINE,
-        "observer": {"method": "kalman", "right": [0.0, 0.2], "disturbance": 0.05},
-        "controller": {"method": "state_feedback", "poles": [-20.0, -21.0]},
         "simulation": {"time": "sampled", "step": TS, "duration": 12.0},
     }
     return scene(**tables | changes)

@@ -19,7 +19,7 @@ import tomli_w
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from scenes import PAPER, scene, table
+from scenes import PAPER, scene, table, tables_of
 from undeadzone.errors import (
     FileError,
     InputError,
@@ -78,15 +78,15 @@ time = "sampled"
 step = 1e-2
 seed = 1
 """
-PENDULUM: dict[str, Any] = {
-    "f": ["rate", "-g * sin(angle) - b * rate + torque"],
-    "h": ["angle"],
-    "states": ["angle", "rate"],
-    "inputs": ["torque"],
-    "parameters": {"g": 9.81, "b": 0.8},
-    "x0": [0.1, 0.0],
-    "x_eq": [0.0, 0.0],
-}
+PENDULUM: dict[str, Any] = tables_of("""
+f = ["rate", "-g * sin(angle) - b * rate + torque"]
+h = ["angle"]
+states = ["angle", "rate"]
+inputs = ["torque"]
+parameters = { g = 9.81, b = 0.8 }
+x0 = [0.1, 0.0]
+x_eq = [0.0, 0.0]
+""")
 INTEGRATORS = {"method": "certified", "L": [3.0, 2.0], "gamma": 1.0}
 AT_100_HZ = {"time": "sampled", "step": 0.01, "duration": 1.0, "seed": 1, "substeps": 3}
 
@@ -152,11 +152,13 @@ def test_fast_plants_in_their_own_unit_of_time_run_alike() -> None:
     a = np.array([1e12, 3e8, 3e4])
     run = simulate(
         scene(
+            """
+            reference = { kind = "sine", amplitude = 5.0, frequency = 1000.0 }
+            observer = { method = "certified", gamma = 10000.0 }
+            controller = { method = "state_feedback", poles = [-10000.0, -20000.0, -30000.0] }
+            simulation = { duration = 0.02, step = 1e-6 }
+            """,
             plant={"companion": a.tolist(), "x0": [0.5, 0.0, 0.0]},
-            reference={"kind": "sine", "amplitude": 5.0, "frequency": 1e3},
-            observer={"method": "certified", "gamma": 1e4},
-            controller={"method": "state_feedback", "poles": [-1e4, -2e4, -3e4]},
-            simulation={"duration": 2e-2, "step": 1e-6},
         )
     )
     assert run.info.certified
@@ -222,92 +224,84 @@ def test_wrong_csv_in_a_scenario(tmp_path: Path, rows: str, words: str) -> None:
 BASES = [
     table(),
     table(
+        """
+        model = { A = [[0.0, 1.0], [-1.0, -2.0]], B = [[0.0], [1.0]] }
+        sensor = { noise = 0.02, threshold = 0.1 }
+        disturbance = { kind = "sine", amplitude = 10.0, frequency = 0.3 }
+        controller = { method = "state_feedback", poles = [-10.0, -10.0] }
+        """,
         simulation=AT_100_HZ,
-        model={"A": [[0.0, 1.0], [-1.0, -2.0]], "B": [[0.0], [1.0]]},
-        sensor={"noise": 0.02, "threshold": 0.1},
-        disturbance={"kind": "sine", "amplitude": 10.0, "frequency": 0.3},
-        controller={"method": "state_feedback", "poles": [-10.0, -10.0]},
     ),
     table(plant=PENDULUM, model={"parameters": {"g": 9.0}}),
-    table(
-        plant={"second_order": {"zeta": 0.5, "omega_n": 3.0, "gain": 2.0}},
-        observer={"method": "luenberger", "poles": [-3.0, -4.0]},
-        reference={
-            "kind": "sines",
-            "components": [{"amplitude": 1.0, "frequency": 1.0, "phase": 0.1}],
-            "offset": 0.1,
-        },
-        disturbance={"kind": "random", "rms": 1.0, "correlation_time": 0.1},
-    ),
-    table(
-        plant={"transfer_function": {"numerator": [1.0, 2.0], "denominator": [1.0, 3.0, 3.0]}},
-        observer={
-            "method": "printed",
-            "L": [12.0, 15.0],
-            "widths0": 1.0,
-            "sharpness": 100.0,
-            "left_sign": 1.0,
-        },
-        controller={"method": "pd", "alpha": 10.0, "Q": 1.0, "L": [1.0, 2.0], "filter_time": 0.01},
-        reference={"kind": "trapezoid", "amplitude": 1.0, "rise": 0.3, "hold": 0.2},
-    ),
-    table(
-        plant={"companion": [1.0, 3.0, 3.0]},
-        observer={"method": "oracle", "L": [0.0, 0.0, 0.0], "silence": True},
-        tracked=[0],
-        controller={
-            "method": "state_feedback",
-            "K": [0.0, 0.0, 0.0],
-            "Q": 1.0,
-            "robust": {"gain": 1.0, "width": 0.1},
-        },
-        reference={"kind": "step", "amplitude": 1.0, "time": 0.5, "before": 0.1},
-        units={"output": "m", "input": "N", "state": ["m", "m", "m"]},
-    ),
-    table(
-        plant={
-            "A": [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, -3.0, -3.0]],
-            "B": [[0.0, 1.0], [1.0, 0.0], [0.0, 1.0]],
-            "C": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
-        },
-        sensor={
-            "kind": "jump",
-            "right": [1.0, 0.5],
-            "left": [1.0, 0.5],
-            "noise": [0.0, 0.1],
-            "noise_before": [0.0, 0.1],
-            "false_alarm_rate": 0.1,
-        },
-        observer={"method": "certified", "gamma": [1.0, 2.0], "widths0": [[0.1, 0.1], [0.1, 0.2]]},
-        reference={
-            "kind": "sine",
-            "amplitude": [1.0, 2.0],
-            "frequency": 1.0,
-            "phase": [0.0, 0.1],
-            "offset": [0.0, 1.0],
-        },
-    ),
+    table("""
+        plant = { second_order = { zeta = 0.5, omega_n = 3.0, gain = 2.0 } }
+        observer = { method = "luenberger", poles = [-3.0, -4.0] }
+        reference.kind = "sines"
+        reference.components = [{ amplitude = 1.0, frequency = 1.0, phase = 0.1 }]
+        reference.offset = 0.1
+        disturbance = { kind = "random", rms = 1.0, correlation_time = 0.1 }
+        """),
+    table("""
+        plant = { transfer_function = { numerator = [1.0, 2.0], denominator = [1.0, 3.0, 3.0] } }
+        observer.method = "printed"
+        observer.L = [12.0, 15.0]
+        observer.widths0 = 1.0
+        observer.sharpness = 100.0
+        observer.left_sign = 1.0
+        controller = { method = "pd", alpha = 10.0, Q = 1.0, L = [1.0, 2.0], filter_time = 0.01 }
+        reference = { kind = "trapezoid", amplitude = 1.0, rise = 0.3, hold = 0.2 }
+        """),
+    table("""
+        plant = { companion = [1.0, 3.0, 3.0] }
+        observer = { method = "oracle", L = [0.0, 0.0, 0.0], silence = true }
+        tracked = [0]
+        controller.method = "state_feedback"
+        controller.K = [0.0, 0.0, 0.0]
+        controller.Q = 1.0
+        controller.robust = { gain = 1.0, width = 0.1 }
+        reference = { kind = "step", amplitude = 1.0, time = 0.5, before = 0.1 }
+        units = { output = "m", input = "N", state = ["m", "m", "m"] }
+        """),
+    table("""
+        plant.A = [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, -3.0, -3.0]]
+        plant.B = [[0.0, 1.0], [1.0, 0.0], [0.0, 1.0]]
+        plant.C = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
+        sensor.kind = "jump"
+        sensor.right = [1.0, 0.5]
+        sensor.left = [1.0, 0.5]
+        sensor.noise = [0.0, 0.1]
+        sensor.noise_before = [0.0, 0.1]
+        sensor.false_alarm_rate = 0.1
+        observer.method = "certified"
+        observer.gamma = [1.0, 2.0]
+        observer.widths0 = [[0.1, 0.1], [0.1, 0.2]]
+        reference.kind = "sine"
+        reference.amplitude = [1.0, 2.0]
+        reference.frequency = 1.0
+        reference.phase = [0.0, 0.1]
+        reference.offset = [0.0, 1.0]
+        """),
     table(plant={"integrators": 2}, observer=INTEGRATORS),
     table(
+        """
+        observer.method = "kalman"
+        observer.right = [0.0, 2.0]
+        observer.left = [0.0, 1.0]
+        observer.noise = 0.1
+        observer.x_std = 1.0
+        observer.drift = 0.01
+        """,
         simulation=AT_100_HZ,
-        observer={
-            "method": "kalman",
-            "right": [0.0, 2.0],
-            "left": [0.0, 1.0],
-            "noise": 0.1,
-            "x_std": 1.0,
-            "drift": 0.01,
-        },
     ),
     table(
+        """
+        observer.method = "censored"
+        observer.right = [0.0, 2.0]
+        observer.noise = 0.1
+        observer.disturbance = 0.1
+        observer.tolerance = { "A[1,0]" = 0.1 }
+        """,
         simulation=AT_100_HZ,
-        observer={
-            "method": "censored",
-            "right": [0.0, 2.0],
-            "noise": 0.1,
-            "disturbance": 0.1,
-            "tolerance": {"A[1,0]": 0.1},
-        },
     ),
     table(
         simulation=AT_100_HZ,

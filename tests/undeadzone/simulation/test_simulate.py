@@ -14,7 +14,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from scenes import PAPER_PLANT, scene
+from scenes import PAPER_PLANT, scene, tables_of
 from undeadzone.errors import InputError, TrackingError
 from undeadzone.observers import Certified, Luenberger
 from undeadzone.results.run import Run
@@ -99,14 +99,14 @@ def test_records_agree_with_each_other() -> None:
 
 def test_disturbance_enters_at_the_input() -> None:
     """Against SciPy, with nothing else acting."""
-    disturbance = {
-        "kind": "sines",
-        "components": [
-            {"amplitude": 2.0, "frequency": 0.7},
-            {"amplitude": 1.0, "frequency": 3.0, "phase": 0.4},
-        ],
-        "offset": 0.3,
-    }
+    disturbance = tables_of("""
+        kind = "sines"
+        components = [
+            { amplitude = 2.0, frequency = 0.7 },
+            { amplitude = 1.0, frequency = 3.0, phase = 0.4 },
+        ]
+        offset = 0.3
+        """)
     run = simulate(scene(controller=IDLE, reference=NO_REFERENCE, disturbance=disturbance))
     A, B, _ = PAPER_PLANT.linear
 
@@ -124,13 +124,11 @@ def test_disturbance_enters_at_the_input() -> None:
 @pytest.mark.parametrize("time", ["continuous", "sampled"])
 def test_random_disturbance_has_its_rms_and_seed(time: str) -> None:
     """x = w filtered: B = C = 1 with a fast pole reads the disturbance itself."""
-    tables: dict[str, Any] = {
-        "plant": {"A": [[-100.0]], "B": [[100.0]], "C": [[1.0]]},
-        "reference": NO_REFERENCE,
-        "controller": IDLE | {"K": [0.0]},
-        "observer": {"method": "luenberger", "L": [0.0]},
-        "disturbance": {"kind": "random", "rms": 2.0, "correlation_time": 0.2},
-    }
+    tables: dict[str, Any] = tables_of("""
+        plant = { A = [[-100.0]], B = [[100.0]], C = [[1.0]] }
+        observer = { method = "luenberger", L = [0.0] }
+        disturbance = { kind = "random", rms = 2.0, correlation_time = 0.2 }
+        """) | {"reference": NO_REFERENCE, "controller": IDLE | {"K": [0.0]}}
 
     def run(seed: int) -> Run:
         return simulate(
@@ -211,10 +209,10 @@ def test_no_choice_of_units_makes_a_run_diverge(unit: float) -> None:
 
 def test_a_run_that_diverges_says_when() -> None:
     run = simulate(
-        scene(
-            controller={"method": "state_feedback", "K": [-200.0, -30.0]},
-            simulation={"duration": 10.0},
-        )
+        scene("""
+            controller = { method = "state_feedback", K = [-200.0, -30.0] }
+            simulation = { duration = 10.0 }
+            """)
     )
     assert run.divergence_time is not None
     assert 0.5 < run.divergence_time < 5
@@ -227,11 +225,11 @@ def test_a_run_that_diverges_says_when() -> None:
 
 def test_an_edge_never_reached_is_reported() -> None:
     run = simulate(
-        scene(
-            reference={"kind": "sine", "amplitude": 1.0, "frequency": 1.0, "offset": 4.0},
-            sensor={"left": 2.9},
-            simulation={"duration": 3.0},
-        )
+        scene("""
+            reference = { kind = "sine", amplitude = 1.0, frequency = 1.0, offset = 4.0 }
+            sensor = { left = 2.9 }
+            simulation = { duration = 3.0 }
+            """)
     )
     (verdict,) = run.info.identifiable
     assert not run.fully_identifiable
@@ -242,11 +240,11 @@ def test_an_edge_never_reached_is_reported() -> None:
 def test_chain_of_integrators_is_answered_with_the_centre() -> None:
     """Class (15) for n = 2: the width is found, the centre is not, and the run says why."""
     run = simulate(
-        scene(
-            plant={"integrators": 2, "x0": [0.5, 0.0]},
-            observer={"method": "certified", "L": [3.0, 2.0], "gamma": 1.0},
-            simulation={"duration": 3.0},
-        )
+        scene("""
+            plant = { integrators = 2, x0 = [0.5, 0.0] }
+            observer = { method = "certified", L = [3.0, 2.0], gamma = 1.0 }
+            simulation = { duration = 3.0 }
+            """)
     )
     (verdict,) = run.info.identifiable
     assert (verdict["width"], verdict["centre"]) == (True, False)

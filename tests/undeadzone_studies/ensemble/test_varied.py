@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from scenes import random_plant, scene, table
+from scenes import random_plant, scene, table, tables_of
 from undeadzone.compile import interpret
 from undeadzone.errors import InputError, UndeadzoneError
 from undeadzone.linalg import hold
@@ -31,26 +31,28 @@ from undeadzone_studies.ensemble.binding import Binding, bind_ensemble, initial_
 from undeadzone_studies.ensemble.varied import channel_amplitudes
 
 AT_100_HZ = {"time": "sampled", "step": 0.01, "duration": 2.0}
-MODEL = {"A": [[0.0, 1.0], [-1.0, -2.0]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]]}
+MODEL = tables_of("""
+A = [[0.0, 1.0], [-1.0, -2.0]]
+B = [[0.0], [1.0]]
+C = [[1.0, 0.0]]
+""")
 PLANT = MODEL | {"x0": [0.5, 0.0]}
-PENDULUM: dict[str, Any] = {
-    "f": ["rate", "-g * sin(angle) - b * rate + torque"],
-    "h": ["angle"],
-    "states": ["angle", "rate"],
-    "inputs": ["torque"],
-    "parameters": {"g": 9.81, "b": 0.8},
-    "x0": [0.1, 0.0],
-}
-TWO = {
-    "plant": {
-        "A": [[-1.0, 0.5], [0.0, -2.0]],
-        "B": [[1.0, 0.0], [0.0, 1.0]],
-        "C": [[1.0, 0.0], [0.0, 1.0]],
-    },
-    "sensor": {"right": [0.5, 0.2], "left": 0.3, "noise": [0.0, 0.1]},
-    "observer": {"method": "certified"},
-    "reference": {"kind": "sine", "amplitude": [2.0, 1.5], "frequency": 0.5},
-}
+PENDULUM: dict[str, Any] = tables_of("""
+f = ["rate", "-g * sin(angle) - b * rate + torque"]
+h = ["angle"]
+states = ["angle", "rate"]
+inputs = ["torque"]
+parameters = { g = 9.81, b = 0.8 }
+x0 = [0.1, 0.0]
+""")
+TWO = tables_of("""
+plant.A = [[-1.0, 0.5], [0.0, -2.0]]
+plant.B = [[1.0, 0.0], [0.0, 1.0]]
+plant.C = [[1.0, 0.0], [0.0, 1.0]]
+sensor = { right = [0.5, 0.2], left = 0.3, noise = [0.0, 0.1] }
+observer = { method = "certified" }
+reference = { kind = "sine", amplitude = [2.0, 1.5], frequency = 0.5 }
+""")
 OBSERVER = {
     "method": "certified",
     "L": [1.0, 1.5],
@@ -286,7 +288,10 @@ def test_a_mass_divides_an_equation(simulation: dict[str, Any]) -> None:
     entries = {"plant.A[1, :] + plant.B[1,:]": uniform(0.5, 0.5, relative=True, shared=True)}
     binding = bound(entries, simulation=simulation)
     assert binding.names_of_columns == ["plant.A[1,:] + plant.B[1,:] (relative)"]
-    plant = PLANT | {"A": [[0.0, 1.0], [-0.5, -1.0]], "B": [[0.0], [0.5]]}
+    plant = PLANT | tables_of("""
+        A = [[0.0, 1.0], [-0.5, -1.0]]
+        B = [[0.0], [0.5]]
+        """)
     heavy = resolve_scenario(scene(plant=plant, model=MODEL, simulation=simulation))
     _, params = binding.pack_run(np.array([0.5]))
     expected = tree.pack_tree(prepare(heavy)[0].params)

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from scenes import scene
+from scenes import scene, tables_of
 from undeadzone.analysis.certificate.passivity import certify
 from undeadzone.cli import group
 from undeadzone.errors import InputError, StructureError
@@ -66,9 +66,11 @@ def gusts(**changes: Any) -> Scenario:
     """The paper's loop at 100 Hz, in gusts, with widths that vary."""
     widths = {"uniform": [0.3, 2.0]}
     scenario = scene(
-        sensor={"noise": 0.02},
-        simulation={"time": "sampled", "step": 1e-2, "duration": 4.0},
-        disturbance={"kind": "random", "rms": 5.0, "correlation_time": 0.3},
+        """
+        sensor = { noise = 0.02 }
+        simulation = { time = "sampled", step = 0.01, duration = 4.0 }
+        disturbance = { kind = "random", rms = 5.0, correlation_time = 0.3 }
+        """,
         ensemble={"entries": {"sensor.right": widths, "sensor.left": widths}},
     )
     return msgspec.structs.replace(scenario, **changes)
@@ -179,12 +181,12 @@ def test_impossible_tuning_requests_are_refused(
 
 
 def test_no_gains_of_an_unstable_plant_are_certified() -> None:
-    plant = {
-        "A": [[0.0, 1.0], [1.0, -2.0]],
-        "B": [[0.0], [1.0]],
-        "C": [[1.0, 0.0]],
-        "x0": [0.5, 0.0],
-    }
+    plant = tables_of("""
+        A = [[0.0, 1.0], [1.0, -2.0]]
+        B = [[0.0], [1.0]]
+        C = [[1.0, 0.0]]
+        x0 = [0.5, 0.0]
+        """)
     scenario = scene(plant=plant, observer={"method": "certified", "L": [5.0, 6.0]})
     with pytest.raises(StructureError, match="no gains can be certified: the model is unstable"):
         tune(scenario, Tune(entries={"observer.gamma": Range(between=(0.1, 10.0))}, certified=True))
