@@ -165,6 +165,15 @@ def distance(values: Floats, expected: Floats) -> float:
     return float((np.abs(np.where(finite, values, 0.0) - expected) / size).max())
 
 
+def gap_of_engines(scenario: Scenario) -> float:
+    """How far the compiled loop of a scenario is from the interpreted one, by `distance`."""
+    loop = parts(scenario)[:4]
+    expected, _ = interpret.run_interpreted(*loop)
+    step, *numbers = loop
+    found, _ = lanes.run_lanes(lanes.build_kernel(step, width=1), *numbers)
+    return distance(found[0], expected)
+
+
 def identical(a: Floats, b: Floats) -> bool:
     """Equal to the last bit and the sign of zero; every NaN is the same."""
     if a.shape != b.shape:

@@ -89,11 +89,9 @@ def earlier_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(autouse=True, scope="module")
-def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("UNDEADZONE_CACHE", str(tmp_path_factory.mktemp("kernels")))
-        cache.load_or_compile.cache_clear()
-        yield
+def nothing_compiled(own_cache: None) -> Iterator[None]:
+    cache.load_or_compile.cache_clear()
+    yield
     cache.load_or_compile.cache_clear()
 
 
