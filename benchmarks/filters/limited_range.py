@@ -16,7 +16,6 @@ from benchmarks.filters import coverage
 from benchmarks.filters.problems.random_plants import RANGE, STEP, WORLDS, Problems, problems
 from benchmarks.loops.plants.random_loops import Loops, random_plant, run_loops
 from benchmarks.markdown import row
-from undeadzone.compile import lanes
 from undeadzone.controllers import StateFeedback
 from undeadzone.interfaces import Observer, to_reading
 from undeadzone.nonlinearities.limits import Limits
@@ -163,13 +162,9 @@ def observe(
             right=RANGE[1], left=RANGE[1], noise=known.noise[k], threshold=0.0, range=ends
         )
         built.append(coverage.built_for(options(known, k), model, sensor, STEP))
-    numbers = np.stack([tree.pack_tree(one.params) for one in built])
-    states = np.stack([tree.pack_tree(one.init(one.params)) for one in built])
-    kernel = lanes.build_kernel(_step(built[0]), exogenous=range(3), params=range(numbers.shape[1]))
     y = np.clip(known.y, -limits, limits)
     own = np.stack([y, known.u, np.broadcast_to(limits, y.shape)], axis=1)
-    shared = np.zeros((len(y), 3))
-    out, _ = lanes.run_lanes(kernel, states, shared, numbers[0], own, numbers, threads=1)
+    out = coverage.run_observers(built, _step(built[0]), own)
     right, left, z, right_std, left_std, width_std, z_std = out[:, -1].T
     return coverage.verdict(
         coverage.truth(known),
