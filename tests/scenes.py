@@ -7,6 +7,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from hypothesis import strategies as st
 
 from undeadzone.interfaces import Estimate, Observer, Reading
 from undeadzone.linalg.matrices import Matrices
@@ -33,6 +34,9 @@ gamma = 10.0
 widths0 = [0.2, 0.2]
 width_max = 3.0
 """
+
+seeds = st.integers(0, 2**32 - 1)
+"""Of whatever a test draws."""
 
 EXACT_SENSOR: dict[str, Any] = {"rounding": 0.0, "slope_std": 0.0, "lag": 0.0}
 """What a sensor is told whose edges are sharp, whose slope is known, and which is never late."""

@@ -6,7 +6,7 @@ import sys
 import tomllib
 from pathlib import Path
 
-ROOT = Path(__file__).parents[1]
+from documents import ROOT
 
 
 def add_test_folders(root: Path = ROOT) -> None:

@@ -19,6 +19,7 @@ from click.testing import CliRunner
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
+from documents import ROOT
 from scenes import scene, slopes, tables_of
 from undeadzone.cli import group
 from undeadzone.errors import FileError, InputError
@@ -59,7 +60,6 @@ from undeadzone_arena.contest.trials import run_trial, score_methods
 from undeadzone_arena.contest.words import leaderboard_blocks
 from undeadzone_studies.ensemble.binding import bind_ensemble, build_run_noise
 
-ROOT = Path(__file__).parents[2]
 SHORT = {"time": "sampled", "step": 1e-2, "duration": 3.0}
 DECLARED = tables_of("""
 right = [0.3, 2.0]

@@ -18,7 +18,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 import once
-from scenes import PAPER_PLANT, linear, random_plant, scene, tables_of
+from scenes import PAPER_PLANT, linear, random_plant, scene, seeds, tables_of
 from undeadzone.compile import interpret
 from undeadzone.errors import InputError, ShapeError, StepError, StructureError
 from undeadzone.feedforward.targets import Target
@@ -54,7 +54,6 @@ from undeadzone_arena.controllers.learned_feedback import error_weights, relativ
 from undeadzone_arena.gain_defaults import injection_gain
 from undeadzone_arena.observers.parts import learned_residual
 
-seeds = st.integers(0, 2**32 - 1)
 TWO = linear([[-1.0, 0.5], [-0.5, -2.0]], np.eye(2), [[1.0, 0.0], [0.2, 1.0]])
 RIVALS: dict[str, Any] = {
     "adaptive_inverse": AdaptiveInverse(),

@@ -19,7 +19,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import once
-from scenes import PAPER_PLANT, OnNumbers, linear, random_plant, response, scene, slopes, tables_of
+from scenes import (
+    PAPER_PLANT,
+    OnNumbers,
+    linear,
+    random_plant,
+    response,
+    scene,
+    seeds,
+    slopes,
+    tables_of,
+)
 from undeadzone.compile import interpret
 from undeadzone.errors import InputError, StructureError
 from undeadzone.feedforward.targets import Target
@@ -48,7 +58,6 @@ from undeadzone_arena.observers.parts.modal_form import build_modes, mode_rotati
 from undeadzone_arena.observers.super_twisting import differentiator_gains
 from undeadzone_arena.observers.walcott_zak import SlidingLaw, sliding_direction, sliding_term
 
-seeds = st.integers(0, 2**32 - 1)
 POLES = [-20.0, -21.0]
 
 

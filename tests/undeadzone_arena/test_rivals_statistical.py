@@ -20,7 +20,16 @@ from scipy.stats import norm
 
 import undeadzone_arena.unscented as unscented
 from requirements import import_package
-from scenes import EXACT_SENSOR, PAPER_PLANT, OnNumbers, linear, random_plant, scene, tables_of
+from scenes import (
+    EXACT_SENSOR,
+    PAPER_PLANT,
+    OnNumbers,
+    linear,
+    random_plant,
+    scene,
+    seeds,
+    tables_of,
+)
 from undeadzone.errors import InputError
 from undeadzone.interfaces import (
     COLUMNS,
@@ -62,7 +71,6 @@ from undeadzone_arena.observers.parts.joint_claims import (
 )
 from undeadzone_arena.observers.parts.window import Affine, HorizonWeights, Window
 
-seeds = st.integers(0, 2**32 - 1)
 TS = 0.05
 MODEL = sample_plant(PAPER_PLANT, TS)
 ALL = [EKF, UKF, Tobit, ParticleFilter, MovingHorizon]

@@ -18,6 +18,7 @@ from test_lower import A, B, calling_outputs, stateless
 
 import undeadzone as uz
 from browser import Browser, browser
+from documents import ROOT
 from requirements import require
 from scenes import scene, tables_of
 from undeadzone.compile import print_wasm
@@ -33,7 +34,6 @@ from undeadzone_export import accuracy, exported_step
 from undeadzone_export.code import build_code
 from undeadzone_export.page.build import build_live_page
 
-ROOT = Path(__file__).parents[2]
 LIVE = ROOT / "examples" / "live.toml"
 SHIPPED = ROOT / "docs" / "live.html"
 LARGEST = 60_000  # bytes of the shipped page

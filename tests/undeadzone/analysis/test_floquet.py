@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.linalg import expm, solve_continuous_lyapunov
 from test_identifiability import visiting
 
-from scenes import random_plant, scene, tables_of
+from scenes import random_plant, scene, seeds, tables_of
 from undeadzone.analysis.branch_schedule import (
     Schedule,
     level_crossing_times,
@@ -34,7 +34,6 @@ from undeadzone.scenario.schema import Scenario
 from undeadzone.signals.exosystem import Samples, Sine, Sines, Tone, Trapezoid, build_exosystem
 from undeadzone.simulation.simulate import simulate
 
-seeds = st.integers(0, 2**32 - 1)
 SAMPLED = {"time": "sampled", "step": 1e-2}
 TWO_SINES = tables_of("""
 kind = "sines"

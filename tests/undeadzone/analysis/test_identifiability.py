@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from scenes import PAPER_PLANT, random_plant, scene, table, tables_of
+from scenes import PAPER_PLANT, random_plant, scene, seeds, table, tables_of
 from undeadzone.analysis.branch_schedule import Schedule, plan_schedule
 from undeadzone.analysis.error_dynamics import branch_pattern
 from undeadzone.analysis.identifiability.disturbance import first_order_inputs, unknown_bias
@@ -46,7 +46,6 @@ from undeadzone.simulation.simulate import simulate
 from undeadzone.util.arrays import Floats
 from undeadzone_design.synthesis.check import check
 
-seeds = st.integers(0, 2**32 - 1)
 CHAIN = linear_matrices(Plant(integrators=2))
 WIDTHS = np.array([1.0, 0.7])
 

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from scenes import PAPER_PLANT, linear, random_plant, response, tables_of
+from scenes import PAPER_PLANT, linear, random_plant, response, seeds, tables_of
 from undeadzone.errors import StructureError, TrackingError
 from undeadzone.feedforward.flank_path import crossing
 from undeadzone.feedforward.targets import invert_targets, linear_targets, regulator
@@ -31,7 +31,6 @@ from undeadzone.signals.exosystem import (
     build_exosystem,
 )
 
-seeds = st.integers(0, 2**32 - 1)
 T = np.linspace(0.0, 3.0, 301)
 SINE = Sine(amplitude=5.0, frequency=1.0)
 

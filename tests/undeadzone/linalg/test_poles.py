@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scenes import PAPER_PLANT, random_plant
+from scenes import PAPER_PLANT, random_plant, seeds
 from undeadzone.errors import StructureError
 from undeadzone.linalg.hold import zoh
 from undeadzone.linalg.matrices import Matrices
@@ -21,8 +21,6 @@ from undeadzone.linalg.poles import (
     pole_placement_gain,
     state_gain,
 )
-
-seeds = st.integers(0, 2**32 - 1)
 
 
 def poles_of(A: Any) -> Any:

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scenes import PAPER_PLANT, random_plant, slopes
+from scenes import PAPER_PLANT, random_plant, seeds, slopes
 from undeadzone.errors import StructureError
 from undeadzone.linalg import riccati
 from undeadzone.linalg.hold import zoh
@@ -24,8 +24,6 @@ from undeadzone.linalg.riccati import (
     require_weight,
     solve_riccati,
 )
-
-seeds = st.integers(0, 2**32 - 1)
 
 
 @given(seeds, st.integers(1, 5), st.integers(1, 2), st.floats(0.1, 100))

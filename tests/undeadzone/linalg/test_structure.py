@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scenes import PAPER_PLANT, random_plant
+from scenes import PAPER_PLANT, random_plant, seeds
 from undeadzone.linalg.matrices import Matrices
 from undeadzone.linalg.structure import (
     output_chains,
@@ -18,8 +18,6 @@ from undeadzone.linalg.structure import (
     unobservable_modes,
 )
 from undeadzone.plants.options import Plant, linear_matrices
-
-seeds = st.integers(0, 2**32 - 1)
 
 
 @given(seeds, st.integers(1, 5), st.integers(1, 2))
@@ -65,7 +63,7 @@ def test_a_slow_plant_is_as_observable_as_a_fast_one(unit: float) -> None:
     assert np.allclose(hidden, [-2.0 * unit])
 
 
-@given(st.integers(0, 2**32 - 1))
+@given(seeds)
 def test_an_output_that_is_the_derivative_of_another_one_is_not_counted_twice(seed: int) -> None:
     rng = np.random.default_rng(seed)
     A, first = rng.normal(size=(4, 4)), rng.normal(size=4)

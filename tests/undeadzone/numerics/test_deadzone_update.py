@@ -12,11 +12,10 @@ import casadi as ca
 import numpy as np
 import pytest
 from hypothesis import given, settings
-from hypothesis import strategies as st
 
 import once
 import undeadzone as uz
-from scenes import EXACT_SENSOR, linear
+from scenes import EXACT_SENSOR, linear, seeds
 from undeadzone.interfaces import Reading
 from undeadzone.nonlinearities.sensor import Sensor, deadzone, resolve, side
 from undeadzone.numerics.deadzone_update import DeadzoneMemory, DeadzoneUpdate, deadzone_update
@@ -58,7 +57,7 @@ def test_known_edges_give_the_moments_of_a_cut_gaussian(mean: float, std: float)
     assert updated.mean[1:].tolist() == [0.0, 0.0]
 
 
-@given(seed=st.integers(0, 2**32 - 1))
+@given(seed=seeds)
 @settings(max_examples=60, deadline=None)
 def test_silence_leaves_a_covariance_that_is_one(seed: int) -> None:
     """Whatever is believed, of zones that may be negative too."""
@@ -379,7 +378,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("deadzone_update")
 
 
-@given(seed=st.integers(0, 2**32 - 1))
+@given(seed=seeds)
 @settings(max_examples=40, deadline=None)
 def test_the_header_agrees_at_extremes(seed: int, folder: Path) -> None:
     """To 1e-6 of a deviation; both choose the same edges, and wait alike."""

@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scenes import PAPER_PLANT, OnNumbers, scene, tables_of
+from scenes import PAPER_PLANT, OnNumbers, scene, seeds, tables_of
 from undeadzone.analysis.certificate.passivity import certify
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Estimate
@@ -38,7 +38,6 @@ from undeadzone.plants.system import System, sample_plant
 from undeadzone.simulation.simulate import simulate
 from undeadzone.util.arrays import Floats
 
-seeds = st.integers(0, 2**32 - 1)
 TRUTH = np.array([1.3, 0.6])
 ZONE = resolve(Sensor(right=TRUTH[0], left=TRUTH[1]), 1, 1e-3)
 TS = 0.02

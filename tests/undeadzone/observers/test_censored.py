@@ -18,7 +18,16 @@ from scipy.linalg import expm
 from scipy.stats import norm, truncnorm
 
 import undeadzone as uz
-from scenes import EXACT_SENSOR, PAPER_PLANT, OnNumbers, linear, random_plant, scene, tables_of
+from scenes import (
+    EXACT_SENSOR,
+    PAPER_PLANT,
+    OnNumbers,
+    linear,
+    random_plant,
+    scene,
+    seeds,
+    tables_of,
+)
 from undeadzone.compile import interpret
 from undeadzone.controllers.state_feedback import rest_response
 from undeadzone.errors import InputError
@@ -53,7 +62,6 @@ from undeadzone.simulation.simulate import prepare, simulate
 from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
 
-seeds = st.integers(0, 2**32 - 1)
 TS = 0.02
 MODEL = sample_plant(PAPER_PLANT, TS)
 RANGE = [0.3, 2.0]

@@ -16,6 +16,7 @@ import pytest
 
 import once
 import undeadzone as uz
+from documents import EXAMPLES
 from requirements import import_package
 from scenes import tables_of
 from undeadzone.cli import group
@@ -54,7 +55,6 @@ from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert
 from undeadzone_export import exporting
 
-EXAMPLES = Path(__file__).parents[3] / "examples"
 SERVO = """
 sensor = { right = 0.0, left = 0.0, noise = 0.0005 }
 observer = { method = "contact", half = [0.0, 0.06], payload = [0.0, 0.5] }

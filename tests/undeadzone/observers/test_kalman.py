@@ -21,7 +21,7 @@ from scipy.stats import norm, truncnorm
 
 from further import further
 from requirements import import_package
-from scenes import EXACT_SENSOR, PAPER_PLANT, OnNumbers, random_plant, scene, tables_of
+from scenes import EXACT_SENSOR, PAPER_PLANT, OnNumbers, random_plant, scene, seeds, tables_of
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Reading
 from undeadzone.nonlinearities import sensor
@@ -41,7 +41,6 @@ from undeadzone.results.run import Run
 from undeadzone.simulation.simulate import simulate
 from undeadzone.util.arrays import Floats
 
-seeds = st.integers(0, 2**32 - 1)
 TS = 0.05
 MODEL = sample_plant(PAPER_PLANT, TS)
 OPTIONS = {"method": "kalman", "right": [0.5, 2.0], "left": [0.5, 2.0], "disturbance": 0.0}

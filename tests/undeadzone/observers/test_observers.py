@@ -13,7 +13,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.linalg import solve_continuous_are
 
-from scenes import PAPER_PLANT, OnNumbers, linear, random_plant, scene, tables_of
+from scenes import PAPER_PLANT, OnNumbers, linear, random_plant, scene, seeds, tables_of
 from undeadzone.analysis.certificate.passivity import certify
 from undeadzone.errors import InputError, ShapeError, StructureError
 from undeadzone.nonlinearities import sensor
@@ -24,7 +24,6 @@ from undeadzone.simulation.simulate import simulate
 from undeadzone.util.arrays import Floats
 from undeadzone_paper.observer import Printed
 
-seeds = st.integers(0, 2**32 - 1)
 L = np.array([1.0, 1.5])
 ZONE = resolve(Sensor(right=1.3, left=0.6), 1, 1e-3)
 NOTHING = float("nan")

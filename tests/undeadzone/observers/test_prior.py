@@ -18,6 +18,7 @@ from scipy.signal import lfilter
 import once
 import undeadzone as uz
 from commands import undeadzone
+from documents import ROOT
 from scenes import PAPER_PLANT, linear, scene, tables_of
 from undeadzone.analysis.certificate.design_file import Design
 from undeadzone.cli import common
@@ -36,7 +37,6 @@ from undeadzone.simulation.simulate import simulate
 from undeadzone.util.earlier import SCHEMA
 from undeadzone_design.synthesis.check import check
 
-ROOT = Path(__file__).parents[3]
 RIGHT, LEFT, CENTRE = 1.0, 0.4, 0.3  # of a zone from -0.4 to 1.0
 # What calls a formula a centre, or the other way round.
 FORMULA = re.compile(r"\(?\b([dcb])_r\^? [-−] \1_l\b\^?\)?( ?/ ?2)?")

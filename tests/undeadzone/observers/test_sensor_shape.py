@@ -4,7 +4,6 @@ off.
 
 from __future__ import annotations
 
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -14,6 +13,7 @@ from benchmarks.filters import sensor_shapes as shapes
 from benchmarks.filters.problems.assumed_worlds import KINDS, problems
 
 import undeadzone as uz
+from documents import ROOT
 from further import further
 from scenes import EXACT_SENSOR, PAPER_PLANT
 from undeadzone.interfaces import Estimate
@@ -22,7 +22,7 @@ from undeadzone.observers.filtering.sensor_shape import resolve_shape
 from undeadzone.plants.system import sample_plant
 from undeadzone.util.arrays import Floats
 
-DOCS = Path(__file__).parents[3] / "docs"
+DOCS = ROOT / "docs"
 TS, COUNT = 0.02, 600
 PLANT = uz.Plant(A=[[-2.0]], B=[[2.0]], C=[[1.0]])
 WIDTHS = {"right": 1.0, "left": 0.7, "noise": 0.02}

@@ -19,6 +19,7 @@ from test_report import Auditor
 from test_run_ensemble import table
 
 from commands import undeadzone as command
+from documents import EXAMPLES
 from requirements import import_package
 from scenes import scene, tables_of
 from undeadzone.compile import interpret
@@ -39,7 +40,6 @@ from undeadzone.simulation.simulate import simulate
 from undeadzone_studies.ensemble.batch import prepare_batch
 from undeadzone_studies.ensemble.run_ensemble import replay_in_batch
 
-EXAMPLES = Path(__file__).parents[3] / "examples"
 RIGHT, LEFT = np.array([0.05, 0.08]), np.array([0.03, 0.06])
 START = [-1.7, 1.4, 0.0, 0.0]
 FILTER: dict[str, Any] = {

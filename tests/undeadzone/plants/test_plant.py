@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from scenes import PAPER_PLANT, random_plant, response, scene, slopes, tables_of
+from scenes import PAPER_PLANT, random_plant, response, scene, seeds, slopes, tables_of
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.linalg.hold import zoh
 from undeadzone.linalg.matrices import Matrices
@@ -42,7 +42,6 @@ from undeadzone.simulation.simulate import simulate
 from undeadzone.util.arrays import Floats
 from undeadzone_arena.gain_defaults import rate_or_default
 
-seeds = st.integers(0, 2**32 - 1)
 FREQUENCIES = [0.0, 0.3, 1.0, 7.0, 200.0]
 PENDULUM: dict[str, Any] = tables_of("""
 f = ["rate", "-g / l * sin(angle) - b * rate + torque"]

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from requirements import import_package
+from scenes import seeds
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.plants.build import system
 from undeadzone.plants.options import ElasticJoint, Plant, TwoLink
@@ -20,7 +21,6 @@ from undeadzone.plants.robots.arm import Arm, build_arm, forward_dynamics, inver
 from undeadzone.plants.system import System
 from undeadzone.util.arrays import Floats
 
-seeds = st.integers(0, 2**32 - 1)
 CHAINS = {"one_link": build.build_one_link(), "two_link": build.build_two_link()}
 ARMS = {name: build_arm(chain) for name, chain in CHAINS.items()}
 kinds = pytest.mark.parametrize("kind", ARMS)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
 import pytest
 
+from documents import EXAMPLES
 from scenes import scene, tables_of
 from undeadzone.analysis.certificate.passivity import certify
 from undeadzone.controllers import LQR, ComputedTorque, StateFeedback
@@ -144,6 +144,6 @@ def test_options_keep_what_is_given() -> None:
 
 
 def test_states_of_an_arm_are_angles_then_rates() -> None:
-    arm = read(Path(__file__).parents[3] / "examples" / "two_link.toml")
+    arm = read(EXAMPLES / "two_link.toml")
     arm = msgspec.structs.replace(arm, units=Units())  # the file names its own
     assert resolve_scenario(arm).scenario.units.state == ["rad", "rad", "rad/s", "rad/s"]

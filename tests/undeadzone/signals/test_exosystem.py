@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
+from scenes import seeds
 from undeadzone.errors import FileError
 from undeadzone.signals import exosystem as signals
 from undeadzone.signals.exosystem import (
@@ -136,7 +137,7 @@ def test_values_in_closed_form() -> None:
     )
 
 
-@given(st.integers(0, 2**32 - 1), st.integers(3, 12))
+@given(seeds, st.integers(3, 12))
 def test_csv_goes_through_its_samples_and_is_constant_beyond_its_ends(
     tmp_path_factory: pytest.TempPathFactory, seed: int, count: int
 ) -> None:

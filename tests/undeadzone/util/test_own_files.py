@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from commands import undeadzone
+from documents import EXAMPLES
 from undeadzone.errors import FileError
 from undeadzone.util.own_files import mark_toml, require_own_file, write_own_file
 from undeadzone_export.targets import MANIFEST, manifest_text, write_folder
 
-EXAMPLES = Path(__file__).parents[3] / "examples"
 MINE = "# mine\n"
 
 

@@ -21,6 +21,7 @@ from test_report import check_page
 
 import once
 import undeadzone
+from documents import EXAMPLES
 from scenes import PAPER, scene, tables_of
 from undeadzone.analysis.certificate.design_file import Design, format_gains
 from undeadzone.analysis.error_dynamics import branch_pattern
@@ -40,7 +41,6 @@ from undeadzone_design.report.proof_figures import plot_courses as courses_figur
 from undeadzone_design.report.proof_figures import plot_positive_realness
 from undeadzone_design.synthesis.assessment import Assessment, assess_problem, attack_gains
 
-EXAMPLES = Path(__file__).parents[3] / "examples"
 POLES = {"method": "certified", "L": [12.0, 15.0], "gamma": 2.0}
 QUIET = ("--json", "--no-figures")
 

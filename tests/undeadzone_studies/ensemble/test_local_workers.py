@@ -14,11 +14,11 @@ from typing import Any
 import pytest
 from tests.jobs import Sines, layout, say, sines
 
+from documents import ROOT
 from undeadzone.errors import ClusterError, InputError
 from undeadzone_studies.ensemble import journal, local_workers, run_blocks
 
 pytestmark = pytest.mark.usefixtures("closed_stores")
-ROOT = Path(__file__).parents[3]
 
 
 def test_they_give_the_same_bits(tmp_path: Path, whole: bytes) -> None:

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from documents import EXAMPLES
 from scenes import scene, tables_of
 from undeadzone.analysis.certificate.passivity import certify
 from undeadzone.cli import group
@@ -57,7 +58,6 @@ from undeadzone_studies.tuning.tune import (
     tune,
 )
 
-EXAMPLES = Path(__file__).parents[3] / "examples"
 GAMMA = {"observer.gamma": Range(between=(0.1, 100.0), log=True)}
 GAINS = {"observer.L": Range(between=(0.01, 100.0), log=True), **GAMMA}
 
