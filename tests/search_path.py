@@ -6,7 +6,7 @@ import sys
 import tomllib
 from pathlib import Path
 
-from documents import ROOT
+ROOT = Path(__file__).parents[1]
 
 
 def add_test_folders(root: Path = ROOT) -> None:

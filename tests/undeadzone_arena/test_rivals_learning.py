@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from test_engines import generated
 
-import once
 from scenes import PAPER_PLANT, linear, random_plant, scene, seeds, tables_of
 from undeadzone.compile import interpret
 from undeadzone.errors import InputError, ShapeError, StepError, StructureError
@@ -457,14 +457,9 @@ def test_one_of_them_as_generated_C(tmp_path: Path) -> None:
             )
         )
     )
-    generator = ca.CodeGenerator("step")
-    generator.add(loop.step)
-    generator.generate(f"{tmp_path}/")
-    options = ["-O1", "-ffp-contract=off", "-fPIC", "-shared"]
-    library = once.program(["step.so", *options, "step.c"], tmp_path)
     arguments = (state, exogenous, tree.pack_tree(loop.params))
     computed, expected = (
-        interpret.run_interpreted(ca.external("step", str(library)), *arguments)[0],
+        interpret.run_interpreted(generated(loop.step, tmp_path), *arguments)[0],
         interpret.run_interpreted(loop.step, *arguments)[0],
     )
     assert np.isfinite(expected).all()

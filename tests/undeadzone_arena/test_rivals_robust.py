@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from test_engines import generated
 
-import once
 from scenes import (
     PAPER_PLANT,
     OnNumbers,
@@ -291,15 +291,10 @@ def test_interval_on_generated_C(tmp_path: Path) -> None:
                 """)
         )
     )
-    generator = ca.CodeGenerator("step")
-    generator.add(loop.step)
-    generator.generate(f"{tmp_path}/")
-    options = ["-O1", "-ffp-contract=off", "-fPIC", "-shared"]
-    library = once.program(["step.so", *options, "step.c"], tmp_path)
     params = tree.pack_tree(loop.params)
     computed, expected = (
         interpret.run_interpreted(f, state, exogenous, params)[0]
-        for f in (ca.external("step", str(library)), loop.step)
+        for f in (generated(loop.step, tmp_path), loop.step)
     )
     np.testing.assert_allclose(computed, expected, rtol=1e-12, atol=1e-12)
 

@@ -18,6 +18,7 @@ from test_play import CENSORED, KALMAN, late, slow
 
 import undeadzone as uz
 from further import further
+from records import identify_second_order
 from scenes import tables_of
 from undeadzone.analysis.branch_schedule import plan_schedule, schedule_of_record
 from undeadzone.analysis.identifiability.play_and_zone import (
@@ -441,7 +442,7 @@ def test_identify_writes_the_scenario_that_runs(tmp_path: Path) -> None:
     rng, u, z = driven(21)
     gaps, widths = (0.25, 0.15), (0.2, 0.3)
     y = through(z, gaps, widths) + 0.01 * rng.standard_normal(z.size)
-    found = uz.identify(t=STEP, u=u, y=y, order=2, delay=0)
+    found = identify_second_order(u, y)
     (tmp_path / "both.toml").write_text(found.scenario())
     scenario = uz.read(tmp_path / "both.toml")
     sensor = resolve_scenario(scenario).sensor

@@ -12,12 +12,11 @@ from pathlib import Path
 import click
 import pytest
 
+from commands import COMMAND
 from documents import EXAMPLES, ROOT
 from undeadzone.cli import ending, group
 from undeadzone.cli.ending import name_options, run_to_exit_code
 from undeadzone.errors import InputError, Terminated
-
-COMMAND = [sys.executable, "-c", "from undeadzone.cli import main; main()"]
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from commands import undeadzone
+from commands import COMMAND, undeadzone
 from documents import ROOT
 from undeadzone.cli.common import paint_verdicts
 from undeadzone.cli.output import LARGE, decide_table
@@ -23,7 +23,6 @@ from undeadzone.cli.watch import watch
 from undeadzone.util import shown
 from undeadzone_identify.command import identify
 
-COMMAND = [sys.executable, "-c", "from undeadzone.cli import main; main()"]
 COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 TWO = ["run", "examples/two_outputs.toml", "--no-figures"]
 

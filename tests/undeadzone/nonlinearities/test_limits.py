@@ -12,11 +12,11 @@ import pytest
 from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.signal import lfilter
 from scipy.stats import norm
 from test_engines import OBSERVERS, gap_of_engines, small
 
 import undeadzone as uz
+from records import second_order
 from scenes import OnNumbers, scene
 from undeadzone.analysis.branch_schedule import plan_schedule
 from undeadzone.cli import group
@@ -501,7 +501,7 @@ def test_identify_takes_them_for_missing_and_says_so() -> None:
 def test_identify_calls_what_needs_no_zone_and_ends_a_saturation() -> None:
     rng = np.random.default_rng(2)
     u = np.repeat(rng.normal(size=60), 15)
-    z = lfilter([0.0, 0.05, 0.03], [1.0, -1.6, 0.68], u) + 0.01 * rng.normal(size=u.size)
+    z = second_order(u) + 0.01 * rng.normal(size=u.size)
     found = uz.identify(t=0.05, u=u, y=np.clip(z, -0.6, 0.7), order=2, delay=0)
     assert found.verdict == "saturation"
     assert "[-0.6, 0.7]" in found.summary()["why"][0]

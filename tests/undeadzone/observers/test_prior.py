@@ -13,12 +13,12 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from scipy.signal import lfilter
 
 import once
 import undeadzone as uz
 from commands import undeadzone
 from documents import ROOT
+from records import dead_zone, second_order
 from scenes import PAPER_PLANT, linear, scene, tables_of
 from undeadzone.analysis.certificate.design_file import Design
 from undeadzone.cli import common
@@ -146,8 +146,8 @@ def identified() -> Any:
     """What `identify` makes of a log behind a zone from -0.4 to 1.0."""
     rng = np.random.default_rng(0)
     u = np.repeat(rng.standard_normal(150), 10)
-    z = lfilter([0, 0.05, 0.03], [1, -1.6, 0.68], u) + 0.01 * rng.standard_normal(1500)
-    y = np.maximum(z - RIGHT, 0) + np.minimum(z + LEFT, 0)
+    z = second_order(u) + 0.01 * rng.standard_normal(1500)
+    y = dead_zone(z, RIGHT, LEFT)
     return uz.identify(t=0.05, u=u, y=y, order=2, delay=0)
 
 
