@@ -701,10 +701,10 @@ def test_output_feedback_law_on_numbers(Ts: float | None) -> None:
 @pytest.mark.parametrize("name", FEEDBACK)
 def test_without_a_dead_zone_output_feedback_learns_an_unknown_plant(name: str) -> None:
     """The model knows b only; what is learnt lowers the tracking error."""
-    changes: dict[str, Any] = {
-        "sensor": {"right": 0.0, "left": 0.0},
-        "reference": {"kind": "sine", "amplitude": 5.0, "frequency": 0.3},
-    }
+    changes: dict[str, Any] = tables_of("""
+        sensor = { right = 0.0, left = 0.0 }
+        reference = { kind = "sine", amplitude = 5.0, frequency = 0.3 }
+        """)
     law = {"method": name, "reach": [6.0, 12.0]}
     learnt, ignorant = (arena(BLIND, law | gain, **changes) for gain in ({}, {"gain": 1e-9}))
     assert learnt.rms_tracking < 0.6 * ignorant.rms_tracking

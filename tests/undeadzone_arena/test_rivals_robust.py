@@ -184,8 +184,10 @@ def test_interval_holds_the_truth_in_closed_loop_and_learns(time: str) -> None:
 def test_interval_without_disturbance_finds_the_widths(time: str) -> None:
     run = simulate(
         scene(
-            observer={"method": "interval", "right": [0.3, 2.0]},
-            sensor={"right": 1.4, "left": 0.6},
+            """
+            observer = { method = "interval", right = [0.3, 2.0] }
+            sensor = { right = 1.4, left = 0.6 }
+            """,
             simulation={"time": time, "duration": 12.0},
         )
     )
@@ -652,10 +654,10 @@ def test_widths_of_a_jump_sensor_cannot_be_adapted(options: Any) -> None:
 
 
 def test_super_twisting_of_an_unstable_plant_needs_its_linear_part() -> None:
-    tables: dict[str, Any] = {
-        "plant": {"companion": [-1.0, 0.5]},
-        "simulation": {"duration": 1.0, "time": "sampled"},
-    }
+    tables: dict[str, Any] = tables_of("""
+        plant = { companion = [-1.0, 0.5] }
+        simulation = { duration = 1.0, time = "sampled" }
+        """)
     with pytest.raises(StructureError, match=r"observer\.L: the model is unstable"):
         simulate(scene(observer={"method": "super_twisting"}, **tables))
     simulate(scene(observer={"method": "super_twisting", "speed": 4.0}, **tables))

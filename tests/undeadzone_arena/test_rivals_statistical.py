@@ -616,8 +616,10 @@ def test_a_missing_sample_leaves_the_python_observers_to_the_model(method: Any) 
 def test_the_live_loop_is_the_loop() -> None:
     """Kalman's filter as a graph, and the same step called from Python: the same run."""
     scenario = scene(
-        observer={"method": "kalman", "right": [0.5, 2.0]},
-        sensor={"noise": 0.02},
+        """
+        observer = { method = "kalman", right = [0.5, 2.0] }
+        sensor = { noise = 0.02 }
+        """,
         simulation=SAMPLED,
     )
     expected, problem = simulate(scenario), resolve_scenario(scenario)

@@ -52,11 +52,10 @@ CASES: dict[str, dict[str, Any]] = {
     "paper, sampled": {"simulation": SAMPLED},
     "paper, continuous": {"simulation": {"duration": 1.5, "step": 2e-3}},
     "plain switching": {"simulation": {"duration": 1.0, "step": 2e-3, "switching": "plain"}},
-    "trapezoid and disturbance": {
-        "simulation": SAMPLED,
-        "reference": {"kind": "trapezoid", "amplitude": 3.0, "rise": 0.17, "hold": 0.11},
-        "disturbance": {"kind": "sine", "amplitude": 2.0, "frequency": 0.7, "offset": 1.0},
-    },
+    "trapezoid and disturbance": (tables_of("""
+        reference = { kind = "trapezoid", amplitude = 3.0, rise = 0.17, hold = 0.11 }
+        disturbance = { kind = "sine", amplitude = 2.0, frequency = 0.7, offset = 1.0 }
+        """) | {"simulation": SAMPLED}),
     "two sines about an offset": tables_of("""
         simulation = { duration = 1.0, step = 0.002 }
         reference.kind = "sines"
@@ -71,11 +70,10 @@ CASES: dict[str, dict[str, Any]] = {
         observer = { method = "kalman", right = [0.0, 2.0] }
         sensor = { threshold = 0.0 }
         """),
-    "jump sensor, step": {
-        "simulation": SAMPLED,
-        "sensor": {"kind": "jump", "slope": 2.0, "quantum": 0.01},
-        "reference": {"kind": "step", "amplitude": 3.0, "time": 0.5, "before": -1.0},
-    },
+    "jump sensor, step": (tables_of("""
+        sensor = { kind = "jump", slope = 2.0, quantum = 0.01 }
+        reference = { kind = "step", amplitude = 3.0, time = 0.5, before = -1.0 }
+        """) | {"simulation": SAMPLED}),
     "play, random disturbance": (tables_of("""
         plant = { A = [[0.0, 1.0], [0.0, -10.0]], B = [[0.0], [100.0]], C = [[1.0, 0.0]] }
         sensor = { kind = "play", right = 0.06, left = 0.04, quantum = 0.003 }
@@ -84,10 +82,10 @@ CASES: dict[str, dict[str, Any]] = {
         reference = { kind = "sine", amplitude = 0.5, frequency = 1.0 }
         disturbance = { kind = "random", rms = 0.05, correlation_time = 0.1 }
         """) | {"simulation": SAMPLED}),
-    "random disturbance in continuous time": {
-        "disturbance": {"kind": "random", "rms": 1.0, "correlation_time": 0.1},
-        "simulation": {"duration": 1.0, "step": 2e-3},
-    },
+    "random disturbance in continuous time": tables_of("""
+        disturbance = { kind = "random", rms = 1.0, correlation_time = 0.1 }
+        simulation = { duration = 1.0, step = 0.002 }
+        """),
     "pendulum": (tables_of("""
         observer = { method = "certified", L = [1.0, 0.0], widths0 = [0.2, 0.2] }
         controller = { method = "state_feedback", poles = [-4.0, -5.0] }

@@ -249,9 +249,10 @@ def test_the_invisible_directions_are_the_kernel_of_the_brute_force_gramian(
 @pytest.mark.parametrize("bias", [False, True])
 def test_deviations_are_those_of_the_brute_force_gramian(bias: bool) -> None:
     """Sampled, without process noise: sigma times the root of the inverse of the summed squares."""
-    scenario = scene(
-        sensor={"left": 0.7}, simulation={"time": "sampled", "step": 2e-2, "duration": 3.0}
-    )
+    scenario = scene("""
+        sensor = { left = 0.7 }
+        simulation = { time = "sampled", step = 0.02, duration = 3.0 }
+        """)
     linear, schedule = plan(scenario)
     found = optimal_deviations(
         linear,
@@ -260,9 +261,11 @@ def test_deviations_are_those_of_the_brute_force_gramian(bias: bool) -> None:
     )
     run = simulate(
         scene(
-            sensor={"left": 0.7},
+            """
+            sensor = { left = 0.7 }
+            simulation = { time = "sampled", step = 0.02, duration = 12.0 }
+            """,
             plant={**PAPER, "x0": [0.0, 0.0]},
-            simulation={"time": "sampled", "step": 2e-2, "duration": 12.0},
         )
     )
     later = slice(450, 600)  # three whole periods, the transients gone
@@ -310,9 +313,10 @@ def test_continuous_information_is_the_integral_of_squared_sensitivities() -> No
 
 def test_deviations_with_process_noise_are_those_of_a_kalman_filter() -> None:
     """A Kalman filter on [x; d] over the same sides, its prior vague, ends with that variance."""
-    scenario = scene(
-        sensor={"left": 0.7}, simulation={"time": "sampled", "step": 2e-2, "duration": 6.0}
-    )
+    scenario = scene("""
+        sensor = { left = 0.7 }
+        simulation = { time = "sampled", step = 0.02, duration = 6.0 }
+        """)
     linear, schedule = plan(scenario)
     Q = np.zeros((4, 4))
     Q[:2, :2] = 0.3 * linear.B @ linear.B.T

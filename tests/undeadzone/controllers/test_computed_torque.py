@@ -377,11 +377,11 @@ def test_lqr_follows_with_a_plant_given_by_formulas() -> None:
 
 def test_a_reference_twice_as_large_does_not_scale_the_gains() -> None:
     """scale.reference of ensembles scales the targets of a linear plant and nothing else."""
-    data = table(
-        controller={"method": "lqr", "R": 0.01},
-        observer={"method": "full_state"},
-        simulation={"time": "sampled"},
-    )
+    data = table("""
+        controller = { method = "lqr", R = 0.01 }
+        observer = { method = "full_state" }
+        simulation = { time = "sampled" }
+        """)
     start = prepare(resolve_scenario(scene(**data)))
     loop = start.loop
     scaled = loop._replace(

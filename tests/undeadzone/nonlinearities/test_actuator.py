@@ -302,10 +302,10 @@ def test_no_mode_visited_tells_nothing_of_the_actuator() -> None:
 
 def test_robust_adaptive_control_needs_no_inverse() -> None:
     """Given the true state it follows through an unknown zone; its plain twin does not."""
-    changes = {
-        "compensator": {"method": "none"},
-        "model": {"actuator": {"right": 0.0, "left": 0.0}},
-    }
+    changes = tables_of("""
+        compensator = { method = "none" }
+        model = { actuator = { right = 0.0, left = 0.0 } }
+        """)
     observer = {"method": "full_state"}
     law = {"method": "robust_adaptive", "rate": 10.0, "poles": [-6.0], "layer": 0.1}
     robust = simulate(loop(observer=observer, controller=law, **changes))

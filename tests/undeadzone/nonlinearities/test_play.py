@@ -55,13 +55,14 @@ READINGS: dict[str, dict[str, float]] = {
 
 def slow(sensor: dict[str, Any], observer: dict[str, Any], **changes: Any) -> Scenario:
     """The paper's plant behind gears, followed slowly."""
-    tables: dict[str, Any] = {
+    tables: dict[str, Any] = tables_of("""
+        controller = { method = "state_feedback", poles = [-8.0, -8.4] }
+        disturbance = { kind = "random", rms = 0.8, correlation_time = 0.0001 }
+        """) | {
         "sensor": {"kind": "play", "right": 1.0, "left": 0.7} | sensor,
         "observer": observer,
         "reference": SLOW,
-        "controller": {"method": "state_feedback", "poles": [-8.0, -8.4]},
         "simulation": {"time": "sampled", "step": TS, "duration": 20.0},
-        "disturbance": {"kind": "random", "rms": 0.8, "correlation_time": 1e-4},
     }
     simulation = tables["simulation"] | changes.pop("simulation", {})
     return scene(**tables | changes | {"simulation": simulation})

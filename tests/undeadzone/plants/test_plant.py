@@ -189,10 +189,10 @@ def test_callables_equal_formulas_also_in_the_loop() -> None:
     formulas = Plant(**PENDULUM, x0=[0.3, 0.1])
     for one, other in zip(system(callables).linear, system(formulas).linear, strict=True):
         assert one == pytest.approx(other)
-    tables: dict[str, Any] = {
-        "observer": {"method": "certified", "L": [2.0, 3.0]},
-        "simulation": {"duration": 0.3, "step": 0.01},
-    }
+    tables: dict[str, Any] = tables_of("""
+        observer = { method = "certified", L = [2.0, 3.0] }
+        simulation = { duration = 0.3, step = 0.01 }
+        """)
     reference = {"kind": "sine", "amplitude": 1.5, "frequency": 0.5}
     by_formulas = simulate(
         scene(plant=PENDULUM | {"x0": [0.3, 0.1]}, reference=reference, **tables)

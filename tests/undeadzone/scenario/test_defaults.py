@@ -79,9 +79,10 @@ def test_kalman_corrects_a_wrong_model_unless_the_disturbance_is_0() -> None:
 
 
 def test_an_observer_without_gain_follows_its_model_alone() -> None:
-    scenario = scene(
-        observer={"method": "luenberger", "L": [0.0, 0.0]}, simulation={"duration": 12.0}
-    )
+    scenario = scene("""
+        observer = { method = "luenberger", L = [0.0, 0.0] }
+        simulation = { duration = 12.0 }
+        """)
     (share,) = feedback_shares(resolve_scenario(scenario), None)
     assert share == pytest.approx(0.0, abs=0.01)
     assert describe_feedback([share]).startswith("OPEN LOOP")
@@ -90,9 +91,11 @@ def test_an_observer_without_gain_follows_its_model_alone() -> None:
 
 def test_an_output_at_rest_tells_nothing_of_listening() -> None:
     still = scene(
+        """
+        reference = { kind = "sine", amplitude = 0.0, frequency = 1.0 }
+        simulation = { duration = 2.0 }
+        """,
         plant={**BARE["plant"], "x0": [0.0, 0.0]},
-        reference={"kind": "sine", "amplitude": 0.0, "frequency": 1.0},
-        simulation={"duration": 2.0},
     )
     assert np.isnan(feedback_shares(resolve_scenario(still), None)).all()
     assert not has_weak_feedback([None])

@@ -57,9 +57,11 @@ def test_the_repaired_example_tracks_and_finds_its_widths() -> None:
 def test_V_never_rises_exactly_in_sampled_time(silence: bool) -> None:
     run = simulate(
         scene(
-            sensor={"right": 1.3, "left": 0.6},
+            """
+            sensor = { right = 1.3, left = 0.6 }
+            simulation = { time = "sampled", step = 0.01, duration = 10.0 }
+            """,
             observer=CERTIFIED | {"silence": silence},
-            simulation={"time": "sampled", "step": 0.01, "duration": 10.0},
         )
     )
     assert run.info.certified
@@ -146,10 +148,10 @@ def test_random_disturbance_has_its_rms_and_seed(time: str) -> None:
 
 def test_noise_before_the_zone_moves_the_reading_only_outside() -> None:
     run = simulate(
-        scene(
-            sensor={"noise_before": 0.1},
-            simulation={"time": "sampled", "step": 0.01, "duration": 10.0},
-        )
+        scene("""
+            sensor = { noise_before = 0.1 }
+            simulation = { time = "sampled", step = 0.01, duration = 10.0 }
+            """)
     )
     outside = np.abs(run.z) > 1.5
     noise = run.y - (run.z - np.clip(run.z, -1, 1))

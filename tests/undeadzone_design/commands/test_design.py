@@ -436,10 +436,10 @@ sensor = { right = [0.5, 0.2], left = [0.3, 0.6] }
 reference = { kind = "sine", amplitude = [2.0, 1.5], frequency = 0.5, phase = [0.0, 1.0] }
 observer = { method = "certified", gamma = [2.0, 3.0], L = [[0.2, 0.0], [0.1, 0.3]] }
 """)
-RIGHT = {
-    "sensor": {"noise": 0.01},
-    "reference": {"kind": "sine", "amplitude": 1.0, "frequency": 1.0, "offset": 0.5},
-}
+RIGHT = tables_of("""
+sensor = { noise = 0.01 }
+reference = { kind = "sine", amplitude = 1.0, frequency = 1.0, offset = 0.5 }
+""")
 JUMP = {"sensor": {"kind": "jump"}}
 
 
@@ -564,10 +564,10 @@ def test_ellipse_or_strip() -> None:
         (COUPLED, ["nyquist", "root_locus", "lyapunov", "ellipse"]),
         (JUMP, ["nyquist", "root_locus", "lyapunov"]),
         (
-            {
-                "plant": {"integrators": 2},
-                "observer": {"method": "certified", "L": [4.0, 4.0], "gamma": 1.0},
-            },
+            tables_of("""
+                plant = { integrators = 2 }
+                observer = { method = "certified", L = [4.0, 4.0], gamma = 1.0 }
+                """),
             ["root_locus", "lyapunov", "ellipse"],
         ),
         ({"observer": {"method": "luenberger", "L": [1.0, 1.5]}}, ["ellipse"]),

@@ -496,7 +496,10 @@ def test_check_of_what_has_no_certificate() -> None:
     assert (found["certified"], found["rate"]) == (None, None)
     assert found["identifiable"]["centre"]
     force = check(
-        scene(controller={"method": "pd", "k_p": 1.0, "k_d": 1.0}, simulation={"duration": 4.0})
+        scene("""
+            controller = { method = "pd", k_p = 1.0, k_d = 1.0 }
+            simulation = { duration = 4.0 }
+            """)
     ).summary()
     assert not force["identifiable"]["right"]
     assert "never reached" in force["reasons"][0]
