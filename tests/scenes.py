@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import casadi as ca
@@ -11,6 +12,7 @@ from hypothesis import strategies as st
 
 from undeadzone.interfaces import Estimate, Observer, Reading
 from undeadzone.linalg.matrices import Matrices
+from undeadzone.nonlinearities.sensor import Sensor, Zone, resolve, side
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System
@@ -74,6 +76,11 @@ def linear(A: Any, B: Any, C: Any) -> System:
 PAPER_PLANT = linear([[0.0, 1.0], [-1.0, -2.0]], [[0.0], [1.0]], [[1.0, 0.0]])
 
 
+def zone(p: int = 1, **options: Any) -> Zone:
+    """A sensor of p outputs at 20 Hz whose edges and slope are known."""
+    return resolve(Sensor(**{"right": 1.0, "left": 1.0} | EXACT_SENSOR | options), p, 0.05)
+
+
 def random_plant(
     rng: np.random.Generator, n: int, m: int = 1, p: int = 1, stable: bool = True
 ) -> System:
@@ -124,6 +131,25 @@ class OnNumbers:
         self._evaluate()
         parts = iter(np.split(self._out.copy(), self._ends))
         return tree.rebuild_tree(self._like, parts), Estimate(*parts)
+
+
+def centre_std(estimate: Estimate) -> Floats:
+    """The standard deviations of (d_r - d_l) / 2."""
+    sums = 2 * estimate.right_std**2 + 2 * estimate.left_std**2
+    return np.asarray(np.sqrt(sums - estimate.width_std**2) / 2)
+
+
+def follow_together(
+    pair: Sequence[Observer], model: System, where: Zone, signals: Iterable[tuple[Floats, Floats]]
+) -> Iterator[tuple[list[Any], list[Estimate]]]:
+    """States and estimates of observers after each reading and input."""
+    steps = [OnNumbers(observer, model) for observer in pair]
+    states = [observer.init(observer.params) for observer in pair]
+    for y, u in signals:
+        seen = side(y, where.threshold)
+        both = [step(state, u, y, seen) for step, state in zip(steps, states, strict=True)]
+        states = [after for after, _ in both]
+        yield states, [estimate for _, estimate in both]
 
 
 def slopes(steps: Any, errors: Any) -> Floats:

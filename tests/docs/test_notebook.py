@@ -11,7 +11,6 @@ import nbclient
 import nbformat
 import pytest
 
-from scenes import tables_of
 from undeadzone.util import progress
 
 TESTS = Path(__file__).parents[1]
@@ -36,26 +35,26 @@ s = scene(
 )
 log = uz.simulate(s | {"simulation": {"duration": 8.0}})
 """
-RESULTS = tables_of("""
-run = "uz.simulate(s)"
-ensemble = "uz.run_ensemble(s)"
-check = "uz.check(s)"
-design = "uz.design(s, 'rate')"
-tuned = "uz.tune(s)"
-estimation = "uz.estimate(s, y=log.y, u=log.u)"
-identified = "uz.identify(t=log.t, u=log.u, y=log.y, order=2, delay=0)"
-contest = "run_contest(['luenberger'], {'mine': s}, (0,), {}, 1)"
-""")
-WORDS = tables_of("""
-run = "rms z - r"
-ensemble = "settled"
-check = "certified"
-design = "proof P"
-tuned = "held-out runs"
-estimation = "consistent"
-identified = "found"
-contest = "median regret"
-""")
+RESULTS = {
+    "run": "uz.simulate(s)",
+    "ensemble": "uz.run_ensemble(s)",
+    "check": "uz.check(s)",
+    "design": "uz.design(s, 'rate')",
+    "tuned": "uz.tune(s)",
+    "estimation": "uz.estimate(s, y=log.y, u=log.u)",
+    "identified": "uz.identify(t=log.t, u=log.u, y=log.y, order=2, delay=0)",
+    "contest": "run_contest(['luenberger'], {'mine': s}, (0,), {}, 1)",
+}
+WORDS = {
+    "run": "rms z - r",
+    "ensemble": "settled",
+    "check": "certified",
+    "design": "proof P",
+    "tuned": "held-out runs",
+    "estimation": "consistent",
+    "identified": "found",
+    "contest": "median regret",
+}
 
 
 @pytest.fixture(scope="module")

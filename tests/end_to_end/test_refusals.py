@@ -24,6 +24,7 @@ READERS: dict[str, Callable[[Scenario], Any]] = {
     "run_ensemble": uz.run_ensemble,
     "design": design,
     "page": build_live_page,
+    "tune": lambda scenario: uz.tune(scenario, scenario.tune),
 }
 
 

@@ -9,16 +9,13 @@ import time
 from collections.abc import Iterator
 
 import pytest
-from tests.scenes import scene, tables_of
+from tests.scenes import tables_of
 from tools.fuzz.__main__ import NAMES, maker
 from tools.fuzz.case import Case, End, stream
 from tools.fuzz.isolated import results
 from tools.fuzz.judge import complaint
 from tools.fuzz.perform import perform
 from tools.fuzz.scenarios import text
-
-from undeadzone.errors import StructureError
-from undeadzone.scenario.problem import resolve_scenario
 
 CASES = {
     "formulas": 150,
@@ -40,9 +37,6 @@ CASES = {
     "arguments": 8,
     "exports": 1,
 }
-
-
-SLIDING = {"method": "sliding_mode", "gain": 1.0}
 
 
 @pytest.fixture(autouse=True)
@@ -133,18 +127,6 @@ def test_a_run_that_diverges_at_once_is_not_exported() -> None:
     end = perform(case)
     assert end.code == 2, end.err
     assert "the run leaves +-1e+06 at its first sample" in end.err
-
-
-def test_sliding_mode_refuses_more_inputs_than_states() -> None:
-    plant = tables_of("""
-        A = [[-1.0, 0.5], [-0.5, -2.0]]
-        B = [[1, 0, 2], [0, 1, 3]]
-        C = [[1.0, 0.0]]
-        """)
-    with pytest.raises(StructureError, match="B has rank 2, not 3"):
-        resolve_scenario(
-            scene(plant=plant, observer={"method": "certified"}, controller=SLIDING, tracked=[0])
-        )
 
 
 @pytest.mark.parametrize("column", ["y", "u"])

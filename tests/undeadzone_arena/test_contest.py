@@ -194,15 +194,6 @@ def test_an_ensemble_draws_lost_readings_and_wear_as_single_runs_do() -> None:
     assert len({noise.AFTER, noise.BEFORE, noise.DISTURBANCE, noise.WEAR, noise.LOSS}) == 5
 
 
-@pytest.mark.parametrize(
-    ("key", "value", "words"),
-    [("dropout", 1.0, "a probability below 1"), ("drift", -0.1, "must not be negative")],
-)
-def test_impossible_sensors_are_refused(key: str, value: float, words: str) -> None:
-    with pytest.raises(InputError, match=f"sensor.{key}: .*{words}"):
-        resolve_scenario(small(sensor={key: value}))
-
-
 # --- Scenarios and what methods are told
 
 

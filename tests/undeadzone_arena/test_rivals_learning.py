@@ -20,7 +20,7 @@ from test_engines import generated
 
 from scenes import PAPER_PLANT, linear, random_plant, scene, seeds, tables_of
 from undeadzone.compile import interpret
-from undeadzone.errors import InputError, ShapeError, StepError, StructureError
+from undeadzone.errors import InputError, StepError, StructureError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Estimate, Observer, Reading
 from undeadzone.linalg.matrices import Matrices
@@ -425,12 +425,6 @@ def test_sampled_steps_tend_to_the_derivative(name: str) -> None:
     assert gaps[1] < 0.2 * gaps[0] < 0.2
 
 
-@pytest.mark.parametrize("name", RIVALS)
-def test_a_jump_sensor_is_refused(name: str) -> None:
-    with pytest.raises(InputError, match=r"observer.method: .* jump sensor"):
-        RIVALS[name].build(PAPER_PLANT, zone(kind="jump"))
-
-
 @pytest.mark.parametrize(
     "name", ["adaptive_inverse", "robust_gradient", "fuzzy_residual", "inverse_network"]
 )
@@ -708,31 +702,6 @@ def test_without_a_dead_zone_output_feedback_learns_an_unknown_plant(name: str) 
     law = {"method": name, "reach": [6.0, 12.0]}
     learnt, ignorant = (arena(BLIND, law | gain, **changes) for gain in ({}, {"gain": 1e-9}))
     assert learnt.rms_tracking < 0.6 * ignorant.rms_tracking
-
-
-@pytest.mark.parametrize("name", FEEDBACK)
-@pytest.mark.parametrize(
-    ("model", "error", "words"),
-    [
-        (
-            TWO,
-            InputError,
-            "controller.method: this method is for a linear model of one input and one output, "
-            "found 2 and 2",
-        ),
-        (
-            linear([[0.0, 1.0], [-1.0, -2.0]], [[0.0], [1.0]], [[-1.0, 1.0]]),
-            StructureError,
-            "controller.method: the plant has zeros 1",
-        ),
-        (linear([[-1.0]], [[1.0]], [[1.0]]), ShapeError, "controller.reach: expected 1 number"),
-    ],
-)
-def test_output_feedback_says_where_it_does_not_apply(
-    name: str, model: System, error: type[Exception], words: str
-) -> None:
-    with pytest.raises(error, match=words):
-        FEEDBACK[name].build(model)
 
 
 def test_a_robust_term_needs_inputs_that_move_the_outputs() -> None:

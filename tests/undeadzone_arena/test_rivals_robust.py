@@ -663,12 +663,6 @@ def test_super_twisting_of_an_unstable_plant_needs_its_linear_part() -> None:
     simulate(scene(observer={"method": "super_twisting", "speed": 4.0}, **tables))
 
 
-def test_outputs_that_tell_the_same_are_refused() -> None:
-    plant = linear(PAPER_PLANT.linear.A, PAPER_PLANT.linear.B, [[1.0, 0.0], [2.0, 0.0]])
-    with pytest.raises(StructureError, match="one of 2 outputs is redundant"):
-        HighGain().build(plant, zone(2))
-
-
 def test_canonical_coordinates_of_a_chain_are_its_states() -> None:
     chains = output_chains(*companion_form([0.0, 0.0, 0.0])[::2])
     assert chains.O.tolist() == np.eye(3).tolist()

@@ -21,7 +21,6 @@ from scipy.stats import norm
 import undeadzone_arena.unscented as unscented
 from requirements import import_package
 from scenes import (
-    EXACT_SENSOR,
     PAPER_PLANT,
     OnNumbers,
     linear,
@@ -29,6 +28,7 @@ from scenes import (
     scene,
     seeds,
     tables_of,
+    zone,
 )
 from undeadzone.errors import InputError
 from undeadzone.interfaces import (
@@ -41,7 +41,7 @@ from undeadzone.interfaces import (
     build_python_observer,
 )
 from undeadzone.nonlinearities import sensor
-from undeadzone.nonlinearities.sensor import Sensor, Zone, resolve
+from undeadzone.nonlinearities.sensor import Sensor, resolve
 from undeadzone.numerics.gaussian import TAIL, from_upper_entries, to_upper_entries
 from undeadzone.observers import Kalman
 from undeadzone.observers.filtering.augmented_state import (
@@ -82,10 +82,6 @@ h = ["angle"]
 x0 = [0.5, 0.0]
 """)
 SAMPLED = {"time": "sampled", "step": 0.01, "duration": 6.0}
-
-
-def zone(p: int = 1, **options: Any) -> Zone:
-    return resolve(Sensor(**{"right": 1.0, "left": 1.0} | EXACT_SENSOR | options), p, TS)
 
 
 def full(column: Floats, size: int) -> Floats:
@@ -729,15 +725,6 @@ def test_python_observers_say_where_they_cannot_run() -> None:
 
 
 # --- Wrong input
-
-
-@pytest.mark.parametrize("method", ALL, ids=lambda method: method.__struct_config__.tag)
-def test_continuous_time_is_refused_with_what_to_do(method: Any) -> None:
-    with pytest.raises(InputError, match=r"Set simulation\.time"):
-        method(right=[0.5, 2.0]).build(PAPER_PLANT, zone())
-    if method is EKF:
-        with pytest.raises(InputError, match=r"Set simulation\.time"):
-            method(right=[0.5, 2.0], mode="measured").build(PAPER_PLANT, zone())
 
 
 # --- Their parts

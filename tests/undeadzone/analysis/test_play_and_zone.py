@@ -145,21 +145,6 @@ def test_without_a_zone_it_is_the_play() -> None:
 # What is refused
 
 
-def test_gaps_of_no_play_are_refused() -> None:
-    with pytest.raises(InputError, match=r"model\.play: the sensor has no play"):
-        resolve_scenario(slow({"kind": "deadzone"}, KALMAN, model=RANGES))
-
-
-@pytest.mark.parametrize(
-    "method",
-    ["ekf", "ukf", "extended", "certified", "oracle", "adaptive_inverse", "moving_horizon"],
-)
-def test_other_observers_refuse_it(method: str) -> None:
-    widths = {"right": [0.0, 2.0]} if method in ("ekf", "ukf", "extended", "moving_horizon") else {}
-    with pytest.raises(InputError, match=f"{method!r} knows no play ahead of a dead zone"):
-        resolve_scenario(both({}, {"method": method} | widths))
-
-
 def test_the_page_and_the_arena_refuse_it(tmp_path: Path) -> None:
     scenario = both({}, KALMAN, disturbance=None)
     with pytest.raises(InputError, match="one band, a dead zone's or a play's, not both"):

@@ -17,7 +17,7 @@ from scenes import EXACT_SENSOR, PAPER_PLANT, scene, tables_of
 from undeadzone.analysis.identifiability.linear import unobservable_changes
 from undeadzone.analysis.identifiability.sensor_and_actuator import sensor_actuator_identifiability
 from undeadzone.compile import interpret
-from undeadzone.errors import InputError, StructureError
+from undeadzone.errors import InputError
 from undeadzone.nonlinearities.actuator import (
     Actuator,
     ActuatorModel,
@@ -339,18 +339,6 @@ def test_the_adaptive_inverse_learns_the_widths_behind_a_clean_sensor() -> None:
     learnt = simulate(loop(compensator=compensator, **changes))
     none = simulate(loop(compensator={"method": "none"}, **changes))
     assert late(learnt, learnt.z - learnt.r) < 0.1 * late(none, none.z - none.r)
-
-
-def test_the_adaptive_inverse_refuses_an_integrator() -> None:
-    tank = {"A": [[0.0]], "B": [[1.0]], "C": [[1.0]]}
-    with pytest.raises(StructureError, match="stable plant"):
-        resolve_scenario(
-            loop(
-                plant=tank,
-                controller={"method": "state_feedback", "poles": [-4.0]},
-                compensator={"method": "adaptive_inverse"},
-            )
-        )
 
 
 # Engines

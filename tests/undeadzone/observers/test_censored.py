@@ -22,6 +22,8 @@ from scenes import (
     EXACT_SENSOR,
     PAPER_PLANT,
     OnNumbers,
+    centre_std,
+    follow_together,
     linear,
     random_plant,
     scene,
@@ -112,12 +114,6 @@ def tones(seconds: float, amplitude: float, offset: float = 0.0) -> Floats:
 KNOWN_TO_BOTH = ("x", "z", "right", "left", "innovation", "innovation_std", "refused", "restarts")
 
 
-def centre_std(estimate: Estimate) -> float:
-    return float(
-        np.sqrt(2 * estimate.right_std**2 + 2 * estimate.left_std**2 - estimate.width_std**2)[0] / 2
-    )
-
-
 # --- Where it is the Kalman filter
 
 
@@ -134,24 +130,17 @@ def test_without_silence_and_extras_it_is_kalman(seed: int, n: int, p: int) -> N
             Censored(**EXACT | common, silence=False),
         )
     ]
-    steps, states = (
-        [OnNumbers(observer, model) for observer in pair],
-        [observer.init(observer.params) for observer in pair],
-    )
     least = np.inf
-    for _ in range(30):
-        y, u = rng.normal(size=p) * rng.choice([0.02, 3.0], p), rng.normal(size=1)
-        both = [
-            step(state, u, y, sensor.side(y, where.threshold))
-            for step, state in zip(steps, states, strict=True)
-        ]
-        states = [after for after, _ in both]
+    readings = (
+        (rng.normal(size=p) * rng.choice([0.02, 3.0], p), rng.normal(size=1)) for _ in range(30)
+    )
+    for states, both in follow_together(pair, model, where, readings):
         assert np.array_equal(*[tree.pack_tree(state.filter) for state in states])
         for name in KNOWN_TO_BOTH:
-            assert np.array_equal(*[getattr(estimate, name) for _, estimate in both]), name
-        least = min(least, both[0][1].x_std.min())
+            assert np.array_equal(*[getattr(estimate, name) for estimate in both]), name
+        least = min(least, both[0].x_std.min())
     # Readings at random contradict each other: of one state, nine may be refused, and nothing told.
-    assert least < 2.0 or both[0][1].refused.sum() >= 9
+    assert least < 2.0 or both[0].refused.sum() >= 9
 
 
 def test_a_silence_that_contradicts_nothing_changes_nothing() -> None:

@@ -21,11 +21,21 @@ from scipy.stats import norm, truncnorm
 
 from further import further
 from requirements import import_package
-from scenes import EXACT_SENSOR, PAPER_PLANT, OnNumbers, random_plant, scene, seeds, tables_of
+from scenes import (
+    EXACT_SENSOR,
+    PAPER_PLANT,
+    OnNumbers,
+    centre_std,
+    random_plant,
+    scene,
+    seeds,
+    tables_of,
+    zone,
+)
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Reading
 from undeadzone.nonlinearities import sensor
-from undeadzone.nonlinearities.sensor import Sensor, Zone, resolve
+from undeadzone.nonlinearities.sensor import Sensor, resolve
 from undeadzone.numerics import gaussian
 from undeadzone.numerics.gaussian import Gaussian
 from undeadzone.observers import Kalman
@@ -46,10 +56,6 @@ MODEL = sample_plant(PAPER_PLANT, TS)
 OPTIONS = {"method": "kalman", "right": [0.5, 2.0], "left": [0.5, 2.0], "disturbance": 0.0}
 NOTHING = float("nan")
 UPPER = ca.Sparsity.upper(4)
-
-
-def zone(p: int = 1, **options: Any) -> Zone:
-    return resolve(Sensor(**{"right": 1.0, "left": 1.0} | EXACT_SENSOR | options), p, TS)
 
 
 def covariance(state: State) -> Floats:
@@ -432,9 +438,7 @@ def test_of_a_chain_of_integrators_only_the_width_becomes_known() -> None:
         x = model.linear.A @ x + model.linear.B @ u
     assert estimate.width_std < 1e-3
     assert estimate.right + estimate.left == pytest.approx(1.9, abs=3 * estimate.width_std[0])
-    centre = (
-        np.sqrt(2 * estimate.right_std**2 + 2 * estimate.left_std**2 - estimate.width_std**2) / 2
-    )
+    centre = centre_std(estimate)
     assert centre == pytest.approx(1.5 / np.sqrt(24), rel=0.01)
     assert abs((estimate.right - estimate.left) / 2 - 0.35) < 2 * centre
 

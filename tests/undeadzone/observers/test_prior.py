@@ -22,7 +22,7 @@ from records import dead_zone, second_order
 from scenes import PAPER_PLANT, linear, scene, tables_of
 from undeadzone.analysis.certificate.design_file import Design
 from undeadzone.cli import common
-from undeadzone.errors import EarlierMeaning, InputError, ShapeError
+from undeadzone.errors import EarlierMeaning, InputError
 from undeadzone.nonlinearities.sensor import Sensor, resolve
 from undeadzone.observers.filtering.augmented_state import white_disturbance_rms
 from undeadzone.observers.filtering.prior import Assumptions, _read_branch_ranges, build_prior
@@ -123,19 +123,6 @@ def test_homing_tells_the_centre_of_a_linear_plant(x_std: list[float], tells: bo
         verdict = run.info.identifiable[0]
         assert verdict["std"]["centre"] == pytest.approx(x_std[0], rel=0.05)
         assert verdict["reasons"][-1].endswith("from the declared start alone")
-
-
-@pytest.mark.parametrize(
-    ("centre", "error", "words"),
-    [
-        ([0.2, 0.1], InputError, "lo <= hi"),
-        (0.35, InputError, "overlap the range of those of d_r and d_l"),
-        ([0.0, 0.1, 0.2], ShapeError, r"the range .lo, hi. of \(d_r - d_l\)/2"),
-    ],
-)
-def test_impossible_centres_are_refused(centre: Any, error: type[Exception], words: str) -> None:
-    with pytest.raises(error, match=f"observer.centre: .*{words}"):
-        simulate(motor(centre=centre))
 
 
 # --- One word, one meaning

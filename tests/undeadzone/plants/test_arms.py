@@ -240,16 +240,6 @@ def test_rounding_is_to_the_nearest_and_none_without_a_quantum() -> None:
     )
 
 
-def test_readings_are_rounded_in_sampled_time_only() -> None:
-    continuous = {"time": "continuous", "duration": 0.1, "step": 1e-3}
-    with pytest.raises(InputError, match=r"sensor\.quantum: .* Set simulation\.time"):
-        resolve_scenario(
-            two_link(
-                sensor={"quantum": 0.01}, observer={"method": "certified"}, simulation=continuous
-            )
-        )
-
-
 def test_an_arm_whose_speed_is_measured() -> None:
     plant = {"arm": {"kind": "two_link", "measured": "velocity"}}
     run = simulate(

@@ -96,33 +96,6 @@ def test_the_deceleration_of_a_sum_is_the_largest_against_its_motion(step: float
     )
 
 
-@pytest.mark.parametrize(
-    ("sensor", "words"),
-    [
-        ({"kind": "deadzone", "load_friction": 0.1}, "only a play has a load"),
-        ({"load_inertia": 0.1}, "without friction"),
-        ({"load_friction": -0.1}, "sensor.load_friction"),
-        ({"load_friction": [0.0, 0.1]}, "a simulation needs one"),
-    ],
-)
-def test_a_load_that_cannot_be_is_refused(sensor: dict[str, Any], words: str) -> None:
-    with pytest.raises(InputError, match=words):
-        resolve_scenario(motor(sensor))
-
-
-@pytest.mark.parametrize(
-    ("friction", "observer", "words"),
-    [
-        ([0.2, 0.1], "kalman", "load_friction: expected a number or"),
-        ([0.0, 0.1], "adaptive_inverse", "cannot estimate it"),
-    ],
-)
-def test_an_invalid_friction_is_refused(friction: Any, observer: str, words: str) -> None:
-    options = {"method": observer} | ({"right": [0.0, 0.2]} if observer == "kalman" else {})
-    with pytest.raises(InputError, match=words):
-        resolve_scenario(motor({}, observer=options, model={"load_friction": friction}))
-
-
 # Friction
 
 

@@ -15,7 +15,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from scenes import PAPER_PLANT, scene, tables_of
-from undeadzone.errors import InputError, TrackingError
+from undeadzone.errors import InputError
 from undeadzone.observers import Certified, Luenberger
 from undeadzone.results.run import Run
 from undeadzone.scenario.problem import resolve_scenario
@@ -253,12 +253,6 @@ def test_chain_of_integrators_is_answered_with_the_centre() -> None:
     assert "the centre is not identifiable" in " ".join(verdict["reasons"])
     assert not run.info.certified
     assert run.V is None
-
-
-def test_a_reference_that_the_plant_cannot_follow_is_refused() -> None:
-    plant = {"transfer_function": {"numerator": [1.0, 0.0], "denominator": [1.0, 2.0, 1.0]}}
-    with pytest.raises(TrackingError, match="a zero of the plant at s = 0"):
-        simulate(scene(plant=plant, reference={"kind": "step", "amplitude": 1.0}))
 
 
 def test_two_observers_are_compared_on_one_scenario() -> None:
