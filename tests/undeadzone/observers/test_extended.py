@@ -289,8 +289,9 @@ def test_joints_that_do_not_touch_are_the_same_separate_as_coupled() -> None:
     readings = (
         (y + 1e-3 * rng.normal(size=2), rng.normal(size=2)) for y in sensor.deadzone(z, 0.08, 0.05)
     )
-    for states, both in follow_together(pair, model, where, readings):
-        agree(both[0], both[1])
+    for last in follow_together(pair, model, where, readings):
+        agree(*last[1])
+    states, both = last
     assert (both[0].width_std < 0.5 * PRIOR).all()
     assert [len(state.filter.cov) for state in states] == [10 * 11 // 2, 2 * 5 * 6 // 2]
 
