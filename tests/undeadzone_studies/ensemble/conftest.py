@@ -24,7 +24,6 @@ def whole(tmp_path: Path) -> bytes:
 @pytest.fixture(scope="module")
 def dask() -> Iterator[Any]:
     """A cluster of two workers."""
-    pytest.importorskip("distributed")
     with local_cluster(2) as found:
         yield found
 
