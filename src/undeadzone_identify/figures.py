@@ -119,7 +119,7 @@ def _time_label(found_log: Identified) -> str:
 
 
 def overview(found_log: Identified) -> Figure:
-    """Plot z^, y and what lies between them over time, the held-out parts shaded, with the sides
+    """Plot z^, y and the part between both over time, the held-out parts shaded, with the sides
     below.
     """
     part = _time_window(found_log, MOST if found_log.answer.element is None else MOST_AT_END)
@@ -154,7 +154,7 @@ def _plot_sides(axes: Axes, t: Floats, side: Floats | Integers, middle: str) -> 
 
 
 def signals(axes: Axes, found_log: Identified, part: slice, of: str = "") -> None:
-    """Plot z^, y and what lies between them over time, the held-out parts shaded.
+    """Plot z^, y and the part between both over time, the held-out parts shaded.
 
     Args:
         axes: where.
@@ -271,7 +271,7 @@ def _plot_hidden_output(found_log: Identified) -> Figure:
 
 
 def _plot_by_output(found_log: Identified) -> Figure:
-    """Plot readings by z^ with what is expected of them, and what is left, perhaps by u."""
+    """Plot readings by z^ with their expected values, and the rest, perhaps by u."""
     answer = found_log.answer
     grid = answer.case.grid
     element = answer.element

@@ -136,7 +136,7 @@ def refit_likelihood(fit: ZoneFit, use: Flags | None = None, steps: int = 60) ->
 
 
 def improve_fit(fit: ZoneFit, theta: Floats) -> ZoneFit:
-    """Return the better of a fit and of the one that starts from other parameters (P)."""
+    """Return the better of a fit and a fit that starts from other parameters (P)."""
     maximum = maximise_likelihood(fit.objective, theta, 60)
     return ZoneFit(fit.objective, *maximum) if maximum.value > fit.value else fit
 
