@@ -166,7 +166,7 @@ class ChainModel:
     """Model y = F(q) Dz(G(q) g(u; p)).
 
     theta = [a, b, x0, p, d_r, d_l, slope, rounding, f]. F is a lag of first order with the
-    gain 1 and the pole f, in whose place a mean of a few readings is fitted as well.
+    gain 1 and the pole f. It stands for a mean of a few readings, too.
 
     Args:
         simulator: linear plant of one input with its data.
