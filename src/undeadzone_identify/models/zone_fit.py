@@ -74,7 +74,10 @@ class ZoneFit(NamedTuple):
         """Return the BIC, -2 L + p ln N.
 
         Samples ahead of a zone are taken as independent: p is the trace of J H^-1, which counts
-        the parameters as the correlation of the scores does (Varin and Vidoni 2005).
+        the parameters as the correlation of the scores does.
+
+        References:
+            C. Varin, P. Vidoni (2005), doi:10.1093/biomet/92.3.519
         """
         numbers = float(self.objective.free.size)
         if self.objective.kind == "ahead" and math.isfinite(self.value):
