@@ -458,6 +458,18 @@ def sandwich_covariance(
     return EstimateCovariance(inverse @ J @ inverse, inverse, number, scores)
 
 
+def raise_eigenvalues(hessian: Floats) -> Floats:
+    """Return a Hessian (P x P) made symmetric and positive definite.
+
+    Its eigenvalues, in units of its diagonal, are raised to at least 1e-6 of the largest.
+    """
+    symmetric = 0.5 * (hessian + hessian.T)
+    scale = 1 / np.sqrt(np.abs(np.diag(symmetric)) + 1e-300)
+    values, vectors = np.linalg.eigh(require_finite_matrix(symmetric * np.outer(scale, scale)))
+    raised = np.maximum(values, 1e-6 * values.max())
+    return (vectors * raised) @ vectors.T / np.outer(scale, scale)
+
+
 def raise_to_outer_products(hessian: Floats, outer: Floats) -> Floats:
     """Return a Hessian raised to at least half of the scores' outer products.
 
