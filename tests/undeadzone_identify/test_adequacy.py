@@ -475,7 +475,8 @@ def test_limits_that_no_reading_reaches_are_not_reported() -> None:
     "parts",
     [
         *({"element": name} for name in INPUTS),
-        {"lags": True},
+        {"taps": 4},
+        {"zone": True, "taps": 4},
         {"zone": True, "lags": True},
         {"zone": True, "lags": True, "shaped": True},
     ],
