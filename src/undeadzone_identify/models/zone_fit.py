@@ -175,6 +175,31 @@ def nearest_numbers(fit: ZoneFit, simulator: PlantSimulator, a: Floats) -> Float
     return theta
 
 
+def polish_fit(fit: ZoneFit) -> ZoneFit:
+    """Return the fit after up to three Newton steps with the numerical Hessian."""
+    objective = fit.objective
+    theta = fit.theta
+    value = fit.value
+    if objective.kind == "behind":
+        return fit
+    for _ in range(3):
+        step = np.linalg.solve(
+            objective.negative_hessian(theta), objective.total_score(theta)[objective.free]
+        )
+        trial = theta.copy()
+        trial[objective.free] += step
+        trial = objective.project_to_bounds(trial)
+        reached = objective.total_log_likelihood(trial)
+        if not reached > value:
+            break
+        gain = reached - value
+        theta = trial
+        value = reached
+        if gain < 1e-6:
+            break
+    return ZoneFit(objective, theta, value)
+
+
 def fit_linear(simulator: PlantSimulator, use: Flags | None = None) -> ZoneFit:
     """Fit the output error without a zone, about a level: y = z - d_r."""
     level = (0.0, 0.0) if simulator.layout.integrators else (-math.inf, math.inf)
