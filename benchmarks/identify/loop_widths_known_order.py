@@ -29,8 +29,7 @@ def errors(log: LoopLog) -> list[tuple[float, float]]:
     grid = to_grid([log_from_arrays(log.step, log.u, log.y)])
     prepared = prepare_log(grid, Options(order=str(log.order)))
     data = prepared.data
-    kind = "singles" if data.silent_zeros else "behind"
-    fit = fit_zone(PlantSimulator(data, log.order), kind, prepared.limits)
+    fit = fit_zone(PlantSimulator(data, log.order), prepared.limits)
     truth = {"input": log.input / data.u_scale[0]}
     if log.sensor.any():
         truth["sensor"] = log.sensor / data.y_scale

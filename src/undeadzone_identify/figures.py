@@ -102,7 +102,7 @@ def _time_label(found_log: Identified) -> str:
 
 
 def overview(found_log: Identified) -> Figure:
-    """Plot z^, y and what lies between them over time, the held-out parts shaded."""
+    """Plot z^, y and the part between both over time, the held-out parts shaded."""
     part = _time_window(found_log, MOST if found_log.answer.element is None else MOST_AT_END)
     figure, panels = create_panels([["signals"]], "The log and its fit", height=3.6)
     signals(panels["signals"], found_log, part)
@@ -110,7 +110,7 @@ def overview(found_log: Identified) -> Figure:
 
 
 def signals(axes: Axes, found_log: Identified, part: slice, of: str = "") -> None:
-    """Plot z^, y and what lies between them over time, the held-out parts shaded.
+    """Plot z^, y and the part between both over time, the held-out parts shaded.
 
     Args:
         axes: where.
@@ -263,7 +263,7 @@ def _plot_hidden_output(found_log: Identified) -> Figure:
 
 
 def _plot_by_output(found_log: Identified) -> Figure:
-    """Plot readings by z^ with what is expected of them, and what is left, perhaps by u."""
+    """Plot readings by z^ with their expected values, and the rest, perhaps by u."""
     answer = found_log.answer
     grid = answer.case.grid
     element = answer.element

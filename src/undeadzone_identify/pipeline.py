@@ -47,6 +47,7 @@ from undeadzone_identify.models.likelihood import zone_offset
 from undeadzone_identify.models.plant import PlantSimulator, longest_record_of
 from undeadzone_identify.models.zone_fit import (
     ZoneFit,
+    polish_fit,
     refit_busiest_part,
     refit_longest_record,
 )
@@ -469,6 +470,7 @@ def _fit_zone_and_maps(grid: Grid, options: Options, advance: Callable[[int], No
     prepared, unreached = drop_unvisited_edges(prepare_log(grid, options))
     fitted = fit_with_delay(prepared, advance)
     chosen = orders.order_to_report(fitted.fits)
+    chosen = chosen._replace(fit=polish_fit(chosen.fit))
     no_zone = orders.compare_with_no_zone(chosen.fit)
     if no_zone.fit is not chosen.fit:
         chosen = chosen._replace(fit=no_zone.fit)

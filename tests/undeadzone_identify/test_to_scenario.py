@@ -17,13 +17,14 @@ import pytest
 import undeadzone as uz
 from commands import undeadzone
 from further import further
+from records import dead_zone
 from requirements import needs
 from undeadzone.errors import InputError
 from undeadzone.scenario.reader import parse
 from undeadzone.util.arrays import Floats
 from undeadzone_export import exporting
 from undeadzone_identify.command import _next_commands
-from undeadzone_identify.models.estimates import sandwich_covariance
+from undeadzone_identify.models.estimates import raise_eigenvalues
 from undeadzone_identify.models.plant import polynomial_roots, stabilise_poles
 from undeadzone_identify.results.to_scenario import _point_fields, scenario_text
 
@@ -73,7 +74,7 @@ def record(element: str, reading: str, integrates: bool, order: int = 2) -> tupl
 
 def zone(z: Floats) -> Floats:
     """What a dead zone leaves."""
-    return np.maximum(z - RIGHT, 0.0) + np.minimum(z + LEFT, 0.0)
+    return dead_zone(z, RIGHT, LEFT)
 
 
 def play(z: Floats) -> Floats:
@@ -194,7 +195,7 @@ def test_an_integrator_alone_is_given_the_pace_of_its_log() -> None:
 
 def test_what_is_not_finite_is_refused_before_its_eigenvalues() -> None:
     with pytest.raises(uz.InputError, match="lower --order"):
-        sandwich_covariance(np.ones((100, 2)), np.array([[1.0, np.nan], [np.nan, 1.0]]))
+        raise_eigenvalues(np.array([[1.0, np.nan], [np.nan, 1.0]]))
     wild = np.array([np.nan, 1.0])
     assert np.isinf(polynomial_roots(wild)).all()
     assert not stabilise_poles(wild).any()

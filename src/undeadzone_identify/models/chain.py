@@ -35,13 +35,13 @@ from undeadzone_identify.models.place import PlaceFit, PlaceStarts
 from undeadzone_identify.models.plant import PlantSimulator, RecordData
 from undeadzone_identify.models.zone_fit import ZoneFit, fit_linear
 
+TAPS = 4  # taps of a filter behind the zone, beside the first
 WIDEST = 6.0  # largest width of a zone [rms of z]
 VANISHING = 0.01  # width below which an element is negligible [rms of its signal]
 STRAIGHT = 0.05  # deviation from a line below which a curve is negligible [rms of the curve]
 FLATTEST = 0.1  # least ratio of the slopes of both sides
 SHARPEST = 1e-4  # least radius of a round edge [rms of z]
 ROUND = 0.02  # radius below which an edge is sharp [width of the zone]
-LAGGING = (0.3, 0.7)  # start values of the pole of a lag
 PLACES = 13  # edges of a scan for a zone of the input that is not about 0
 LATE = 0.05  # lag below which a filter is negligible [samples]
 SELDOM = 0.03  # of the samples, in which a drive of limited rate has reached its target
@@ -165,14 +165,15 @@ CURVES = ("power", "cubic", "exponential")
 class ChainModel:
     """Model y = F(q) Dz(G(q) g(u; p)).
 
-    theta = [a, b, x0, p, d_r, d_l, slope, rounding, f]. F is a lag of first order with the
-    gain 1 and the pole f, in whose place a mean of a few readings is fitted as well.
+    theta = [a, b, x0, p, d_r, d_l, slope, rounding, f_1 ...]. F has a gain of 1:
+    F = 1 - f_1 - ... + f_1 q^-1 + ...
 
     Args:
         simulator: linear plant of one input with its data.
         element: name of the input element, of `INPUTS`; None: none.
         zone: whether the sensor has a zone.
-        lags: whether there is a lag F.
+        taps: number of taps f.
+        lags: whether F is a first-order lag instead, with f_1 its pole.
         shaped: whether the left side of the zone has a slope of its own, and the edges are round.
     """
 
@@ -186,6 +187,7 @@ class ChainModel:
         simulator: PlantSimulator,
         element: str | None = None,
         zone: bool = False,
+        taps: int = 0,
         lags: bool = False,
         shaped: bool = False,
     ) -> None:
@@ -194,6 +196,7 @@ class ChainModel:
         self.zone = zone
         self.lags = lags
         self.shaped = shaped
+        self.taps = 1 if lags else taps
         self.name = element or ("filtered zone" if zone else "filtered")
         self.base = simulator.layout.right
         self.input = PLAIN if element is None else INPUTS[element]
@@ -201,19 +204,20 @@ class ChainModel:
         self.inputs = slice(self.base, self.base + len(low))
         self.edges = slice(self.inputs.stop, self.inputs.stop + 2 * zone)
         self.shape = slice(self.edges.stop, self.edges.stop + 2 * shaped)
-        self.filter = slice(self.shape.stop, self.shape.stop + lags)
+        self.filter = slice(self.shape.stop, self.shape.stop + self.taps)
         shape_low = (FLATTEST, SHARPEST) * shaped
         shape_high = (1 / FLATTEST, 1.0) * shaped
-        self.low = np.array([*low, *([0.0] * 2 * zone), *shape_low, *([-0.9] * lags)])
+        self.low = np.array([*low, *([0.0] * 2 * zone), *shape_low, *([-0.9] * self.taps)])
         self.high = np.array(
-            [*self.input.high, *([WIDEST] * 2 * zone), *shape_high, *([0.98] * lags)]
+            [*self.input.high, *([WIDEST] * 2 * zone), *shape_high, *([0.98] * self.taps)]
         )
         self.free: Integers = np.arange(self.filter.stop)
 
     def along(self, data: RecordData) -> ChainModel:
         """Return the same model for other records."""
         own = self.simulator.simulator_along(data)
-        return ChainModel(own, self.element, self.zone, self.lags, self.shaped)
+        taps = 0 if self.lags else self.taps
+        return ChainModel(own, self.element, self.zone, taps, self.lags, self.shaped)
 
     def levels(self, theta: Floats) -> Floats:
         """Return d_r and d_l of the sensor's zone, else both halves of the input's gap (2)."""
@@ -269,13 +273,19 @@ class ChainModel:
 
         The filter is linear: derivatives pass it as the signal itself does.
         """
-        if not self.lags:
+        if not self.taps:
             return columns
-        pole = float(theta[self.filter][0])
+        f = theta[self.filter]
         filtered = np.empty(columns.shape)
         for part in self.simulator.data.record_slices():
             x = columns[part]
-            filtered[part] = lfilter([1 - pole], [1.0, -pole], x, axis=0, zi=pole * x[:1])[0]
+            if self.lags:
+                pole = float(f[0])
+                filtered[part] = lfilter([1 - pole], [1.0, -pole], x, axis=0, zi=pole * x[:1])[0]
+            else:
+                padded = np.concatenate([np.repeat(x[:1], self.taps, axis=0), x])
+                taps = np.append(1 - f.sum(), f)
+                filtered[part] = lfilter(taps, [1.0], padded, axis=0)[self.taps :]
         return filtered
 
     def slopes(self, theta: Floats) -> tuple[Floats, Floats]:
@@ -344,7 +354,7 @@ class ChainModel:
         return float(2 * (right + slope * left) / (1 + slope))
 
     def is_at_bound(self, theta: Floats) -> bool:
-        """Return whether a parameter of the input's element is at the end of what it models.
+        """Return whether a parameter of the input's element is at the end of its range.
 
         A curve is at its bound. A drive that hardly ever reaches its target acts as a relay.
         """
@@ -367,8 +377,8 @@ class ChainModel:
 
     def lag(self, theta: Floats) -> float:
         """Return the mean delay of the filter behind the zone [samples]."""
-        (pole,) = theta[self.filter]
-        return float(pole / (1 - pole))
+        f = theta[self.filter]
+        return float(f[0] / (1 - f[0]) if self.lags else f @ np.arange(1, self.taps + 1))
 
     def _nonlinear_share(self, theta: Floats) -> float:
         """Return the rms of the input's curve about its best line, over that of the curve [1]."""
@@ -445,20 +455,21 @@ def fit_chains(
         scanned = _scan_orders(plants, element)
         fits.append(_best_order(plants, scanned, partial(ChainModel, element=name)))
     linear = [scan_input(plant, PLAIN) for plant in plants]
-    filtered_starts = [_with_lag(row) for row in linear]
-    fits.append(_best_order(plants, filtered_starts, partial(ChainModel, lags=True)))
+    taps = [[0.2, 0.2, 0.0, 0.0], [0.2] * TAPS]
+    filtered_starts = [_with_taps(row, taps) for row in linear]
+    fits.append(_best_order(plants, filtered_starts, partial(ChainModel, taps=TAPS)))
     zoned = starts.plant
     widths = starts.widths
     if "dead_zone" in places:
         zone = places["dead_zone"]
         zoned = zone.theta[: layout.right]
         widths = zone.model.part_numbers(zone.theta, "sensor")
-    zone_model = partial(ChainModel, starts.simulator, zone=True, lags=True)
-    behind = [(zone_model(), [[pole] for pole in LAGGING])]
+    zone_model = partial(ChainModel, starts.simulator, zone=True)
+    behind = [(zone_model(lags=True), [[0.3], [0.7]]), (zone_model(taps=TAPS), taps)]
     if not data.silent_zeros:  # noise ahead of a zone makes its edges round as well
         width = float(widths.sum())
         shapes = [[1.0, 0.02 * width, 0.02], [1.0, 0.1 * width, 0.4]]
-        behind.append((zone_model(shaped=True), shapes))
+        behind.append((zone_model(lags=True, shaped=True), shapes))
     for model, ends in behind:
         points = [np.concatenate([zoned, widths, end]) for end in ends]
         fits.append(LeastSquares(model).fit_from_starts(points))
@@ -480,10 +491,10 @@ class Chains(NamedTuple):
     shaped: ChainFit | None = None
 
 
-def _with_lag(starts: Sequence[ScannedStart]) -> list[ScannedStart]:
-    """Return each start point with each of several lags appended."""
-    pairs = itertools.product(starts, LAGGING)
-    return [ScannedStart(start.cost, np.append(start.theta, pole)) for start, pole in pairs]
+def _with_taps(starts: Sequence[ScannedStart], taps: Sequence[list[float]]) -> list[ScannedStart]:
+    """Return each start point with each of several filters appended."""
+    pairs = itertools.product(starts, taps)
+    return [ScannedStart(start.cost, np.append(start.theta, f)) for start, f in pairs]
 
 
 class ScannedStart(NamedTuple):

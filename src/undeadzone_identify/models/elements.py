@@ -97,7 +97,7 @@ class PlayModel:
         return theta
 
     def driven_plant(self, theta: Floats) -> PlantSimulator:
-        """Return the linear plant, which the input drives as it is."""
+        """Return the linear plant, without an element ahead."""
         return self.simulator
 
     def output(self, theta: Floats) -> Floats:
@@ -344,7 +344,7 @@ class MapModel:
         return theta
 
     def driven_plant(self, theta: Floats) -> PlantSimulator:
-        """Return the linear plant, which the input drives as it is."""
+        """Return the linear plant, without an element ahead."""
         return self.simulator
 
     def output(self, theta: Floats) -> Floats:

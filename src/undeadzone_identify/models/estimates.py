@@ -399,7 +399,7 @@ def _score_whitener(scores: Floats) -> Floats:
 
 
 def require_finite_matrix(matrix: Floats) -> Floats:
-    """Return a matrix if it is finite, so that it can be decomposed.
+    """Return a finite matrix, which can be decomposed; else raise.
 
     Raises:
         InputError: the matrix overflows, as that of a fit with hardly any information.
@@ -456,6 +456,18 @@ def sandwich_covariance(
     J, number = long_run_covariance(scores, count)
     inverse = np.linalg.pinv(require_finite_matrix(hessian), rcond=1e-13, hermitian=True)
     return EstimateCovariance(inverse @ J @ inverse, inverse, number, scores)
+
+
+def raise_eigenvalues(hessian: Floats) -> Floats:
+    """Return a Hessian (P x P) made symmetric and positive definite.
+
+    Its eigenvalues, in units of its diagonal, are raised to at least 1e-6 of the largest.
+    """
+    symmetric = 0.5 * (hessian + hessian.T)
+    scale = 1 / np.sqrt(np.abs(np.diag(symmetric)) + 1e-300)
+    values, vectors = np.linalg.eigh(require_finite_matrix(symmetric * np.outer(scale, scale)))
+    raised = np.maximum(values, 1e-6 * values.max())
+    return (vectors * raised) @ vectors.T / np.outer(scale, scale)
 
 
 def raise_to_outer_products(hessian: Floats, outer: Floats) -> Floats:

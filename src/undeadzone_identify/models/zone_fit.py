@@ -74,7 +74,10 @@ class ZoneFit(NamedTuple):
         """Return the BIC, -2 L + p ln N.
 
         Samples ahead of a zone are taken as independent: p is the trace of J H^-1, which counts
-        the parameters as the correlation of the scores does (Varin and Vidoni 2005).
+        the parameters as the correlation of the scores does.
+
+        References:
+            C. Varin, P. Vidoni (2005), doi:10.1093/biomet/92.3.519
         """
         numbers = float(self.objective.free.size)
         if self.objective.kind == "ahead" and math.isfinite(self.value):
@@ -136,7 +139,7 @@ def refit_likelihood(fit: ZoneFit, use: Flags | None = None, steps: int = 60) ->
 
 
 def improve_fit(fit: ZoneFit, theta: Floats) -> ZoneFit:
-    """Return the better of a fit and of the one that starts from other parameters (P)."""
+    """Return the better of a fit and a fit that starts from other parameters (P)."""
     maximum = maximise_likelihood(fit.objective, theta, 60)
     return ZoneFit(fit.objective, *maximum) if maximum.value > fit.value else fit
 
@@ -170,6 +173,31 @@ def nearest_numbers(fit: ZoneFit, simulator: PlantSimulator, a: Floats) -> Float
     error = float(np.mean((columns @ theta[linear] - fit.z) ** 2))
     theta[layout.right + 2] = 0.5 * math.log(fit.disturbance_rms**2 + error)
     return theta
+
+
+def polish_fit(fit: ZoneFit) -> ZoneFit:
+    """Return the fit after up to three Newton steps with the numerical Hessian."""
+    objective = fit.objective
+    theta = fit.theta
+    value = fit.value
+    if objective.kind == "behind":
+        return fit
+    for _ in range(3):
+        step = np.linalg.solve(
+            objective.negative_hessian(theta), objective.total_score(theta)[objective.free]
+        )
+        trial = theta.copy()
+        trial[objective.free] += step
+        trial = objective.project_to_bounds(trial)
+        reached = objective.total_log_likelihood(trial)
+        if not reached > value:
+            break
+        gain = reached - value
+        theta = trial
+        value = reached
+        if gain < 1e-6:
+            break
+    return ZoneFit(objective, theta, value)
 
 
 def fit_linear(simulator: PlantSimulator, use: Flags | None = None) -> ZoneFit:

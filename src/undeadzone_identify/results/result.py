@@ -207,7 +207,7 @@ class Identified(Spoken):
 
     @property
     def alternatives(self) -> dict[str, Any]:
-        """Return the nats per sample by which other models are behind the best."""
+        """Return the distance of each model from the best [nats per sample]."""
         return dict(self.numbers()["alternatives"])
 
     def states(self) -> States:
@@ -281,7 +281,7 @@ class Identified(Spoken):
     def predict(
         self, source: Any = None, *, t: Any = None, u: Any = None, y: Any = None
     ) -> Predicted:
-        """Predict each reading of a log from those before it, by the scenario's observer.
+        """Predict each reading of a log from earlier readings, by the scenario's observer.
 
         Args:
             source: the log, as `identify` takes it, with the period of the first one.

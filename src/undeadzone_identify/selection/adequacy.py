@@ -142,7 +142,7 @@ class Remainder(NamedTuple):
 
 
 def largest_remainder(remainders: Sequence[Remainder], word: str) -> Remainder | None:
-    """Return the largest dependence of a model's innovations, if it is real; else None.
+    """Return the largest dependence of a model's innovations, None if not significant.
 
     Args:
         remainders: of the model.

@@ -118,7 +118,7 @@ def _improve_orders(fits: list[OrderFit], train: Flags) -> list[OrderFit]:
 
 
 def _improve_order(one: OrderFit, theta: Floats, train: Flags) -> OrderFit:
-    """Return the fit of an order, or a better one from other start parameters."""
+    """Return the fit of an order, or a better fit from other start parameters."""
     fit = zone_fit.improve_fit(one.fit, theta)
     if fit.value < one.fit.value + GAINED:
         return one
