@@ -199,13 +199,13 @@ def time_rank(title: Title) -> int:
 
 
 def increases_evenly(values: Floats) -> bool:
-    """Return whether values increase all along by about equal steps, as times and indices do.
+    """Return whether values increase from 0 or later by about equal steps, as times and indices do.
 
     Args:
         values: of a column (N).
     """
     between = np.diff(values)
-    is_rising = between.size > 1 and np.mean(between > 0) > 0.98
+    is_rising = between.size > 1 and values[0] >= 0 and np.mean(between > 0) > 0.98
     return bool(
         is_rising and np.quantile(between, 0.9, method="higher") <= 1.5 * np.median(between)
     )
