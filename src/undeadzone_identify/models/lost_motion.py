@@ -435,10 +435,10 @@ def reversal_blocks(u: Floats, gap: float) -> Integers:
     """
     least = max(gap, 0.02 * float(np.ptp(u)))
     output = levels(u[:, None], np.array([least / 2]), np.array([least / 2]), u[:1])[:, 0]
-    direction = np.sign(np.diff(output, prepend=output[0]))
-    moving = np.flatnonzero(direction)
+    moves = np.diff(output, prepend=output[0])
+    moving = np.flatnonzero(moves)
     reverses = np.zeros(u.size, int)
-    reverses[moving[1:]] = direction[moving[1:]] != direction[moving[:-1]]
+    reverses[moving[1:]] = np.diff(np.sign(moves[moving])) != 0
     return np.cumsum(reverses)
 
 

@@ -185,7 +185,7 @@ class Servo(NamedTuple):
 
     structure: ServoStructure
     theta: Floats
-    value: float
+    value: float = -math.inf
 
     def replace_number(self, place: int, value: float) -> Servo:
         """Return a servo with a single parameter replaced."""
