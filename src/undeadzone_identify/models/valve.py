@@ -356,7 +356,7 @@ class ValveFit(NamedTuple):
         Args:
             u: output of the controller (N) [its range].
         """
-        pair = np.array([[self.stick], [self.jump]])
+        pair = np.array([self.stick]), np.array([self.jump])
         return valve_positions(u, *pair, self.account)[:, 0]
 
 
@@ -514,7 +514,7 @@ class LoopLog:
             ("stiction", HE, sticks),
         ):
             pair = self._refine_grid(structure, account, pairs, rounds)
-            v = valve_positions(self.u, *np.array(pair)[:, None], account)[:, 0]
+            v = ValveFit(word, account, *pair, densities["none"]).position(self.u)
             e = regression.prediction_errors(v, lags)
             density = _density(word, e, numbers + BREAKS + 1 + (word == "stiction"))
             fits.append(ValveFit(word, account, *pair, density))
