@@ -11,6 +11,7 @@ them. The rival is a linear plant between both positions, as a flexible shaft or
 from __future__ import annotations
 
 import math
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -74,10 +75,10 @@ def fit_free_load(data: Positions) -> FreeLoad | None:
     def cost(at: Floats) -> float:
         return -float(_log_density(y - at[1] * gain * u - at[2] * spread, at, spread).sum())
 
-    starts = [np.array([share, 1.0, 0.0, math.log(noise / spread), 0.0]) for share in STARTS]
+    begun = [[share, 1.0, 0.0, math.log(noise / spread), 0.0] for share in STARTS]
     options = {"maxiter": 1200, "xatol": 1e-5, "fatol": 1e-3}
-    minima = [minimize(cost, start, method="Nelder-Mead", options=options) for start in starts]
-    at = min(minima, key=lambda minimum: float(minimum.fun)).x
+    minima = [minimize(cost, start, method="Nelder-Mead", options=options) for start in begun]
+    at = min(minima, key=attrgetter("fun")).x
     width = abs(float(at[0])) * spread
     gain = float(at[1]) * gain
     level = float(at[2]) * spread

@@ -36,7 +36,7 @@ from undeadzone_identify.models.least_squares import (
 SCANNED = 48  # gaps of a scan
 WIDEST = 0.9  # largest gap [range of u]
 LATEST = 6.0  # largest delay of y [samples]
-DELAYS = 13  # delays of a scan
+DELAYS = (13, 4)  # delays of a scan, without lags and with them
 FEWEST_LATE = 200  # least number of samples for which a delay is fitted
 STARTS = (-1.0, 0.0, 1.0)  # positions in the gap at which a record may begin [half widths]
 KEPT = 3  # best points of a scan, from which least squares start
@@ -299,7 +299,7 @@ class MotionFit:
     def _scan_lags(self) -> list[tuple[float, float]]:
         """Return the delays and time constants of the scan [s]."""
         late, lags = self.structure.late, self.structure.lags
-        delays = np.linspace(0.0, LATEST, DELAYS)[:: 4 if lags else 1] if late else [0.0]
+        delays = np.linspace(0.0, LATEST, DELAYS[lags > 0]) if late else [0.0]
         constants = np.geomspace(FASTEST, SLOWEST, RATES) if lags else [0.0]
         return list(
             itertools.product(self.step * np.array(delays), self.step * np.array(constants))
@@ -308,13 +308,14 @@ class MotionFit:
     def result(self, at: Floats) -> LostMotion:
         """Return the fit with a gap [u], and delay and time constant [s] (3)."""
         residual, behind, start = self._best_start(at)
+        gap, delay, lag = at.tolist()
         gain, level = np.polyfit(behind, self.data.y, 1)
         structure = self.structure
         scale = HATS if structure.bent else 2
         # Scale, gap, variance, and perhaps delay and time constant.
         numbers = scale + 2 + structure.late + (structure.lags > 0)
         return LostMotion(
-            structure, *at.tolist(), start, float(gain), float(level), residual, numbers
+            structure, gap, delay, lag, start, float(gain), float(level), residual, numbers
         )
 
     # --- Uncertainty of the gap
@@ -435,10 +436,10 @@ def reversal_blocks(u: Floats, gap: float) -> Integers:
     """
     least = max(gap, 0.02 * float(np.ptp(u)))
     output = levels(u[:, None], np.array([least / 2]), np.array([least / 2]), u[:1])[:, 0]
-    direction = np.sign(np.diff(output, prepend=output[0]))
-    moving = np.flatnonzero(direction)
+    moves = np.diff(output, prepend=output[0])
+    moving = np.flatnonzero(moves)
     reverses = np.zeros(u.size, int)
-    reverses[moving[1:]] = direction[moving[1:]] != direction[moving[:-1]]
+    reverses[moving[1:]] = np.diff(np.sign(moves[moving])) != 0
     return np.cumsum(reverses)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from undeadzone.util.arrays import Flags, Floats, Integers, rows_since_start
 
@@ -32,14 +33,11 @@ def white_noise_rms(y: Floats, ok: Flags, start: Integers) -> float:
     absolute values of a Gaussian is 0.6745 standard deviations.
     """
     known = ok & (y != 0)  # readings inside a zone have no noise
-    difference = y
-    for _ in range(3):
-        difference = np.append(0.0, np.diff(difference))
-        known = known & np.append(False, known[:-1])
-    known = known & (rows_since_start(start, y.size) >= 3)
+    known = sliding_window_view(known, 4).all(axis=1)
+    known &= rows_since_start(start, y.size)[3:] >= 3
     if not known.any():
         return 0.0
-    return float(np.median(np.abs(difference[known])) / 0.6745 / np.sqrt(20))
+    return float(np.median(np.abs(np.diff(y, 3)[known])) / 0.6745 / np.sqrt(20))
 
 
 def reading_changes(y: Floats, ok: Flags, start: Integers) -> tuple[Floats, Flags]:

@@ -133,11 +133,9 @@ def needs_motion_test(log: Log) -> bool:
 
 def _follows(log: Log) -> bool:
     """Return whether the output of a log is nearly a straight line of its input, at once."""
-    u, y = log.u[:, 0], log.y[:, 0]
-    there = np.isfinite(u) & np.isfinite(y)
-    if min(np.std(u[there]), np.std(y[there])) == 0:
-        return False
-    return float(np.corrcoef(u[there], y[there])[0, 1]) ** 2 > SHARE
+    rows = np.column_stack([log.u[:, 0], log.y[:, 0]])
+    there = rows[np.isfinite(rows).all(axis=1)]
+    return bool(np.ptp(there, axis=0).all() and np.corrcoef(there.T)[0, 1] ** 2 > SHARE)
 
 
 def find_lost_motion(log: Log, options: Options) -> tuple[LostMotionAnswer | None, bool]:
@@ -167,9 +165,9 @@ def find_lost_motion(log: Log, options: Options) -> tuple[LostMotionAnswer | Non
     white = _is_noise(data, found)
     others = [found]
     if not white and late and (alike or is_goal):
-        fits = [found, *(MotionFit(data, structure).fit() for structure in LAGGING)]
-        found = min(fits, key=LostMotion.bic)
-        others = [one for one in fits if one.rms < LIKE_BEST * found.rms]
+        tried = [found, *(MotionFit(data, structure).fit() for structure in LAGGING)]
+        found = min(tried, key=LostMotion.bic)
+        others = [one for one in tried if one.rms < LIKE_BEST * found.rms]
         flat = min(best_structure(data, [found.structure], no_gap), flat, key=LostMotion.bic)
     positions = alike or is_goal or is_summed
     if not positions:  # what no name calls two positions may be any plant

@@ -528,9 +528,7 @@ def build_servo_element(case: Case, servo: ServoGap) -> Element:
         side=side,
         widths=_servo_widths(case, servo, centre),
         ahead=None,
-        noise=0.0
-        if servo.log.ticks
-        else reading_noise_rms(servo.log) * servo.log.y_scale / data.y_scale,
+        noise=(not servo.log.ticks) * reading_noise_rms(servo.log) * of_log,
         degrees=max(servo.reversals - 1, 2),
         rms=root_mean_square(left),
         remarks=[f"z of an integrating plant has no zero of its own: {EVEN}"] if free else [],
@@ -568,8 +566,6 @@ def to_sampled_plant(servo: ServoGap, theta: Floats, scale: float) -> Floats:
     F, b = A[0][np.ix_(places, places)], B[0, places, 0]
     numerator, whole = ss2tf(F, b[:, None], np.eye(1, b.size), np.zeros((1, 1)))
     if servo.is_integrating:
-        poles = np.roots(whole)
-        nearest = int(np.argmin(np.abs(poles - 1)))
-        whole = np.real(np.poly(np.delete(poles, nearest)))
+        whole = np.polydiv(whole, [1.0, -1.0])[0]
     in_units = log.y_scale / log.u_scale * scale
-    return np.concatenate([np.atleast_1d(whole)[1:], numerator[0, 1:] * in_units])
+    return np.append(whole[1:], numerator[0, 1:] * in_units)

@@ -67,6 +67,8 @@ class GapCrossings(NamedTuple):
     @property
     def gap_scatter(self) -> float:
         """Return the standard deviation of the gaps by their median deviation [y]."""
+        if not self.gap.size:
+            return math.nan
         return float(median_abs_deviation(self.gap, scale="normal"))
 
     @property

@@ -151,7 +151,6 @@ FAR = 8.0  # deviations beyond which one error is
 INPUT_SHARE = 0.04  # share of the errors of noisy readings that past inputs may explain
 SLOW_SHARE = 0.05  # of the rms of white torques, from which others are claimed
 SHORT = 1 / 12  # of the time between reversals: correlation time of friction, as a filter's torque
-LAGS = 8  # of these inputs
 CORRELATED = 0.01  # sum of the squared correlations of these errors, which is noticed
 FOLLOWING = 20  # errors that may follow an error
 CHANCE = 1e-4  # p below which they do
@@ -483,7 +482,7 @@ def collect_odd_errors(log: Observations, slopes: ErrorSlopes) -> list[str]:
     if squares > CORRELATED and chi2.sf(r.size * squares, FOLLOWING) < CHANCE:
         reasons.append("errors follow from errors before them: no model of a motor explains them")
     used = np.flatnonzero(log.error_samples(False))
-    past = np.column_stack([shift_rows(log.u, 1 + j, log.start)[used] for j in range(LAGS)])
+    past = log.kernel_inputs(log.ok)[used, 1 : LATEST + 1]
     left = regression_residual(past - past.mean(axis=0), r)
     if 1 - float(left @ left) / max(float(r @ r), 1e-300) > INPUT_SHARE:
         reasons.append("past inputs explain errors: no model of a motor explains them")

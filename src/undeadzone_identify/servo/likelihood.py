@@ -106,7 +106,8 @@ def build_lane_numbers(theta: Floats, log: Observations, free: bool, lag: bool |
     step = log.step
     A, B, Q = discretise_servo(theta, step, lag)
     rows = np.zeros((len(theta), len(NUMBERS) + LATEST + 1))
-    for place, (kind, row, column) in enumerate(PLANT):
+    for place, name in enumerate(PLANT):
+        kind, row, column = list(name)
         rows[:, place] = {"a": A, "b": B, "q": Q}[kind][:, int(row), int(column)]
     quantum = max(log.quantum, FINEST)
     speed = theta[:, At.GAIN] ** 2 / np.exp(2 * theta[:, At.DAMPING])
@@ -185,7 +186,7 @@ class Servo(NamedTuple):
 
     structure: ServoStructure
     theta: Floats
-    value: float
+    value: float = -math.inf
 
     def replace_number(self, place: int, value: float) -> Servo:
         """Return a servo with a single parameter replaced."""

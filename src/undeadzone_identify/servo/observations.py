@@ -9,6 +9,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from undeadzone.nonlinearities.play import levels
 from undeadzone.util.arrays import Flags, Floats, Integers, shift_rows
@@ -38,18 +39,13 @@ def tick_loop_p_value(u: Floats, y: Floats) -> float:
     """
     du = np.diff(u)
     dy = np.diff(y)
-    rows = np.arange(LAGS, du.size)
-    if rows.size < 10 * LAGS or np.mean(du == 0) > STILL:
+    if du.size < 11 * LAGS or np.mean(du == 0) > STILL:
         return 1.0
-    now = np.column_stack([dy[rows - lag] for lag in range(OWN)])
-    past = [du[rows - lag] for lag in range(1, LAGS + 1)]
-    past += [dy[rows - lag] for lag in range(OWN, LAGS)]
-    known = np.column_stack([np.ones(rows.size), *past])
-    target = du[rows]
-    inliers = _inlier_rows(known, target)
-    known = known[inliers]
-    now = now[inliers]
-    target = target[inliers]
+    acted = sliding_window_view(du, LAGS + 1)
+    read = sliding_window_view(dy, LAGS + 1)[:, 1:]
+    known = np.column_stack([np.ones(len(acted)), acted[:, :-1], read[:, :-OWN]])
+    inliers = _inlier_rows(known, acted[:, -1])
+    known, now, target = known[inliers], read[inliers, -OWN:], acted[inliers, -1]
     before = regression_residual(known, target)
     if np.std(before) < LEAST * np.std(target):
         return 1.0

@@ -338,16 +338,11 @@ def dead_zone_moments(mean: Any, variance: Any, half: Any) -> tuple[Any, Any, An
         The mean, the slope, and what of the variance the slope does not explain.
     """
     s = ca.sqrt(variance)
-    a = (mean - half) / s
-    b = (-half - mean) / s
-    (mass_a, hazard_a) = normal_cdf_and_hazard(a)
-    (mass_b, hazard_b) = normal_cdf_and_hazard(b)
-    at_a = mass_a * hazard_a
-    at_b = mass_b * hazard_b
-    above = s * (a * mass_a + at_a)
-    below = s * (b * mass_b + at_b)
-    squares = variance * ((a * a + 1) * mass_a + a * at_a + (b * b + 1) * mass_b + b * at_b)
-    passed = above - below
-    slope = mass_a + mass_b
+    beyond = ca.vertcat(mean - half, -mean - half) / s  # either edge
+    mass, hazard = normal_cdf_and_hazard(beyond)
+    density = mass * hazard
+    above, below = ca.vertsplit(s * (beyond * mass + density))
+    squares = variance * ca.sum1((beyond**2 + 1) * mass + beyond * density)
+    passed, slope = above - below, ca.sum1(mass)
     rest = ca.fmax(squares - passed**2 - slope**2 * variance, 0.0)
     return passed, slope, rest

@@ -153,7 +153,7 @@ def _initial_servo(
     gain = float(np.linalg.lstsq(moved, np.diff(log.y[::wide]), rcond=None)[0][0])
     theta[At.GAIN] = gain if abs(gain) > 1e-9 else 1.0
     theta[At.FRICTION] = friction
-    return Servo(structure, theta, -math.inf)
+    return Servo(structure, theta)
 
 
 def _frictionless_output(log: Observations, theta: Floats, lag: bool) -> Floats:
@@ -223,7 +223,7 @@ def neighbour_servos(one: Servo, step: float) -> list[Servo]:
                 more[At.DELAY] = max(more[At.DELAY] - math.exp(-value) / step, 0.0)
             numbers.append(more)
         every = [structure.disable_absent_parts(theta) for theta in numbers]
-        found += [Servo(structure, theta, -math.inf) for theta in every]
+        found += [Servo(structure, theta) for theta in every]
     return found
 
 
@@ -247,7 +247,7 @@ def exchange_gap_and_friction(one: Servo) -> list[Servo]:
         moved = share * gap if share > 0 else share * friction / to_level
         theta[At.FRICTION] += to_level * moved
         theta[At.GAP] -= moved
-        found.append(Servo(RUBBING, theta, -math.inf))
+        found.append(Servo(RUBBING, theta))
     return found
 
 
