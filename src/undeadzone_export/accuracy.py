@@ -167,7 +167,7 @@ def _compare_precisions(single: CompiledStep, code: Code, rows: Floats) -> Accur
         if eigenvalue < bar:
             refusals.append(
                 f"float is not enough: a correlation matrix has an eigenvalue of {eigenvalue:.2g} "
-                f"in {real}, below {bar:g}; use --precision double"
+                f"in {real}, below {bar:g}"
             )
     in_double, in_float = to_json_value(least.tolist())
     differ = int((gap[:, places["side"]] != 0).any(axis=1).sum())
@@ -211,8 +211,7 @@ def _width_refusals(places: dict[str, slice], gap: Floats, size: Floats) -> list
         worst = float(error.max())
         if not worst <= bar:
             texts.append(
-                f"float is not enough: {name} is wrong by {worst:.2g}{of}, above {bar:.2g}; "
-                "use --precision double"
+                f"float is not enough: {name} is wrong by {worst:.2g}{of}, above {bar:.2g}"
             )
     return texts
 

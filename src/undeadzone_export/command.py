@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import tempfile
 from functools import partial
 from pathlib import Path
@@ -51,6 +52,12 @@ if TYPE_CHECKING:
     multiple=True,
 )
 @value_option("--name", "NAME", "Prefix of every symbol.")
+@value_option(
+    "--method",
+    "NAME",
+    "Another observer for this export, such as kalman or certified. Keys of [observer] that it "
+    "does not have are dropped. 'contact starts=1' sets a key as well.",
+)
 @flag_option(
     "--check",
     "Build the self-test with this computer's compiler, run it, print the accuracy table.",
@@ -66,6 +73,7 @@ def export(
     part: str,
     tunable: tuple[str, ...],
     name: str | None,
+    method: str | None,
     check: bool,
     force: bool,
     as_json: bool,
@@ -83,11 +91,12 @@ def export(
     or a gap. It takes identify.json as well, and its default folder is snippet.
 
     Files of an earlier export in the folder are replaced, other files stay. An edited file, or a
-    folder without an export, is refused without --force. Exit code 1: the self-test or the accuracy
-    fails, but the files are written.
+    folder without an export, is refused without --force. Without --precision the code is in double
+    where float is not accurate enough. Exit code 1: the self-test or the accuracy fails, and
+    nothing is written.
     """
     if to == "snippet":
-        if check or tunable or precision or part != "observer":
+        if check or tunable or precision or method or part != "observer":
             raise click.UsageError("--to snippet takes --out, --name, --force and --json only")
         return _export_snippet(scenario, out or Path("snippet"), name, force, as_json, confine)
     from undeadzone.scenario.reader import read
@@ -102,13 +111,21 @@ def export(
         folder = Path(scratch) / "firmware" if destination is None else destination
         with progress("exporting", None, of=problem.observer):
             options = (precision, part, tunable, name, check, force)
-            result = run(problem, to, folder, *options, notify=partial(print_line, err=True))
+            result = run(problem, to, folder, *options, partial(print_line, err=True), method)
     files = [] if destination is None else [str(path) for path in result.files]
     if as_json:
         print_json(result.report | {"written": files})
     else:
         words = _page_lines if to == "page" else _report_lines
-        blocks: list[Block] = [words(result.report, files)]
+        pairs = words(result.report, files)
+        if result.report["dropped"]:
+            pairs["dropped"] = [
+                f"{key}, which {method} has not" for key in result.report["dropped"]
+            ]
+        if result.report.get("leaner"):
+            given = {"--to": to, "--out": out, "--precision": precision, "--part": part}
+            pairs["leaner"] = _leaner_lines(scenario, given, result.report["leaner"])
+        blocks: list[Block] = [pairs]
         if "boards" in result.report:
             blocks.append(board_table([BoardFit(**row) for row in result.report["boards"]]))
         if check and result.report["accuracy"] is not None:
@@ -149,10 +166,10 @@ def _report_lines(report: dict[str, Any], files: list[str]) -> dict[str, Any]:
         )
     if "self_test" in report:
         pairs["self-test"] = report["self_test"]
+    if report["float_refusals"]:
+        pairs["double"] = report["float_refusals"][0]
     if report["refusals"]:
-        pairs["REFUSED"] = report["refusals"]
-    if report.get("leaner"):
-        pairs["leaner"] = [_leaner_text(*each) for each in report["leaner"].items()]
+        return pairs | {"REFUSED": report["refusals"], "written": "nothing"}
     pairs["written"] = files or "nothing; --out DIR keeps the files"
     if any(name.endswith("Makefile") for name in files):
         build = shell_command("make", "-C", Path(files[0]).parent)
@@ -165,11 +182,21 @@ def _operations_text(report: dict[str, Any]) -> str:
     return ", ".join(f"{count} {word}" for word, count in report["operations"].items())
 
 
-def _leaner_text(name: str, boards: list[str]) -> str:
-    """Return a sentence on an observer of lower cost and the boards that it fits."""
-    from undeadzone_export.exporting import leaner_setting
+def _leaner_lines(scenario: Path, given: dict[str, Any], leaner: dict[str, list[str]]) -> list[str]:
+    """Return the command that exports each observer of lower cost, with the boards that it fits.
 
-    return f"{leaner_setting(name)} fits {', '.join(boards) or 'none of these boards'}"
+    Args:
+        scenario: its path.
+        given: options of this export by name. Those at their defaults are left out.
+        leaner: boards by observer, as in a report.
+    """
+    changed = [pair for pair in given.items() if pair[1] not in (None, "c", "observer")]
+    words = [*itertools.chain(*changed)]
+    lines = []
+    for method, boards in leaner.items():
+        command = shell_command("undeadzone", "export", scenario, *words, "--method", method)
+        lines.append(f"{command}  # fits {', '.join(boards)}")
+    return lines
 
 
 def _page_lines(report: dict[str, Any], files: list[str]) -> dict[str, Any]:

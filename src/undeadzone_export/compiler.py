@@ -107,6 +107,25 @@ def _run_compiler(line: list[str], folder: Path) -> subprocess.CompletedProcess[
     return subprocess.CompletedProcess(line, process.returncode, out, errors)
 
 
+def object_bytes(words: tuple[str, ...], files: dict[str, str]) -> int | None:
+    """Return the flash of compiled C, code with constants [bytes]. None without that compiler.
+
+    Args:
+        words: a compiler for another processor, with its options.
+        files: the C by name.
+    """
+    if not words or shutil.which(words[0]) is None:
+        return None
+    with tempfile.TemporaryDirectory() as name:
+        sources = [path.name for path in write_sources(files, Path(name))]
+        build = [*words, *FLAGS, "-Os", "-ffunction-sections", "-c", "-o", "flash.o", *sources]
+        size = [words[0].removesuffix("gcc") + "size", "flash.o"]
+        if _run_compiler(build, Path(name)).returncode:
+            return None
+        text, data = _run_compiler(size, Path(name)).stdout.split("\n")[1].split()[:2]
+    return int(text) + int(data)
+
+
 def stack_bytes(folder: Path, prefix: str) -> int | None:
     """Return the stack of a step as the compiler reports it [bytes], or None.
 
