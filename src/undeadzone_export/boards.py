@@ -8,8 +8,10 @@ estimated from the operations. The shares an operation were measured with gcc 12
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
+
+from undeadzone_export.compiler import object_bytes
 
 SPARED: Final = 0.75  # share of a board that an observer may take
 STACK: Final = 0.3  # bytes of stack an operation that is written down, in single precision
@@ -28,7 +30,7 @@ class Board(NamedTuple):
         code: bytes an operation that is written down.
         cycles: of an operation in single and in double precision.
         has_double: whether its C computes in double at all.
-        compiler: command of its compiler, with the options of the processor (empty: not used).
+        compiler: command of its compiler, with the options of the processor.
     """
 
     name: str
@@ -38,23 +40,17 @@ class Board(NamedTuple):
     code: float
     cycles: tuple[float, float]
     has_double: bool = True
-    compiler: tuple[str, ...] = ()
+    compiler: str = "unknown"
 
 
-AVR: Final = ("avr-gcc", "-mmcu=atmega328p")
-ARM: Final = ("arm-none-eabi-gcc", "-mthumb")
-M4F: Final = ("-mcpu=cortex-m4", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16")
+AVR: Final = "avr-gcc -mmcu=atmega328p"
+M0: Final = "arm-none-eabi-gcc -mthumb -mcpu=cortex-m0plus"
+M4F: Final = "arm-none-eabi-gcc -mthumb -mcpu=cortex-m4 -mfloat-abi=hard -mfpu=fpv4-sp-d16"
 BOARDS: Final = (
     Board("Arduino Uno", 32_256, 2_048, 16e6, 32.0, (150.0, 150.0), False, AVR),
     Board("Nano Every", 48_640, 6_144, 16e6, 32.0, (150.0, 150.0), False, AVR),
-    Board(
-        *("Cortex-M0+ (SAMD21)", 262_144, 32_768, 48e6, 12.0, (90.0, 180.0), True),
-        (*ARM, "-mcpu=cortex-m0plus"),
-    ),
-    Board(
-        *("Cortex-M4F (STM32F4)", 524_288, 131_072, 168e6, 10.0, (4.0, 120.0), True),
-        (*ARM, *M4F),
-    ),
+    Board("Cortex-M0+ (SAMD21)", 262_144, 32_768, 48e6, 12.0, (90.0, 180.0), True, M0),
+    Board("Cortex-M4F (STM32F4)", 524_288, 131_072, 168e6, 10.0, (4.0, 120.0), True, M4F),
     Board("ESP32", 1_310_720, 327_680, 240e6, 12.0, (5.0, 100.0)),
 )
 
@@ -80,20 +76,18 @@ class BoardFit(NamedTuple):
     why: str
 
 
-def fit_boards(
-    report: Mapping[str, Any], measure: Callable[[tuple[str, ...]], int | None]
-) -> list[BoardFit]:
+def fit_boards(report: Mapping[str, Any], files: tuple[tuple[str, str], ...]) -> list[BoardFit]:
     """Return the cost of an export on usual boards.
 
     Args:
         report: of the export: sizes, operations, code_operations, precision, step.
-        measure: flash of the object that a compiler makes [bytes] (None: it is not there).
+        files: name and text of each file of its C.
     """
-    return [_fit_board(board, report, measure) for board in BOARDS]
+    return [_fit_board(board, report, files) for board in BOARDS]
 
 
 def _fit_board(
-    board: Board, report: Mapping[str, Any], measure: Callable[[tuple[str, ...]], int | None]
+    board: Board, report: Mapping[str, Any], files: tuple[tuple[str, str], ...]
 ) -> BoardFit:
     """Return the cost of an export on one board."""
     is_double = report["precision"] == "double"
@@ -101,8 +95,9 @@ def _fit_board(
     count = sum(report["operations"].values())
     code = report["code_operations"]
     estimate = round(wider * board.code * code)
-    measured = measure(board.compiler) if estimate < HOPELESS * board.flash else None
-    flash = estimate if measured is None else measured
+    is_near = estimate < HOPELESS * board.flash
+    measured = object_bytes(board.compiler, files) if is_near else None
+    flash = measured or estimate
     ram = round(sum(report["sizes"].values()) + wider * STACK * code)
     time = count * board.cycles[is_double] / board.clock
     why = []

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
+import shlex
+import sys
 import tempfile
 from functools import partial
 from pathlib import Path
@@ -120,11 +121,8 @@ def export(
         pairs = words(result.report, files)
         if result.report["dropped"]:
             pairs["dropped"] = [
-                f"{key}, which {method} has not" for key in result.report["dropped"]
+                f"{key}: {method} has no key of this meaning" for key in result.report["dropped"]
             ]
-        if result.report.get("leaner"):
-            given = {"--to": to, "--out": out, "--precision": precision, "--part": part}
-            pairs["leaner"] = _leaner_lines(scenario, given, result.report["leaner"])
         blocks: list[Block] = [pairs]
         if "boards" in result.report:
             blocks.append(board_table([BoardFit(**row) for row in result.report["boards"]]))
@@ -170,6 +168,10 @@ def _report_lines(report: dict[str, Any], files: list[str]) -> dict[str, Any]:
         pairs["double"] = report["float_refusals"][0]
     if report["refusals"]:
         return pairs | {"REFUSED": report["refusals"], "written": "nothing"}
+    again = shell_command("undeadzone", *sys.argv[1:])
+    for method, boards in report.get("leaner", {}).items():
+        line = f"{again} --method {shlex.quote(method)}  # fits {', '.join(boards)}"
+        pairs.setdefault("leaner", []).append(line)
     pairs["written"] = files or "nothing; --out DIR keeps the files"
     if any(name.endswith("Makefile") for name in files):
         build = shell_command("make", "-C", Path(files[0]).parent)
@@ -180,23 +182,6 @@ def _report_lines(report: dict[str, Any], files: list[str]) -> dict[str, Any]:
 def _operations_text(report: dict[str, Any]) -> str:
     """Return the operations of a step in words."""
     return ", ".join(f"{count} {word}" for word, count in report["operations"].items())
-
-
-def _leaner_lines(scenario: Path, given: dict[str, Any], leaner: dict[str, list[str]]) -> list[str]:
-    """Return the command that exports each observer of lower cost, with the boards that it fits.
-
-    Args:
-        scenario: its path.
-        given: options of this export by name. Those at their defaults are left out.
-        leaner: boards by observer, as in a report.
-    """
-    changed = [pair for pair in given.items() if pair[1] not in (None, "c", "observer")]
-    words = [*itertools.chain(*changed)]
-    lines = []
-    for method, boards in leaner.items():
-        command = shell_command("undeadzone", "export", scenario, *words, "--method", method)
-        lines.append(f"{command}  # fits {', '.join(boards)}")
-    return lines
 
 
 def _page_lines(report: dict[str, Any], files: list[str]) -> dict[str, Any]:

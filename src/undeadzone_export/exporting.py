@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import functools
 import itertools
 import re
 import time
 import tomllib
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -29,7 +27,7 @@ from undeadzone.util.arrays import Floats
 from undeadzone.util.text import count_noun
 from undeadzone.util.toml import to_tables
 from undeadzone_export import accuracy, compiler, exported_step, targets
-from undeadzone_export.boards import fit_boards
+from undeadzone_export.boards import BoardFit, fit_boards
 from undeadzone_export.code import Code, build_code
 from undeadzone_export.exported_step import ExportedStep, Field, to_identifier, total_size
 from undeadzone_export.fmu.package import require_buildable
@@ -168,9 +166,10 @@ def export(
     draft = _draft_code(scenario, labels, precisions, tunable, notify)
     report = draft.report | {"dropped": dropped}
     if to in FIRMWARE and not report["refusals"]:
-        report["boards"] = _boards_of(draft)
-        if not all(board["fits"] for board in report["boards"]):
-            report["leaner"] = _fit_leaner(scenario, labels, precisions, report["boards"])
+        found = _boards_of(draft)
+        report["boards"] = [fit._asdict() for fit in found]
+        if not all(fit.fits for fit in found):
+            report["leaner"] = _fit_leaner(scenario, labels, precisions, found)
     samples = choose_samples(draft.rows[: draft.problem.steps + 1], draft.step.readings)
     vectors = reference_vectors(draft.printed, samples)
     material = Material(draft.printed, labels, draft.text, vectors, scenario.units, report)
@@ -253,7 +252,9 @@ def _leaner_methods(observer: Any) -> list[str]:
 
 
 def change_method(scenario: Scenario, method: str) -> tuple[Scenario, list[str]]:
-    """Return a scenario with another observer, and the keys that this does not have.
+    """Return a scenario with another observer, and the given keys that this does not have.
+
+    An rms of a coloured disturbance is none of a white one, so it is not handed on either.
 
     Args:
         scenario: the scenario.
@@ -269,13 +270,15 @@ def change_method(scenario: Scenario, method: str) -> tuple[Scenario, list[str]]
     except tomllib.TOMLDecodeError:
         raise InputError(f"method: expected NAME or 'NAME KEY=VALUE', found {method!r}") from None
     options = OBSERVERS.find_options(name)
-    known = () if options is None else options.__struct_fields__
-    table = to_tables(observer)
-    kept = {key: value for key, value in table.items() if key in known}
+    known = set() if options is None else {*options.__struct_fields__}
+    if "correlation_time" in known ^ {*observer.__struct_fields__}:
+        known.discard("disturbance")
+    kept = {key: value for key, value in to_tables(observer).items() if key in known}
     dropped = []
     for field in msgspec.structs.fields(observer):
         value = getattr(observer, field.name)
-        if field.name not in known and not np.array_equal(value, field.default) and np.size(value):
+        is_given = np.size(value) and not np.array_equal(value, field.default)
+        if is_given and field.name not in known:
             dropped.append(f"observer.{field.name}")
     return scenario | {"observer": {"method": name} | kept | changes}, dropped
 
@@ -337,28 +340,28 @@ def _initial_report(
     }
 
 
-def _boards_of(draft: _Draft) -> list[dict[str, Any]]:
-    """Return the cost of code on usual boards, its flash measured where a compiler is there."""
-    measure = partial(compiler.object_bytes, files=draft.text.texts_by_name())
-    return [fit._asdict() for fit in fit_boards(draft.report, functools.cache(measure))]
+def _boards_of(draft: _Draft) -> list[BoardFit]:
+    """Return the cost of code on usual boards."""
+    return fit_boards(draft.report, tuple(draft.text.texts_by_name().items()))
 
 
 def _fit_leaner(
-    scenario: Scenario, labels: Labels, precisions: Sequence[str], own: list[dict[str, Any]]
+    scenario: Scenario, labels: Labels, precisions: Sequence[str], own: list[BoardFit]
 ) -> dict[str, list[str]]:
     """Return the boards that cheaper observers fit, by `change_method`'s name of each.
 
-    Each is compiled and compared as in an export of its own. One that fits no further board than
-    the code itself (`own`) is left out.
+    Each is compiled and compared as in an export of its own. One that fits no board more than the
+    code itself (`own`) is left out.
     """
     found = {}
-    before = [board["board"] for board in own if board["fits"]]
     for method in _leaner_methods(scenario.observer):
         with suppress(InputError):  # the scenario cannot have it
             draft = _draft_code(change_method(scenario, method)[0], labels, precisions)
-            fitting = [board["board"] for board in _boards_of(draft) if board["fits"]]
-            if not draft.report["refusals"] and set(fitting) - set(before):
-                found[method] = fitting
+            fits = [after.board for after in _boards_of(draft) if after.fits]
+            if not draft.report["refusals"] and not {*fits} <= {
+                one.board for one in own if one.fits
+            }:
+                found[method] = fits
     return found
 
 

@@ -72,6 +72,7 @@ def run_firmware_chain(
     assert firmware.code is not None
     hidden, left = firmware_errors(scenario, found, firmware.code)
     report = firmware.report
+    reasons = [*report["float_refusals"][:1], *report["refusals"]]
     numbers = {
         "identifiable": [one.right and one.left for one in known],
         "consistent": found.consistent,
@@ -86,11 +87,7 @@ def run_firmware_chain(
     words = {
         "check": [format_yes_no(msgspec.structs.asdict(one)) for one in known],
         "consistent": {None: "not tested", True: "yes", False: "NO"}[found.consistent],
-        "firmware": [
-            f"{report['precision']}: {report['self_test']}",
-            *report["float_refusals"][:1],
-            *report["refusals"],
-        ],
+        "firmware": [f"{report['precision']}: {report['self_test']}", *reasons],
         "reading off": f"rms y - z {append_unit(f'{hidden:.3g}', unit)} along the log",
         "firmware off": f"rms z^ - z {append_unit(f'{left:.3g}', unit)}, z^ by the C there{own}",
     }
