@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import subprocess
-from collections.abc import Iterable
+import sys
+from collections.abc import Callable, Iterable
+from pathlib import Path
 
+import numpy as np
+
+from undeadzone.util.arrays import Floats
 from undeadzone_studies.statistics.intervals import proportion
 
 
@@ -14,6 +19,21 @@ def commit() -> str:
     revision = subprocess.run(named, capture_output=True, text=True, check=True).stdout.strip()
     changed = subprocess.run(["git", "diff", "--quiet", "HEAD", "--", "*.py"], check=False)
     return revision + "+" * bool(changed.returncode)
+
+
+def load_or_compute(
+    folder: Path | None, name: str, compute: Callable[[], Iterable[Floats]]
+) -> Iterable[Floats]:
+    """What is computed, from the folder if it is there already."""
+    if folder is None:
+        return compute()
+    path = folder / f"{name}.npz".replace(" ", "_")
+    if not path.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        np.savez(path, *compute())
+        print(path.name, file=sys.stderr, flush=True)
+    with np.load(path) as arrays:
+        return list(arrays.values())
 
 
 def share(flags: Iterable[bool]) -> str:

@@ -21,6 +21,8 @@ from typing import IO, NamedTuple, NoReturn, TextIO
 from undeadzone.cli import group, untrusted
 from undeadzone.cli.ending import run_to_exit_code
 
+COMMAND = [sys.executable, "-c", "from undeadzone.cli import main; main()"]
+
 
 class Done(NamedTuple):
     """What a command left behind, named as in `subprocess`."""

@@ -191,6 +191,14 @@ def compiled_once(pytestconfig: pytest.Config, code_of_no_effort: Path) -> Itera
         yield
 
 
+@pytest.fixture(scope="module")
+def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """A file of tests has compiled kernels of its own."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("UNDEADZONE_CACHE", str(tmp_path_factory.mktemp("kernels")))
+        yield
+
+
 @pytest.fixture(autouse=True, scope="session")
 def formulas_read_once() -> Iterator[None]:
     """Each formula of a figure is set once: Matplotlib's renderers, three a figure, set their own.

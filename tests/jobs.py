@@ -6,13 +6,14 @@ Run as a program it computes one: python -m tests.jobs PATH RUNS SECONDS.
 from __future__ import annotations
 
 import functools
+import logging
 import os
 import resource
 import signal
 import sys
 import time
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -70,6 +71,19 @@ def sines(
     block: int = 10,
 ) -> Sines:
     return Sines(layout(runs, block), seconds, trace, deadly, wrong)
+
+
+def local_cluster(workers: int) -> Any:
+    """A cluster of Dask on this computer."""
+    from distributed import LocalCluster
+
+    return LocalCluster(
+        n_workers=workers,
+        threads_per_worker=2,
+        host="127.0.0.1",
+        dashboard_address="127.0.0.1:0",
+        silence_logs=logging.CRITICAL,
+    )
 
 
 def main(path: str, runs: str, seconds: str, block: str = "10") -> None:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import casadi as ca
 import numpy as np
+from hypothesis import strategies as st
 
 from undeadzone.interfaces import Estimate, Observer, Reading
 from undeadzone.linalg.matrices import Matrices
+from undeadzone.nonlinearities.sensor import Sensor, Zone, resolve, side
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System
@@ -34,17 +37,25 @@ widths0 = [0.2, 0.2]
 width_max = 3.0
 """
 
+seeds = st.integers(0, 2**32 - 1)
+"""Of whatever a test draws."""
+
 EXACT_SENSOR: dict[str, Any] = {"rounding": 0.0, "slope_std": 0.0, "lag": 0.0}
 """What a sensor is told whose edges are sharp, whose slope is known, and which is never late."""
 
 
-def table(**changes: Any) -> dict[str, Any]:
-    """The tables of `PAPER` with changes.
+def tables_of(text: str) -> dict[str, Any]:
+    """Tables of a scenario, as its file has them."""
+    return tomllib.loads(text)
+
+
+def table(text: str = "", **changes: Any) -> dict[str, Any]:
+    """The tables of `PAPER` with those of a text and with changes.
 
     Those of `sensor` and `simulation` are merged, other tables replaced (None: dropped).
     """
-    data = tomllib.loads(PAPER)
-    for key, value in changes.items():
+    data = tables_of(PAPER)
+    for key, value in (tables_of(text) | changes).items():
         if key in ("sensor", "simulation"):
             data[key] = data[key] | value
         else:
@@ -52,9 +63,9 @@ def table(**changes: Any) -> dict[str, Any]:
     return {key: value for key, value in data.items() if value is not None}
 
 
-def scene(**changes: Any) -> Scenario:
+def scene(text: str = "", **changes: Any) -> Scenario:
     """The scenario of `table`."""
-    return convert(table(**changes))
+    return convert(table(text, **changes))
 
 
 def linear(A: Any, B: Any, C: Any) -> System:
@@ -63,6 +74,11 @@ def linear(A: Any, B: Any, C: Any) -> System:
 
 
 PAPER_PLANT = linear([[0.0, 1.0], [-1.0, -2.0]], [[0.0], [1.0]], [[1.0, 0.0]])
+
+
+def zone(p: int = 1, **options: Any) -> Zone:
+    """A sensor of p outputs at 20 Hz whose edges and slope are known."""
+    return resolve(Sensor(**{"right": 1.0, "left": 1.0} | EXACT_SENSOR | options), p, 0.05)
 
 
 def random_plant(
@@ -115,6 +131,25 @@ class OnNumbers:
         self._evaluate()
         parts = iter(np.split(self._out.copy(), self._ends))
         return tree.rebuild_tree(self._like, parts), Estimate(*parts)
+
+
+def centre_std(estimate: Estimate) -> Floats:
+    """The standard deviations of (d_r - d_l) / 2."""
+    sums = 2 * estimate.right_std**2 + 2 * estimate.left_std**2
+    return np.asarray(np.sqrt(sums - estimate.width_std**2) / 2)
+
+
+def follow_together(
+    pair: Sequence[Observer], model: System, where: Zone, signals: Iterable[tuple[Floats, Floats]]
+) -> Iterator[tuple[list[Any], list[Estimate]]]:
+    """States and estimates of observers after each reading and input."""
+    steps = [OnNumbers(observer, model) for observer in pair]
+    states = [observer.init(observer.params) for observer in pair]
+    for y, u in signals:
+        seen = side(y, where.threshold)
+        both = [step(state, u, y, seen) for step, state in zip(steps, states, strict=True)]
+        states = [after for after, _ in both]
+        yield states, [estimate for _, estimate in both]
 
 
 def slopes(steps: Any, errors: Any) -> Floats:

@@ -13,6 +13,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from benchmarks.filters.problems.random_plants import companion, polynomial, stable_poles
 from benchmarks.markdown import head, row
 from undeadzone.controllers import StateFeedback
 from undeadzone.nonlinearities.sensor import Sensor
@@ -138,7 +139,8 @@ def entrants() -> dict[str, Method]:
 def loop(rng: np.random.Generator) -> Scenario:
     """A stable plant of order 1 to 3 that follows two tones beyond its zone."""
     order = int(rng.integers(1, 4))
-    A, B = _plant(rng, order)
+    a = polynomial(stable_poles(rng, order))
+    A, B, _ = companion(a, a[0])
     errors = 1 + TOLERANCE * rng.normal(size=(2, order))
     wrong_A, wrong_B = A.copy(), B.copy()
     wrong_A[-1] *= errors[0]
@@ -166,17 +168,6 @@ def _tones(rng: np.random.Generator) -> list[tuple[float, float]]:
     """(amplitude, frequency [Hz]) of two tones, a strong slow one and a weak fast one."""
     size, slow = rng.uniform(2.5, 6.0), rng.uniform(0.2, 0.8)
     return [(0.8 * size, slow), (0.2 * size, 2.3 * slow)]
-
-
-def _plant(rng: np.random.Generator, order: int) -> tuple[np.ndarray, np.ndarray]:
-    """A and B of a stable plant in companion form, z its first state, gain 1 at rest."""
-    frequency, damping = rng.uniform(1.0, 6.0), rng.uniform(0.2, 1.5)
-    pair = np.roots([1.0, 2 * damping * frequency, frequency**2])
-    poles = {1: [-frequency], 2: pair, 3: [*pair, -rng.uniform(0.5, 5.0)]}[order]
-    a = np.poly(poles)[:0:-1].real
-    A = np.eye(order, k=1)
-    A[-1] = -a
-    return A, a[0] * np.eye(order)[:, -1:]
 
 
 def _gain(A: np.ndarray, B: np.ndarray) -> float:

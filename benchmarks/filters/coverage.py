@@ -5,7 +5,7 @@ Our two filters stand beside filterpy's EKF and UKF.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -108,7 +108,7 @@ def observe(options: Callable[[Problems, int], Any], posed: Problems) -> Verdict
         options: of the observer for a problem
         posed: the problems
     """
-    out = along(options, posed, _select_outputs)
+    out = along(options, posed, ESTIMATES)
     right, left, z, right_std, left_std, width_std, z_std = out[:, -1, :7].T
     used = out[:, :, 7] != 0
     return verdict(
@@ -133,13 +133,15 @@ def along(
         select: the numbers of an estimate that are returned
     """
     built = built_of(options, posed)
+    return run_observers(built, step_of(built[0], select), np.stack([posed.y, posed.u], axis=1))
+
+
+def run_observers(built: Sequence[Observer], step: ca.Function, own: Floats) -> Floats:
+    """What a step gives along signals (samples x m x K), one lane an observer."""
     numbers = np.stack([tree.pack_tree(one.params) for one in built])
     states = np.stack([tree.pack_tree(one.init(one.params)) for one in built])
-    kernel = lanes.build_kernel(
-        step_of(built[0], select), exogenous=range(2), params=range(numbers.shape[1])
-    )
-    own = np.stack([posed.y, posed.u], axis=1)
-    shared = np.zeros((len(posed.y), 2))
+    kernel = lanes.build_kernel(step, exogenous=range(own.shape[1]), params=range(numbers.shape[1]))
+    shared = np.zeros(own.shape[:2])
     out, _ = lanes.run_lanes(kernel, states, shared, numbers[0], own, numbers, threads=1)
     return np.asarray(out)
 
@@ -176,11 +178,12 @@ def built_for(options: Any, model: Matrices, sensor: Sensor, step: float) -> Obs
     return built
 
 
-def _select_outputs(estimate: Estimate) -> list[Any]:
-    """Widths, z, their deviations, the innovation and its."""
-    stds = (estimate.right_std, estimate.left_std, estimate.width_std, estimate.x_std[0])
-    means = (estimate.right, estimate.left, estimate.z)
-    return [*means, *stds, estimate.innovation, estimate.innovation_std]
+def selected(names: str) -> Callable[[Estimate], list[Any]]:
+    """The first number of each field of an estimate that is named."""
+    return lambda estimate: [getattr(estimate, name)[0] for name in names.split()]
+
+
+ESTIMATES = selected("right left z right_std left_std width_std x_std innovation innovation_std")
 
 
 def step_of(observer: Observer, select: Callable[[Estimate], list[Any]]) -> ca.Function:

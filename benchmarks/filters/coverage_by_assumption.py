@@ -9,7 +9,7 @@ second row.
 from __future__ import annotations
 
 import argparse
-import sys
+import functools
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -20,6 +20,7 @@ from benchmarks.filters.coverage import ROUNDING
 from benchmarks.filters.glitches import doubting, from_ranges, observe
 from benchmarks.filters.problems.assumed_worlds import KINDS, ORDERS, RATES, SAMPLES, problems
 from benchmarks.markdown import head, row
+from benchmarks.results import load_or_compute
 from undeadzone.observers import Extended
 from undeadzone.util.arrays import Floats
 from undeadzone_studies.statistics.intervals import proportion
@@ -66,20 +67,13 @@ def part(assumptions: str, kind: str, order: int, count: int, seed: int) -> Part
     return Part(1.0 * ~covered, outcome.consistent, outcome.rms / posed.d.mean(axis=1))
 
 
-def load_or_compute(
+def stored_part(
     folder: Path | None, assumptions: str, kind: str, order: int, count: int, seed: int
 ) -> Part:
     """`part`, from the folder if it is there already."""
-    if folder is None:
-        return part(assumptions, kind, order, count, seed)
-    name = f"{assumptions}, {kind}, order {order}, {count} of seed {seed}.npz".replace(" ", "_")
-    path = folder / name
-    if not path.exists():
-        folder.mkdir(parents=True, exist_ok=True)
-        np.savez(path, *part(assumptions, kind, order, count, seed))
-        print(name, file=sys.stderr, flush=True)
-    with np.load(path) as arrays:
-        return Part(*arrays.values())
+    name = f"{assumptions}, {kind}, order {order}, {count} of seed {seed}"
+    ask = functools.partial(part, assumptions, kind, order, count, seed)
+    return Part(*load_or_compute(folder, name, ask))
 
 
 def table(
@@ -94,7 +88,7 @@ def table(
     for assumptions in filters:
         for order in orders:
             for kind in KINDS:
-                parts[assumptions, kind, order] = load_or_compute(
+                parts[assumptions, kind, order] = stored_part(
                     folder, assumptions, kind, order, count, seed
                 )
     lines = ["## Honesty: intervals where the world is as declared, and where it is not\n"]

@@ -32,11 +32,8 @@ from benchmarks.filters.rivals.plain_filters import (
     tracked,
 )
 from benchmarks.markdown import head, row
-from undeadzone.compile import lanes
-from undeadzone.interfaces import Estimate
 from undeadzone.nonlinearities.sensor import Sensor
 from undeadzone.observers import Auto, Censored
-from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
 
 ORDERS = (1, 2)
@@ -115,27 +112,15 @@ def by_graph(options: Callable[[Problem], Any]) -> Callable[[list[Problem]], lis
             known = {place: one.noise} | coverage.exact_shape_if_known(configured)
             sensor = Sensor(right=RANGE[1], left=RANGE[1], **known)
             built.append(coverage.built_for(configured, one.model, sensor, STEP))
-        numbers = np.stack([tree.pack_tree(one.params) for one in built])
-        states = np.stack([tree.pack_tree(one.init(one.params)) for one in built])
-        kernel = lanes.build_kernel(
-            coverage.step_of(built[0], _select_outputs),
-            exogenous=range(2),
-            params=range(numbers.shape[1]),
-        )
         own = np.stack([np.stack([one.y, one.u], axis=1) for one in posed], axis=2)
-        out, _ = lanes.run_lanes(
-            kernel, states, np.zeros((SAMPLES, 2)), numbers[0], own, numbers, threads=1
-        )
+        out = coverage.run_observers(built, coverage.step_of(built[0], ESTIMATES), own)
         sampled = out[:, EVERY - 1 :: EVERY]
         return [Track(one[:, :3], one[:, 3:]) for one in sampled]
 
     return track
 
 
-def _select_outputs(estimate: Estimate) -> list[Any]:
-    """z, d_r, d_l and their deviations."""
-    means = (estimate.z, estimate.right, estimate.left)
-    return [*means, estimate.x_std[0], estimate.right_std, estimate.left_std]
+ESTIMATES = coverage.selected("z right left x_std right_std left_std")
 
 
 def one_by_one(track: Callable[[Problem], Track]) -> Callable[[list[Problem]], list[Track]]:

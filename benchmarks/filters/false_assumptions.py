@@ -29,7 +29,6 @@ from benchmarks.filters.problems.assumed_worlds import (
 from benchmarks.filters.problems.random_plants import Problems, World
 from benchmarks.markdown import head, row
 from undeadzone.interfaces import ASSUMPTION_CHECKS as TABLE
-from undeadzone.interfaces import Estimate
 from undeadzone.nonlinearities.sensor import deadzone
 from undeadzone.util.arrays import Floats
 
@@ -251,15 +250,12 @@ def posed_of(row: Row, order: int, count: int, seed: int, assumed: World) -> Pro
 
 def part(options: Callable[[Problems, int], Any], posed: Problems) -> Part:
     """What a filter makes of problems."""
-    out = coverage.along(options, posed, _select_outputs)[:, -1]
+    out = coverage.along(options, posed, ESTIMATES)[:, -1]
     covered = np.abs(out[:, :3] - coverage.truth(posed)) <= 1.96 * out[:, 3:6] + coverage.ROUNDING
     return Part(1.0 * ~covered, out[:, 6])
 
 
-def _select_outputs(estimate: Estimate) -> list[Any]:
-    """Widths, z, their deviations, the claim that is likeliest false."""
-    stds = (estimate.right_std, estimate.left_std, estimate.x_std[0])
-    return [estimate.right, estimate.left, estimate.z, *stds, estimate.suspect]
+ESTIMATES = coverage.selected("right left z right_std left_std x_std suspect")
 
 
 def joined(each: Sequence[Problems]) -> Problems:

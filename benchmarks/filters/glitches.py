@@ -15,7 +15,7 @@ import numpy as np
 from benchmarks.filters import coverage
 from benchmarks.filters.problems.random_plants import DURATION, STEP, Problems, World, problems
 from benchmarks.markdown import row
-from undeadzone.interfaces import Estimate, Observer
+from undeadzone.interfaces import Observer
 from undeadzone.observers import Auto
 from undeadzone.util.arrays import Floats
 
@@ -155,7 +155,7 @@ def observe(options: Callable[[Problems, int], Any], posed: Problems) -> Outcome
         options: of the observer for a problem.
         posed: the problems.
     """
-    out = coverage.along(options, posed, _select_outputs)
+    out = coverage.along(options, posed, ESTIMATES)
     right, left, z, right_std, left_std, width_std, z_std, consistent = out[:, -1].T
     verdict = coverage.verdict(
         coverage.truth(posed),
@@ -169,10 +169,7 @@ def observe(options: Callable[[Problems, int], Any], posed: Problems) -> Outcome
     return Outcome(verdict, np.sqrt(np.mean(error**2, axis=1)), consistent)
 
 
-def _select_outputs(estimate: Estimate) -> list[Any]:
-    """Widths, z, their deviations, what the filter says of them."""
-    stds = (estimate.right_std, estimate.left_std, estimate.width_std, estimate.x_std[0])
-    return [estimate.right, estimate.left, estimate.z, *stds, estimate.consistent]
+ESTIMATES = coverage.selected("right left z right_std left_std width_std x_std consistent")
 
 
 def trusting(options: Callable[[Problems, int], Any]) -> Callable[[Problems, int], Any]:

@@ -30,7 +30,6 @@ from benchmarks.filters.false_assumptions import (
 from benchmarks.filters.problems.assumed_worlds import ORDERS
 from benchmarks.filters.problems.random_plants import Problems, World
 from benchmarks.markdown import head, row
-from undeadzone.interfaces import Estimate
 from undeadzone.util.arrays import Floats
 
 GATE = 4.0  # rms of noise beyond which a reading is none of silence
@@ -117,7 +116,7 @@ class Outcome(NamedTuple):
 
 def observe_problems(assumptions: str, posed: Problems) -> Outcome:
     """A filter along problems."""
-    out = coverage.along(ASSUMPTIONS[assumptions], posed, _select_outputs)
+    out = coverage.along(ASSUMPTIONS[assumptions], posed, ESTIMATES)
     end, e, std = out[:, -1], out[:, :, 7], out[:, :, 8]
     covered = np.abs(end[:, :3] - coverage.truth(posed)) <= 1.96 * end[:, 3:6] + coverage.ROUNDING
     used, safe = e != 0, np.where(e != 0, std, 1.0)
@@ -125,11 +124,9 @@ def observe_problems(assumptions: str, posed: Problems) -> Outcome:
     return Outcome(~covered.all(axis=1), end[:, 6] > 0, log, used)
 
 
-def _select_outputs(estimate: Estimate) -> list[Any]:
-    """Widths, z, their deviations, the claim that is likeliest false, the innovation and its."""
-    stds = (estimate.right_std, estimate.left_std, estimate.x_std[0])
-    innovations = (estimate.suspect, estimate.innovation, estimate.innovation_std)
-    return [estimate.right, estimate.left, estimate.z, *stds, *innovations]
+ESTIMATES = coverage.selected(
+    "right left z right_std left_std x_std suspect innovation innovation_std"
+)
 
 
 def ratio(

@@ -14,9 +14,8 @@ import numpy as np
 
 from benchmarks.filters import coverage
 from benchmarks.filters.problems.random_plants import RANGE, STEP, WORLDS, Problems, problems
-from benchmarks.loops.plants.random_loops import Loops, random_plant, run_loops
+from benchmarks.loops.plants.random_loops import Loops, random_plant, ratio_cells, run_loops
 from benchmarks.markdown import row
-from undeadzone.compile import lanes
 from undeadzone.controllers import StateFeedback
 from undeadzone.interfaces import Observer, to_reading
 from undeadzone.nonlinearities.limits import Limits
@@ -28,7 +27,6 @@ from undeadzone.scenario.schema import Scenario, Simulation
 from undeadzone.signals.exosystem import Random, Sine
 from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
-from undeadzone_studies.statistics.intervals import quantile_interval
 
 SHARES = (0.44, 0.12, 0.02)  # of the readings that are exact
 AMPLITUDE, FREQUENCY, NOISE, DISTURBANCE = 5.0, 0.3, 0.01, 0.5
@@ -142,11 +140,7 @@ def loops_table(count: int) -> list[str]:
         known = run(*OBSERVERS["widths known"], share, count)
         for name, (options, is_known) in OBSERVERS.items():
             ran = known if name == "widths known" else run(options, is_known, share, count)
-            ratio = np.sort(np.nan_to_num(ran.rms / known.rms, nan=np.inf))
-            middle = quantile_interval(ratio, 0.5)
-            cells = [f"{100 * share:.0f} %", name, f"{np.median(ran.rms):.3g}"]
-            cells.append(f"{middle.value:.2f} [{middle.low:.2f}, {middle.high:.2f}]")
-            cells.append(f"{np.quantile(ratio, 0.9):.2f}")
+            cells = [f"{100 * share:.0f} %", name, *ratio_cells(ran.rms, known.rms)]
             cells.append(ran.covered() if name != "widths known" else "")
             lines.append(row(*cells))
     return lines
@@ -163,13 +157,9 @@ def observe(
             right=RANGE[1], left=RANGE[1], noise=known.noise[k], threshold=0.0, range=ends
         )
         built.append(coverage.built_for(options(known, k), model, sensor, STEP))
-    numbers = np.stack([tree.pack_tree(one.params) for one in built])
-    states = np.stack([tree.pack_tree(one.init(one.params)) for one in built])
-    kernel = lanes.build_kernel(_step(built[0]), exogenous=range(3), params=range(numbers.shape[1]))
     y = np.clip(known.y, -limits, limits)
     own = np.stack([y, known.u, np.broadcast_to(limits, y.shape)], axis=1)
-    shared = np.zeros((len(y), 3))
-    out, _ = lanes.run_lanes(kernel, states, shared, numbers[0], own, numbers, threads=1)
+    out = coverage.run_observers(built, _step(built[0]), own)
     right, left, z, right_std, left_std, width_std, z_std = out[:, -1].T
     return coverage.verdict(
         coverage.truth(known),

@@ -6,6 +6,7 @@ on where it stopped.
 
 from __future__ import annotations
 
+import functools
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -18,6 +19,7 @@ from benchmarks.filters.glitches import doubting, from_ranges
 from benchmarks.filters.problems.assumed_worlds import KINDS, problems
 from benchmarks.filters.problems.random_plants import Problems
 from benchmarks.markdown import head, row
+from benchmarks.results import load_or_compute
 from undeadzone.interfaces import Estimate, require_graph
 from undeadzone.nonlinearities.sensor import Sensor
 from undeadzone.plants.options import Plant
@@ -87,26 +89,18 @@ def _of_smoother(known: dict[str, Floats]) -> tuple[Floats, Floats]:
     return mean, np.hstack([known["x_smooth_std"][:, :1], known["d_smooth_std"]])
 
 
-def load_or_compute(
-    folder: Path | None, assumptions: str, kind: str, count: int, seed: int
-) -> Part:
+def stored_part(folder: Path | None, assumptions: str, kind: str, count: int, seed: int) -> Part:
     """`part`, from the folder if it is there already."""
-    if folder is None:
-        return part(ASSUMPTIONS[assumptions], kind, count, seed)
-    path = folder / f"{assumptions}, {kind}, {count} of seed {seed}.npz".replace(" ", "_")
-    if not path.exists():
-        folder.mkdir(parents=True, exist_ok=True)
-        np.savez(path, *part(ASSUMPTIONS[assumptions], kind, count, seed))
-        print(path.name, file=sys.stderr, flush=True)
-    with np.load(path) as arrays:
-        return Part(*arrays.values())
+    name = f"{assumptions}, {kind}, {count} of seed {seed}"
+    ask = functools.partial(part, ASSUMPTIONS[assumptions], kind, count, seed)
+    return Part(*load_or_compute(folder, name, ask))
 
 
 def table(count: int = 3, seed: int = 0, folder: Path | None = None) -> str:
     """The table, from `count` problems of each order a row."""
     rows = []
     for assumptions in ASSUMPTIONS:
-        parts = {kind: load_or_compute(folder, assumptions, kind, count, seed) for kind in KINDS}
+        parts = {kind: stored_part(folder, assumptions, kind, count, seed) for kind in KINDS}
         for kind, one in parts.items():
             rows.append(_row(assumptions, kind, one))
         covered, rms = zip(*parts.values(), strict=True)

@@ -8,50 +8,34 @@ stop after so many and print what there is. LOOPS_COMMIT: print what that commit
 from __future__ import annotations
 
 import itertools
-import json
 import os
-import time
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 import undeadzone as uz
+from benchmarks.identify.answers import Outcome, complete
 from benchmarks.identify.logs.loops import DISTURBANCES, KINDS, LoopLog, make
 from benchmarks.markdown import head, row
 from benchmarks.results import commit
-from undeadzone.util.progress import terminal_progress
 from undeadzone_studies.statistics.intervals import proportion
 
 STORED = Path("build/loops.jsonl")
 WORDS = {"input zone": "input_zone", "play": "play", "both ends": "two_zones"}
-Outcome = dict[str, Any]
 
 
 def outcomes(of: str) -> list[Outcome]:
     """Every answer of a commit, after as many new ones as the time allows."""
-    STORED.parent.mkdir(exist_ok=True)
-    STORED.touch()
     first, count = int(os.environ.get("LOOPS_FIRST", 0)), int(os.environ.get("LOOPS_LOGS", 7))
-    ends = time.monotonic() + 60 * float(os.environ.get("LOOPS_MINUTES", "inf"))
     seeds = [] if "LOOPS_COMMIT" in os.environ else range(first, first + count)
-    pending = list(itertools.product(seeds, KINDS, DISTURBANCES, (True, False)))
-    with terminal_progress("logs", len(pending), "log") as advance:
-        for key in pending:
-            if time.monotonic() < ends and key not in answers(of):
-                settings = dict(zip(("seed", "kind", "disturbance", "closed"), key, strict=True))
-                answer = settings | outcome_of(make(*key), key[1]) | {"commit": of}
-                with STORED.open("a") as file:
-                    file.write(json.dumps(answer) + "\n")
-            advance(1)
-    return list(answers(of).values())
-
-
-def answers(of: str) -> dict[tuple[Any, ...], Outcome]:
-    """The answers of a commit that are kept."""
-    rows = [json.loads(line) for line in STORED.read_text().splitlines()]
-    keys = ("seed", "kind", "disturbance", "closed")
-    return {tuple(one[key] for key in keys): one for one in rows if one["commit"] == of}
+    return complete(
+        STORED,
+        of,
+        ["seed", "kind", "disturbance", "closed"],
+        list(itertools.product(seeds, KINDS, DISTURBANCES, (True, False))),
+        lambda *key: outcome_of(make(*key), key[1]),
+        os.environ.get("LOOPS_MINUTES", "inf"),
+    )
 
 
 def outcome_of(log: LoopLog, kind: str) -> Outcome:

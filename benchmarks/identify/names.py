@@ -10,19 +10,17 @@ NAMES_COMMIT: print what that commit gave, and compute nothing.
 from __future__ import annotations
 
 import itertools
-import json
 import os
 import time
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 import undeadzone as uz
+from benchmarks.identify.answers import Outcome, complete
 from benchmarks.identify.logs.names import TRUTHS, NamedLog, make
 from benchmarks.markdown import head, row
 from benchmarks.results import commit, share
-from undeadzone.util.progress import terminal_progress
 from undeadzone_identify.selection.decision import FEW
 from undeadzone_studies.statistics.intervals import proportion
 
@@ -37,7 +35,6 @@ MEASURED = {  # numbers of a truth whose intervals are counted
     "friction": ("right", "left"),
     "play": ("width",),
 }
-Outcome = dict[str, Any]
 
 
 # --- Answers
@@ -45,26 +42,16 @@ Outcome = dict[str, Any]
 
 def outcomes(of: str) -> list[Outcome]:
     """Every answer of a commit, after as many new ones as the time allows."""
-    STORED.parent.mkdir(exist_ok=True)
-    STORED.touch()
     first, count = int(os.environ.get("NAMES_FIRST", "1000")), int(os.environ.get("NAMES_LOGS", 40))
-    ends = time.monotonic() + 60 * float(os.environ.get("NAMES_MINUTES", "inf"))
-    pending = [] if "NAMES_COMMIT" in os.environ else range(first, first + count)
-    with terminal_progress("logs", len(pending) * len(TRUTHS), "log") as advance:
-        for seed in pending:
-            for truth in TRUTHS:
-                if time.monotonic() < ends and (truth, seed) not in answers(of):
-                    answer = outcome_of(make(seed, truth)) | {"seed": seed, "commit": of}
-                    with STORED.open("a") as file:
-                        file.write(json.dumps(answer) + "\n")
-                advance(1)
-    return list(answers(of).values())
-
-
-def answers(of: str) -> dict[tuple[str, int], Outcome]:
-    """The answers of a commit that are kept, by truth and seed."""
-    rows = [json.loads(line) for line in STORED.read_text().splitlines()]
-    return {(one["truth"], one["seed"]): one for one in rows if one["commit"] == of}
+    seeds = [] if "NAMES_COMMIT" in os.environ else range(first, first + count)
+    return complete(
+        STORED,
+        of,
+        ["seed", "truth"],
+        list(itertools.product(seeds, TRUTHS)),
+        lambda seed, truth: outcome_of(make(seed, truth)),
+        os.environ.get("NAMES_MINUTES", "inf"),
+    )
 
 
 def outcome_of(log: NamedLog) -> Outcome:

@@ -9,17 +9,16 @@ between. Remove the file to begin anew, as after a change of the estimator.
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import random
 import time
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 import undeadzone as uz
+from benchmarks.identify.answers import Outcome, complete
 from benchmarks.identify.logs.random_plants import (
     FAMILIES,
     MAPS,
@@ -34,7 +33,6 @@ from undeadzone_identify.models.zone_fit import refit_likelihood
 from undeadzone_studies.statistics.intervals import proportion
 
 STORED = Path("build/identify.jsonl")
-Outcome = dict[str, Any]
 
 
 def families() -> list[str]:
@@ -45,32 +43,13 @@ def families() -> list[str]:
 
 def outcomes() -> list[Outcome]:
     """Every answer that there is, after as many new ones as the time allows."""
-    STORED.parent.mkdir(exist_ok=True)
-    STORED.touch()
-    ends = time.monotonic() + 60 * float(os.environ.get("IDENTIFY_MINUTES", "inf"))
     first = int(os.environ.get("IDENTIFY_FIRST", "100"))
+    pending = []
     for seed in range(first, first + int(os.environ.get("IDENTIFY_SEEDS", "10"))):
-        pending = list(families())
-        random.shuffle(pending)  # so that two processes seldom take the same one
-        for family in pending:
-            if (family, seed) in answers() or time.monotonic() > ends:
-                continue
-            outcome = outcome_of(family, seed)
-            with STORED.open("a") as file:
-                file.write(json.dumps(outcome) + "\n")
-    return list(answers().values())
-
-
-def answers() -> dict[tuple[str, int], Outcome]:
-    """The answers that are kept, by family and seed; a torn line is none."""
-    stored = {}
-    for line in STORED.read_text().splitlines():
-        try:
-            one = json.loads(line)
-        except ValueError:
-            continue
-        stored[one["family"], one["seed"]] = one
-    return stored
+        shuffled = random.sample(families(), len(families()))  # two processes seldom take the same
+        pending += [(family, seed) for family in shuffled]
+    minutes = os.environ.get("IDENTIFY_MINUTES", "inf")
+    return complete(STORED, None, ["family", "seed"], pending, outcome_of, minutes)
 
 
 def outcome_of(family: str, seed: int) -> Outcome:

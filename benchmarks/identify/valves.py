@@ -8,20 +8,19 @@ hold _S_ or _N_; their columns are OP, PV and perhaps SP.
 
 from __future__ import annotations
 
-import json
+import functools
 import os
 import tempfile
 from collections import Counter
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 import undeadzone as uz
+from benchmarks.identify.answers import Outcome, complete
 from benchmarks.identify.logs.valves import CAUSES, ValveLoop, make
 from benchmarks.markdown import head, row
 from benchmarks.results import commit
-from undeadzone.util.progress import terminal_progress
 from undeadzone_studies.statistics.intervals import proportion
 
 STORED = Path("build/valves.jsonl")
@@ -33,7 +32,6 @@ WORDS = {
     "tight tuning": ("tight_tuning",),
     "external": ("external",),
 }
-Outcome = dict[str, Any]
 
 
 def outcome_of(log: Path) -> Outcome:
@@ -63,26 +61,14 @@ def outcome_of_seed(seed: int, folder: Path) -> Outcome:
     return truth | outcome_of(path)
 
 
-def answers(of: str) -> dict[int, Outcome]:
-    """The answers of a commit that are kept, by seed."""
-    rows = [json.loads(line) for line in STORED.read_text().splitlines()]
-    return {one["seed"]: one for one in rows if one["commit"] == of}
-
-
 def outcomes(of: str) -> list[Outcome]:
     """Every answer of a commit, after those that are asked for."""
-    STORED.parent.mkdir(exist_ok=True)
-    STORED.touch()
     first, count = int(os.environ.get("VALVES_FIRST", 0)), int(os.environ.get("VALVES_LOOPS", 100))
-    there = answers(of)
-    with tempfile.TemporaryDirectory() as folder, terminal_progress("loops", count) as advance:
-        for seed in range(first, first + count):
-            if seed not in there:
-                one = {"seed": seed, "commit": of} | outcome_of_seed(seed, Path(folder))
-                with STORED.open("a") as file:
-                    file.write(json.dumps(one) + "\n")
-            advance(1)
-    return [one for seed, one in answers(of).items() if first <= seed < first + count]
+    seeds = range(first, first + count)
+    with tempfile.TemporaryDirectory() as folder:
+        ask = functools.partial(outcome_of_seed, folder=Path(folder))
+        every = complete(STORED, of, ["seed"], [(seed,) for seed in seeds], ask)
+    return [one for one in every if one["seed"] in seeds]
 
 
 def area_under_curve(score: list[float], is_so: list[bool]) -> float:

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
-from benchmarks.loops.plants.random_loops import Loops, run_loops
+from benchmarks.loops.plants.random_loops import Loops, ratio_cells, run_loops
 from benchmarks.markdown import head, row
 from undeadzone.controllers import StateFeedback
 from undeadzone.nonlinearities.sensor import Sensor, resolve
@@ -24,7 +24,6 @@ from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario, Simulation
 from undeadzone.signals.exosystem import Random, Sine
 from undeadzone_arena import AdaptiveInverse
-from undeadzone_studies.statistics.intervals import quantile_interval
 
 SLIGHT = 1e-6  # half of the range of a gap that is known
 
@@ -250,8 +249,7 @@ def _rows(place: str, world: World, reading: str, loops: int) -> list[str]:
 
 def errors(rms: np.ndarray, best: np.ndarray) -> list[str]:
     """The median of an rms, and of its ratio to the best one with a 95 % interval."""
-    ratio = quantile_interval(np.sort(np.nan_to_num(rms / best, nan=np.inf)), 0.5)
-    return [f"{np.median(rms):.3g}", f"{ratio.value:.2f} [{ratio.low:.2f}, {ratio.high:.2f}]"]
+    return ratio_cells(rms, best)[:2]
 
 
 def _of_gaps(ran: Loops) -> list[str]:

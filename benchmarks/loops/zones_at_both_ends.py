@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.loops.plants.random_loops import Loops, run_loops
+from benchmarks.loops.plants.random_loops import Loops, ratio_cells, run_loops
 from benchmarks.markdown import head, row
 from undeadzone.compensators import NoInverse, SmoothZoneInverse, ZoneInverse
 from undeadzone.controllers import StateFeedback
@@ -27,7 +27,6 @@ from undeadzone.scenario.schema import Model, Scenario, Simulation
 from undeadzone.signals.exosystem import Random, Sine
 from undeadzone.util.arrays import Floats
 from undeadzone_arena import AdaptiveZoneInverse, RobustAdaptive
-from undeadzone_studies.statistics.intervals import quantile_interval
 
 NOTHING: Mapping[str, Any] = MappingProxyType({})
 STEP, DURATION, NOISE, DISTURBANCE = 0.01, 60.0, 0.01, 0.5
@@ -219,12 +218,8 @@ def table(loops: int = 100) -> str:
 
 def _row(name: str, ran: Loops, best: Floats) -> str:
     """The row of one method."""
-    ratio = np.sort(np.nan_to_num(ran.rms / best, nan=np.inf))
-    middle = quantile_interval(ratio, 0.5)
-    cells = [f"{np.median(ran.rms):.3g}"]
-    cells.append(f"{middle.value:.2f} [{middle.low:.2f}, {middle.high:.2f}]")
-    cells.append(f"{np.quantile(ratio, 0.9):.1f}")
-    cells.append(f"{100 * np.mean(ratio <= 2):.0f} %")
+    cells = ratio_cells(ran.rms, best, 1)
+    cells.append(f"{100 * np.mean(ran.rms <= 2 * best):.0f} %")
     estimates = "unknown" in name or "untold" in name
     covered = [ran.covered(), ran.actuator_covered()] if estimates else []
     return row(name, *cells, ", ".join(part for part in covered if part))

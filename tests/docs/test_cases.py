@@ -11,9 +11,9 @@ from benchmarks.end_to_end import cases
 from benchmarks.end_to_end.machines import BAND, CASES, DEAD_BAND, GAP, LOST, STAR, ZONE
 from benchmarks.markdown import parted
 
+from documents import ROOT
 from requirements import require
 
-ROOT = Path(__file__).parents[2]
 TRUE = {
     "load_cell": ZONE,
     "speed_controller": BAND,

@@ -13,13 +13,12 @@ from PIL import Image
 
 import once
 from commands import Done, undeadzone
-from documents import script_of_docs
+from documents import ROOT, script_of_docs
 from undeadzone.registry import CONTROLLERS, OBSERVERS
 from undeadzone.scenario.reader import read
 from undeadzone_arena.contest.leaderboard import FRAME
 from undeadzone_arena.contest.methods import methods_for_scenarios
 
-ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 CONTRIBUTING = ROOT / "CONTRIBUTING.md"
 SUMMARY = "## Summary: best and worst figure of each subject"

@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 
 import undeadzone as uz
+from documents import EXAMPLES
 from requirements import import_package
 
-FOLDER = Path(__file__).parents[2] / "examples"
+FOLDER = EXAMPLES
 RUNS: dict[str, uz.Run] = {}
 SHORTER = {"two_link": 6.0, "two_link_gears": 0.3, "ur5": 3.0, "elastic_joint": 8.0}  # [s]
 

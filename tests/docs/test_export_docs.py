@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 import undeadzone as uz
+from documents import ROOT
 from undeadzone_export import exporting
 
-ROOT = Path(__file__).parents[2]
 PAGE = "".join(page.read_text("utf-8") for page in sorted((ROOT / "docs").glob("export*.md")))
 CODE = (ROOT / "docs" / "export_accuracy.md").read_text(encoding="utf-8")
 

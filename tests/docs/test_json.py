@@ -14,12 +14,12 @@ import pytest
 
 import once
 import undeadzone_paper
+from documents import ROOT
 from undeadzone.cli import group
 from undeadzone.cli.common import SCHEMA
 from undeadzone.nonlinearities.play import levels
 from undeadzone_export import exporting
 
-ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs/json.md").read_text(encoding="utf-8")
 SECTIONS = dict(re.findall(r"^## (\w+)\n(.*?)(?=^## |\Z)", PAGE, re.M | re.S))
 SHORT = "duration = 1.0"

@@ -18,10 +18,10 @@ import once
 import undeadzone_paper
 from browser import Browser, browser
 from commands import undeadzone
+from documents import ROOT
 from further import further
 from requirements import require
 
-ROOT = Path(__file__).parents[2]
 SCREENS = (390, 1280)
 READY = "document.readyState === 'complete' && location.href !== 'about:blank'"
 # Beyond the screen without a way to scroll there, texts that nobody typeset, pictures that are not.

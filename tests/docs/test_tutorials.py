@@ -10,11 +10,12 @@ import pytest
 
 import once
 import undeadzone as uz
+from documents import ROOT
 from scenes import scene
 from undeadzone.util import shown
 from undeadzone.util.text import format_with_interval
 
-FOLDER = Path(__file__).parents[2] / "docs/tutorials"
+FOLDER = ROOT / "docs/tutorials"
 SCRIPTS = sorted(FOLDER.glob("*.py"))
 
 

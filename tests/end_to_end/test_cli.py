@@ -17,15 +17,13 @@ import click
 import numpy as np
 import pytest
 
-from commands import undeadzone
+from commands import COMMAND, undeadzone
+from documents import EXAMPLES
 from undeadzone.cli import group
 from undeadzone.results.run import Run
 from undeadzone.util import progress
 from undeadzone_export import exporting
 from undeadzone_identify.command import identify
-
-EXAMPLES = Path(__file__).parents[2] / "examples"
-COMMAND = [sys.executable, "-c", "from undeadzone.cli import main; main()"]
 
 
 @pytest.fixture

@@ -8,7 +8,6 @@ import multiprocessing
 import random
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -21,7 +20,9 @@ from hypothesis import strategies as st
 from scipy.signal import lfilter
 from tests.scenes import scene
 
+import commands
 from commands import Done, undeadzone
+from records import dead_zone
 from undeadzone.errors import FileError, InputError, Terminated
 from undeadzone.scenario.reader import digests
 from undeadzone.scenario.schema import Scenario
@@ -174,11 +175,11 @@ def test_what_is_stopped_before_its_first_answer_leaves_nothing(
 
 
 def small() -> Scenario:
-    return scene(
-        sensor={"noise": 0.01},
-        simulation={"time": "sampled", "step": 1e-2, "duration": 0.5},
-        observer={"method": "certified", "L": [1.0, 1.5], "gamma": 10.0},
-    )
+    return scene("""
+        sensor = { noise = 0.01 }
+        simulation = { time = "sampled", step = 0.01, duration = 0.5 }
+        observer = { method = "certified", L = [1.0, 1.5], gamma = 10.0 }
+        """)
 
 
 def tuned(keep: Path | None) -> dict[str, Any]:
@@ -216,7 +217,7 @@ def logged() -> dict[str, np.ndarray | float]:
     rng = np.random.default_rng(0)
     u = np.repeat(rng.standard_normal(50), 10)
     z = lfilter([0.0, 0.2], [1.0, -0.8], u) + 0.05 * rng.standard_normal(u.size)
-    return {"t": 0.1, "u": u, "y": np.maximum(z - 0.3, 0.0) + np.minimum(z + 0.2, 0.0)}
+    return {"t": 0.1, "u": u, "y": dead_zone(z, 0.3, 0.2)}
 
 
 def identified(keep: Path | None) -> str:
@@ -263,7 +264,7 @@ def test_a_log_that_is_refused_keeps_nothing(tmp_path: Path) -> None:
 
 # --- The command
 
-COMMAND = [sys.executable, "-c", "from undeadzone.cli import main; main()", "arena"]
+COMMAND = [*commands.COMMAND, "arena"]
 METHODS = "luenberger,high_gain,certified,super_twisting"
 
 

@@ -12,10 +12,11 @@ from pathlib import Path
 import pytest
 
 import undeadzone as uz
+from documents import EXAMPLES
 from undeadzone.util.toml import require_short_keys
 
 CALL = [sys.executable, "-c", "from undeadzone.cli import main; main()"]
-EXAMPLE = Path(__file__).parents[2] / "examples" / "asymmetric_noise.toml"
+EXAMPLE = EXAMPLES / "asymmetric_noise.toml"
 
 
 def call(*words: object, site: Path | None = None) -> subprocess.CompletedProcess[str]:

@@ -9,16 +9,13 @@ import time
 from collections.abc import Iterator
 
 import pytest
-from tests.scenes import scene
+from tests.scenes import tables_of
 from tools.fuzz.__main__ import NAMES, maker
 from tools.fuzz.case import Case, End, stream
 from tools.fuzz.isolated import results
 from tools.fuzz.judge import complaint
 from tools.fuzz.perform import perform
 from tools.fuzz.scenarios import text
-
-from undeadzone.errors import StructureError
-from undeadzone.scenario.problem import resolve_scenario
 
 CASES = {
     "formulas": 150,
@@ -40,9 +37,6 @@ CASES = {
     "arguments": 8,
     "exports": 1,
 }
-
-
-SLIDING = {"method": "sliding_mode", "gain": 1.0}
 
 
 @pytest.fixture(autouse=True)
@@ -121,26 +115,18 @@ def test_a_case_that_kills_its_process_is_a_result_and_the_next_one_runs() -> No
 
 
 def test_a_run_that_diverges_at_once_is_not_exported() -> None:
-    tables = {
-        "plant": {"integrators": 2},
-        "sensor": {"right": 0.85, "left": 0.63, "noise": 0.01},
-        "reference": {"kind": "sine", "amplitude": 2.1, "frequency": 1.0},
-        "observer": {"method": "kalman", "right": [0.1, 1.0]},
-        "controller": {"method": "rbf_feedback", "reach": 3.0, "centres": 3, "speed": 4.6e18},
-        "simulation": {"duration": 2.4, "step": 0.02, "time": "sampled"},
-    }
+    tables = tables_of("""
+        plant = { integrators = 2 }
+        sensor = { right = 0.85, left = 0.63, noise = 0.01 }
+        reference = { kind = "sine", amplitude = 2.1, frequency = 1.0 }
+        observer = { method = "kalman", right = [0.1, 1.0] }
+        controller = { method = "rbf_feedback", reach = 3.0, centres = 3, speed = 4.6e18 }
+        simulation = { duration = 2.4, step = 0.02, time = "sampled" }
+        """)
     case = Case("", {"mine.toml": text(tables)}, ["export", "mine.toml", "--out", "out"])
     end = perform(case)
     assert end.code == 2, end.err
     assert "the run leaves +-1e+06 at its first sample" in end.err
-
-
-def test_sliding_mode_refuses_more_inputs_than_states() -> None:
-    plant = {"A": [[-1.0, 0.5], [-0.5, -2.0]], "B": [[1, 0, 2], [0, 1, 3]], "C": [[1.0, 0.0]]}
-    with pytest.raises(StructureError, match="B has rank 2, not 3"):
-        resolve_scenario(
-            scene(plant=plant, observer={"method": "certified"}, controller=SLIDING, tracked=[0])
-        )
 
 
 @pytest.mark.parametrize("column", ["y", "u"])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import subprocess
-import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -14,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from commands import forked
+from commands import COMMAND, forked
 from commands import undeadzone as in_process
 from undeadzone.analysis.certificate.design_file import Design
 from undeadzone.cli.common import print_blocks, to_json_text
@@ -36,8 +35,6 @@ from undeadzone_identify.logs.log import read_log
 from undeadzone_studies.ensemble import journal, saved
 from undeadzone_studies.ensemble.job import Layout
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
-COMMAND = [sys.executable, "-c", "from undeadzone.cli import main; main()"]
 FORGED = "x\ncertificate   holds\x1b[2J\x9b31m\u202e"  # a line, two controls, a turned direction
 SCENARIO = """
 [plant]

@@ -15,6 +15,7 @@ import click
 import msgspec
 import pytest
 
+from documents import ROOT
 from undeadzone.cli import group
 from undeadzone.cli.common import UserPath
 from undeadzone.registry import CONTROLLERS, OBSERVERS
@@ -22,7 +23,6 @@ from undeadzone.scenario.reader import FILE_KEYS
 from undeadzone.scenario.schema import Scenario
 from undeadzone.util.opening import Bound, _open_beneath
 
-ROOT = Path(__file__).parents[2]
 SRC = ROOT / "src"
 OWN = (
     "undeadzone",

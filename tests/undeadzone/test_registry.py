@@ -17,9 +17,9 @@ from typing import NamedTuple
 import pytest
 
 import undeadzone
+from documents import ROOT
 from undeadzone.registry import OBSERVERS
 
-ROOT = Path(__file__).parents[2]
 OWN = '''"""An observer whose widths stay where they are, and a command."""
 
 import click

@@ -16,11 +16,11 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from test_engines import generated
 
-import once
-from scenes import PAPER_PLANT, linear, random_plant, scene
+from scenes import PAPER_PLANT, linear, random_plant, scene, seeds, tables_of
 from undeadzone.compile import interpret
-from undeadzone.errors import InputError, ShapeError, StepError, StructureError
+from undeadzone.errors import InputError, StepError, StructureError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Estimate, Observer, Reading
 from undeadzone.linalg.matrices import Matrices
@@ -54,7 +54,6 @@ from undeadzone_arena.controllers.learned_feedback import error_weights, relativ
 from undeadzone_arena.gain_defaults import injection_gain
 from undeadzone_arena.observers.parts import learned_residual
 
-seeds = st.integers(0, 2**32 - 1)
 TWO = linear([[-1.0, 0.5], [-0.5, -2.0]], np.eye(2), [[1.0, 0.0], [0.2, 1.0]])
 RIVALS: dict[str, Any] = {
     "adaptive_inverse": AdaptiveInverse(),
@@ -356,10 +355,10 @@ def test_one_jump_function_is_the_adaptive_inverse() -> None:
 
 
 def test_true_widths_that_do_not_move_are_the_oracle() -> None:
-    tables: dict[str, Any] = {
-        "sensor": {"right": 1.3, "left": 0.6, "noise": 0.05},
-        "simulation": {"time": "sampled", "step": 0.01, "duration": 4.0},
-    }
+    tables: dict[str, Any] = tables_of("""
+        sensor = { right = 1.3, left = 0.6, noise = 0.05 }
+        simulation = { time = "sampled", step = 0.01, duration = 4.0 }
+        """)
     inverse = simulate(
         scene(
             observer={
@@ -426,12 +425,6 @@ def test_sampled_steps_tend_to_the_derivative(name: str) -> None:
     assert gaps[1] < 0.2 * gaps[0] < 0.2
 
 
-@pytest.mark.parametrize("name", RIVALS)
-def test_a_jump_sensor_is_refused(name: str) -> None:
-    with pytest.raises(InputError, match=r"observer.method: .* jump sensor"):
-        RIVALS[name].build(PAPER_PLANT, zone(kind="jump"))
-
-
 @pytest.mark.parametrize(
     "name", ["adaptive_inverse", "robust_gradient", "fuzzy_residual", "inverse_network"]
 )
@@ -458,14 +451,9 @@ def test_one_of_them_as_generated_C(tmp_path: Path) -> None:
             )
         )
     )
-    generator = ca.CodeGenerator("step")
-    generator.add(loop.step)
-    generator.generate(f"{tmp_path}/")
-    options = ["-O1", "-ffp-contract=off", "-fPIC", "-shared"]
-    library = once.program(["step.so", *options, "step.c"], tmp_path)
     arguments = (state, exogenous, tree.pack_tree(loop.params))
     computed, expected = (
-        interpret.run_interpreted(ca.external("step", str(library)), *arguments)[0],
+        interpret.run_interpreted(generated(loop.step, tmp_path), *arguments)[0],
         interpret.run_interpreted(loop.step, *arguments)[0],
     )
     assert np.isfinite(expected).all()
@@ -478,14 +466,15 @@ def test_one_of_them_as_generated_C(tmp_path: Path) -> None:
 def arena(
     observer: dict[str, Any], controller: dict[str, Any] | None = None, **changes: Any
 ) -> Run:
-    tables: dict[str, Any] = {
-        "plant": {
-            "A": [[0.0, 1.0], [-1.0, -2.0]],
-            "B": [[0.0], [1.0]],
-            "C": [[1.0, 0.0]],
-            "x0": [1.0, 0.0],
-        }
-    } | changes
+    tables: dict[str, Any] = (
+        tables_of("""
+        plant.A = [[0.0, 1.0], [-1.0, -2.0]]
+        plant.B = [[0.0], [1.0]]
+        plant.C = [[1.0, 0.0]]
+        plant.x0 = [1.0, 0.0]
+        """)
+        | changes
+    )
     tables["simulation"] = {"time": "sampled", "step": 5e-3, "duration": 20.0} | changes.get(
         "simulation", {}
     )
@@ -557,7 +546,9 @@ def test_fast_poles_hide_the_residual(name: str) -> None:
 
 def test_the_adaptive_inverse_is_near_the_oracle_where_only_the_width_is_unknown() -> None:
     bias = {"disturbance": {"kind": "step", "amplitude": 1.0}}
-    wrong = {"model": {"A": [[0.0, 1.0], [-0.9, -1.8]], "B": [[0.0], [1.05]]}}
+    wrong = tables_of("""
+        model = { A = [[0.0, 1.0], [-0.9, -1.8]], B = [[0.0], [1.05]] }
+        """)
     for changes in ({}, {"sensor": {"noise": 0.02}}, bias, wrong):
         oracle = arena({"method": "oracle", "L": [58.0, 840.0]}, **changes)
         assert (
@@ -584,46 +575,40 @@ def test_a_robust_gradient_learns_from_guesses_of_zero() -> None:
     ],
 )
 def test_two_outputs_and_third_order(options: dict[str, Any]) -> None:
-    two: dict[str, Any] = {
+    two: dict[str, Any] = tables_of("""
+        sensor = { right = [0.5, 0.3], left = [0.4, 0.6] }
+        reference = { kind = "sine", amplitude = [2.0, 2.5], frequency = 0.5, phase = [0.0, 1.0] }
+        controller = { method = "state_feedback", poles = [-8.0, -9.0] }
+        """) | {
         "plant": {
             "A": [[-1.0, 0.5], [-0.5, -2.0]],
             "B": np.eye(2).tolist(),
             "C": [[1.0, 0.0], [0.2, 1.0]],
             "x0": [0.5, -0.5],
-        },
-        "sensor": {"right": [0.5, 0.3], "left": [0.4, 0.6]},
-        "reference": {
-            "kind": "sine",
-            "amplitude": [2.0, 2.5],
-            "frequency": 0.5,
-            "phase": [0.0, 1.0],
-        },
-        "controller": {"method": "state_feedback", "poles": [-8.0, -9.0]},
+        }
     }
     run = arena(options, **two)
     assert run.widths.sum(axis=1) == pytest.approx([0.9, 0.9], abs=0.12)
-    third: dict[str, Any] = {
-        "plant": {"companion": [6.0, 11.0, 6.0], "x0": [0.5, 0.0, 0.0]},
-        "sensor": {"right": 0.5, "left": 0.5},
-        "reference": {"kind": "sine", "amplitude": 2.0, "frequency": 0.5},
-        "controller": {"method": "state_feedback", "poles": [-8.0, -9.0, -10.0]},
-    }
+    third: dict[str, Any] = tables_of("""
+        plant = { companion = [6.0, 11.0, 6.0], x0 = [0.5, 0.0, 0.0] }
+        sensor = { right = 0.5, left = 0.5 }
+        reference = { kind = "sine", amplitude = 2.0, frequency = 0.5 }
+        controller = { method = "state_feedback", poles = [-8.0, -9.0, -10.0] }
+        """)
     assert arena(options, **third).widths == pytest.approx(np.full((1, 2), 0.5), abs=0.1)
 
 
 def test_a_nonlinear_plant_and_a_step_too_coarse_for_its_gain() -> None:
-    pendulum: dict[str, Any] = {
-        "plant": {
-            "states": ["a", "v"],
-            "f": ["v", "-9.81 * sin(a) - 1.5 * v + u"],
-            "h": ["a"],
-            "x0": [0.3, 0.0],
-        },
-        "sensor": {"right": 0.3, "left": 0.3},
-        "reference": {"kind": "sine", "amplitude": 1.2, "frequency": 0.5},
-        "controller": {"method": "state_feedback", "poles": [-6.0, -6.0]},
-        "simulation": {"time": "sampled", "substeps": 2},
-    }
+    pendulum: dict[str, Any] = tables_of("""
+        plant.states = ["a", "v"]
+        plant.f = ["v", "-9.81 * sin(a) - 1.5 * v + u"]
+        plant.h = ["a"]
+        plant.x0 = [0.3, 0.0]
+        sensor = { right = 0.3, left = 0.3 }
+        reference = { kind = "sine", amplitude = 1.2, frequency = 0.5 }
+        controller = { method = "state_feedback", poles = [-6.0, -6.0] }
+        simulation = { time = "sampled", substeps = 2 }
+        """)
     run = arena({"method": "adaptive_inverse"}, **pendulum)
     assert run.rms_estimation < 0.03
     assert run.widths == pytest.approx(np.full((1, 2), 0.3), abs=0.03)
@@ -710,73 +695,13 @@ def test_output_feedback_law_on_numbers(Ts: float | None) -> None:
 @pytest.mark.parametrize("name", FEEDBACK)
 def test_without_a_dead_zone_output_feedback_learns_an_unknown_plant(name: str) -> None:
     """The model knows b only; what is learnt lowers the tracking error."""
-    changes: dict[str, Any] = {
-        "sensor": {"right": 0.0, "left": 0.0},
-        "reference": {"kind": "sine", "amplitude": 5.0, "frequency": 0.3},
-    }
+    changes: dict[str, Any] = tables_of("""
+        sensor = { right = 0.0, left = 0.0 }
+        reference = { kind = "sine", amplitude = 5.0, frequency = 0.3 }
+        """)
     law = {"method": name, "reach": [6.0, 12.0]}
     learnt, ignorant = (arena(BLIND, law | gain, **changes) for gain in ({}, {"gain": 1e-9}))
     assert learnt.rms_tracking < 0.6 * ignorant.rms_tracking
-
-
-@pytest.mark.parametrize("name", FEEDBACK)
-@pytest.mark.parametrize(
-    ("model", "error", "words"),
-    [
-        (
-            TWO,
-            InputError,
-            "controller.method: this method is for a linear model of one input and one output, "
-            "found 2 and 2",
-        ),
-        (
-            linear([[0.0, 1.0], [-1.0, -2.0]], [[0.0], [1.0]], [[-1.0, 1.0]]),
-            StructureError,
-            "controller.method: the plant has zeros 1",
-        ),
-        (linear([[-1.0]], [[1.0]], [[1.0]]), ShapeError, "controller.reach: expected 1 number"),
-    ],
-)
-def test_output_feedback_says_where_it_does_not_apply(
-    name: str, model: System, error: type[Exception], words: str
-) -> None:
-    with pytest.raises(error, match=words):
-        FEEDBACK[name].build(model)
-
-
-@pytest.mark.parametrize(
-    ("options", "error", "words"),
-    [
-        (
-            AdaptiveInverse(widths0=2.0, width_max=1.0),
-            InputError,
-            r"observer.widths0: must lie in \[0, width_max\]",
-        ),
-        (AdaptiveInverse(gain=0.0), InputError, "observer.gain: must be greater than 0"),
-        (
-            AdaptiveInverse(law="least_squares", forgetting=1e5),
-            StepError,
-            "simulation.step: 0.01 s is too coarse for observer.forgetting",
-        ),
-        (FuzzyResidual(reach=0.0), InputError, "observer.reach: must be positive"),
-        (
-            FuzzyResidual(reach=[1.0, 2.0]),
-            ShapeError,
-            "observer.reach: expected 1 number .one per output.",
-        ),
-        (
-            RBFResidual(reach=1.0, overlap=0.0),
-            InputError,
-            "observer.overlap: must be greater than 0",
-        ),
-        (TaylorResidual(reach=1.0, leak=-1.0), InputError, "observer.leak: must be at least 0"),
-        (InverseNetwork(scale=-1.0), InputError, "observer.scale: must be positive"),
-        (RobustGradient(width=0.0), InputError, "observer.width: must be greater than 0"),
-    ],
-)
-def test_wrong_options(options: Any, error: type[Exception], words: str) -> None:
-    with pytest.raises(error, match=words):
-        options.build(sample_plant(PAPER_PLANT, 0.01), zone())
 
 
 def test_a_robust_term_needs_inputs_that_move_the_outputs() -> None:

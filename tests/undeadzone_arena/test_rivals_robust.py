@@ -17,11 +17,21 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from test_engines import generated
 
-import once
-from scenes import PAPER_PLANT, OnNumbers, linear, random_plant, response, scene, slopes
+from scenes import (
+    PAPER_PLANT,
+    OnNumbers,
+    linear,
+    random_plant,
+    response,
+    scene,
+    seeds,
+    slopes,
+    tables_of,
+)
 from undeadzone.compile import interpret
-from undeadzone.errors import InputError, ShapeError, StepError, StructureError
+from undeadzone.errors import InputError, StructureError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Estimate, Observer, Reading
 from undeadzone.linalg.matrices import companion_form
@@ -48,7 +58,6 @@ from undeadzone_arena.observers.parts.modal_form import build_modes, mode_rotati
 from undeadzone_arena.observers.super_twisting import differentiator_gains
 from undeadzone_arena.observers.walcott_zak import SlidingLaw, sliding_direction, sliding_term
 
-seeds = st.integers(0, 2**32 - 1)
 POLES = [-20.0, -21.0]
 
 
@@ -175,8 +184,10 @@ def test_interval_holds_the_truth_in_closed_loop_and_learns(time: str) -> None:
 def test_interval_without_disturbance_finds_the_widths(time: str) -> None:
     run = simulate(
         scene(
-            observer={"method": "interval", "right": [0.3, 2.0]},
-            sensor={"right": 1.4, "left": 0.6},
+            """
+            observer = { method = "interval", right = [0.3, 2.0] }
+            sensor = { right = 1.4, left = 0.6 }
+            """,
             simulation={"time": time, "duration": 12.0},
         )
     )
@@ -276,21 +287,16 @@ def _beside(pairs: list[int], n: int) -> Floats:
 def test_interval_on_generated_C(tmp_path: Path) -> None:
     loop, state, exogenous = prepare(
         resolve_scenario(
-            scene(
-                observer={"method": "interval", "right": [0.3, 2.0], "disturbance": 0.1},
-                simulation={"duration": 1.0, "time": "sampled"},
-            )
+            scene("""
+                observer = { method = "interval", right = [0.3, 2.0], disturbance = 0.1 }
+                simulation = { duration = 1.0, time = "sampled" }
+                """)
         )
     )
-    generator = ca.CodeGenerator("step")
-    generator.add(loop.step)
-    generator.generate(f"{tmp_path}/")
-    options = ["-O1", "-ffp-contract=off", "-fPIC", "-shared"]
-    library = once.program(["step.so", *options, "step.c"], tmp_path)
     params = tree.pack_tree(loop.params)
     computed, expected = (
         interpret.run_interpreted(f, state, exogenous, params)[0]
-        for f in (ca.external("step", str(library)), loop.step)
+        for f in (generated(loop.step, tmp_path), loop.step)
     )
     np.testing.assert_allclose(computed, expected, rtol=1e-12, atol=1e-12)
 
@@ -459,10 +465,10 @@ NAIVE: list[dict[str, Any]] = [
     {"method": "super_twisting", "lipschitz": 200.0},
     {"method": "high_gain", "epsilon": 0.02},
 ]
-LOOP: dict[str, Any] = {
-    "controller": {"method": "state_feedback", "poles": [-10.0, -11.0]},
-    "simulation": {"duration": 6.0, "step": 2e-3, "time": "sampled"},
-}
+LOOP: dict[str, Any] = tables_of("""
+controller = { method = "state_feedback", poles = [-10.0, -11.0] }
+simulation = { duration = 6.0, step = 0.002, time = "sampled" }
+""")
 
 
 @pytest.mark.parametrize("observer", NAIVE, ids=lambda observer: observer["method"])
@@ -484,14 +490,14 @@ def test_with_known_widths_they_are_right(observer: dict[str, Any]) -> None:
 @pytest.mark.parametrize(
     "observer",
     [
-        {
-            "method": "walcott_zak",
-            "poles": [-8.4, -8.5],
-            "rho": 7.7,
-            "boundary": 0.36,
-            "gamma": 22.0,
-            "width_max": 3.0,
-        },
+        tables_of("""
+            method = "walcott_zak"
+            poles = [-8.4, -8.5]
+            rho = 7.7
+            boundary = 0.36
+            gamma = 22.0
+            width_max = 3.0
+            """),
         {"method": "high_gain", "epsilon": 0.145, "gamma": 22.0, "width_max": 3.0},
     ],
     ids=lambda observer: observer["method"],
@@ -599,21 +605,23 @@ def test_sliding_mode_suppresses_a_disturbance_below_its_gain(n: int) -> None:
 
 
 def test_sliding_mode_drives_a_nonlinear_plant() -> None:
-    pendulum = {
-        "states": ["angle", "rate"],
-        "inputs": ["torque"],
-        "f": ["rate", "-9.81 * sin(angle) - 1.5 * rate + torque"],
-        "h": ["angle"],
-        "x0": [0.3, 0.0],
-    }
+    pendulum = tables_of("""
+        states = ["angle", "rate"]
+        inputs = ["torque"]
+        f = ["rate", "-9.81 * sin(angle) - 1.5 * rate + torque"]
+        h = ["angle"]
+        x0 = [0.3, 0.0]
+        """)
     run = simulate(
         scene(
+            """
+            sensor = { right = 0.0, left = 0.0 }
+            observer = { method = "high_gain", epsilon = 0.05 }
+            controller = { method = "sliding_mode", gain = 1.0, poles = [-5.0], rate = 5.0 }
+            reference = { kind = "sine", amplitude = 1.5, frequency = 0.5 }
+            simulation = { duration = 5.0, step = 0.005 }
+            """,
             plant=pendulum,
-            sensor={"right": 0.0, "left": 0.0},
-            observer={"method": "high_gain", "epsilon": 0.05},
-            controller={"method": "sliding_mode", "gain": 1.0, "poles": [-5.0], "rate": 5.0},
-            reference={"kind": "sine", "amplitude": 1.5, "frequency": 0.5},
-            simulation={"duration": 5.0, "step": 5e-3},
         )
     )
     assert run.rms_tracking < 1e-6
@@ -634,91 +642,6 @@ def test_full_state_is_the_truth_and_needs_it() -> None:
         built.step(built.params, None, ca.SX(0.0), Reading(ca.SX(0.7), ca.SX(1.0)))
 
 
-SAMPLED = sample_plant(PAPER_PLANT, 0.01)
-PENDULUM = system(Plant(states=["a", "b"], inputs=["u"], f=["b", "-sin(a) + u"], h=["a"]))
-
-
-@pytest.mark.parametrize(
-    ("options", "model", "error", "words"),
-    [
-        (
-            WalcottZak(L=[1.0, 2.0], poles=POLES),
-            PAPER_PLANT,
-            InputError,
-            "give one of L, poles, speed, found L and poles",
-        ),
-        (
-            WalcottZak(L=[-5.0, 0.0]),
-            PAPER_PLANT,
-            StructureError,
-            "observer.L: A - L C is not stable",
-        ),
-        (WalcottZak(boundary=0.0), PAPER_PLANT, InputError, "observer.boundary: must be positive"),
-        (WalcottZak(rho=[1.0, 2.0]), PAPER_PLANT, ShapeError, "observer.rho: expected 1 number"),
-        (
-            WalcottZak(rho=50.0, boundary=0.1),
-            SAMPLED,
-            StepError,
-            "simulation.step: 0.01 s is too coarse for rho / boundary",
-        ),
-        (WalcottZak(gamma=-1.0), PAPER_PLANT, InputError, "observer.gamma: must not be negative"),
-        (
-            HighGain(epsilon=0.0),
-            PAPER_PLANT,
-            InputError,
-            "observer.epsilon: must be greater than 0",
-        ),
-        (HighGain(epsilon=0.004), SAMPLED, StepError, "too coarse for observer.epsilon = 0.004 s"),
-        (
-            HighGain(widths0=2.0, width_max=1.0),
-            PAPER_PLANT,
-            InputError,
-            r"observer.widths0: must lie in \[0, width_max\]",
-        ),
-        (
-            SuperTwisting(lipschitz=0.0),
-            PAPER_PLANT,
-            InputError,
-            "observer.lipschitz: must be positive",
-        ),
-        (
-            SuperTwisting(),
-            system(Plant(companion=np.poly(-np.ones(9))[:0:-1])),
-            StructureError,
-            "gains for up to 8 derivatives of one output, this plant needs 9",
-        ),
-        (Interval(right=[0.0, 1.0]), PENDULUM, InputError, "'interval' bounds linear plants only"),
-        (
-            Interval(right=[1.0, 1.0]),
-            PAPER_PLANT,
-            InputError,
-            r"observer.right: a range \[lo, hi\] must have 0 <= lo < hi",
-        ),
-        (
-            Interval(right=[0.0, 1.0], disturbance=-1.0),
-            PAPER_PLANT,
-            InputError,
-            "observer.disturbance: must not be negative",
-        ),
-        (
-            Interval(right=[0.0, 1.0], x_max=[1.0, 1.0, 1.0]),
-            PAPER_PLANT,
-            ShapeError,
-            "observer.x_max: expected 2 numbers",
-        ),
-        (
-            Interval(right=[0.0, 1.0], contraction=-1.0),
-            PAPER_PLANT,
-            InputError,
-            "observer.contraction: must be at least 0",
-        ),
-    ],
-)
-def test_wrong_observers(options: Any, model: System, error: type[Exception], words: str) -> None:
-    with pytest.raises(error, match=words):
-        options.build(model, zone(model.p))
-
-
 @pytest.mark.parametrize(
     "options", [WalcottZak(gamma=1.0), HighGain(gamma=1.0), SuperTwisting(gamma=1.0)]
 )
@@ -731,56 +654,13 @@ def test_widths_of_a_jump_sensor_cannot_be_adapted(options: Any) -> None:
 
 
 def test_super_twisting_of_an_unstable_plant_needs_its_linear_part() -> None:
-    tables: dict[str, Any] = {
-        "plant": {"companion": [-1.0, 0.5]},
-        "simulation": {"duration": 1.0, "time": "sampled"},
-    }
+    tables: dict[str, Any] = tables_of("""
+        plant = { companion = [-1.0, 0.5] }
+        simulation = { duration = 1.0, time = "sampled" }
+        """)
     with pytest.raises(StructureError, match=r"observer\.L: the model is unstable"):
         simulate(scene(observer={"method": "super_twisting"}, **tables))
     simulate(scene(observer={"method": "super_twisting", "speed": 4.0}, **tables))
-
-
-def test_outputs_that_tell_the_same_are_refused() -> None:
-    plant = linear(PAPER_PLANT.linear.A, PAPER_PLANT.linear.B, [[1.0, 0.0], [2.0, 0.0]])
-    with pytest.raises(StructureError, match="one of 2 outputs is redundant"):
-        HighGain().build(plant, zone(2))
-
-
-@pytest.mark.parametrize(
-    ("options", "model", "error", "words"),
-    [
-        (SlidingMode(gain=0.0), PAPER_PLANT, InputError, "controller.gain: must be positive"),
-        (
-            SlidingMode(gain=1.0, boundary=-1.0),
-            PAPER_PLANT,
-            InputError,
-            "controller.boundary: must be positive",
-        ),
-        (
-            SlidingMode(gain=1.0, poles=[-1.0, -2.0]),
-            PAPER_PLANT,
-            ShapeError,
-            "controller.poles: expected 1 pole",
-        ),
-        (
-            SlidingMode(gain=10.0, boundary=0.05),
-            SAMPLED,
-            StepError,
-            "too coarse: gain / boundary = 200 1/s",
-        ),
-        (
-            SlidingMode(gain=1.0),
-            linear(-np.eye(2), np.ones((2, 2)), [[1, 0]]),
-            StructureError,
-            "B has rank 1, not 2",
-        ),
-    ],
-)
-def test_wrong_sliding_mode_controllers(
-    options: SlidingMode, model: System, error: type[Exception], words: str
-) -> None:
-    with pytest.raises(error, match=words):
-        options.build(model)
 
 
 def test_canonical_coordinates_of_a_chain_are_its_states() -> None:

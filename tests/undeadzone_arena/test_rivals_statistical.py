@@ -5,7 +5,6 @@ Where they must coincide with Kalman, filterpy or least squares, and where they 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
@@ -21,8 +20,17 @@ from scipy.stats import norm
 
 import undeadzone_arena.unscented as unscented
 from requirements import import_package
-from scenes import EXACT_SENSOR, PAPER_PLANT, OnNumbers, linear, random_plant, scene
-from undeadzone.errors import InputError, ShapeError
+from scenes import (
+    PAPER_PLANT,
+    OnNumbers,
+    linear,
+    random_plant,
+    scene,
+    seeds,
+    tables_of,
+    zone,
+)
+from undeadzone.errors import InputError
 from undeadzone.interfaces import (
     COLUMNS,
     Estimate,
@@ -33,7 +41,7 @@ from undeadzone.interfaces import (
     build_python_observer,
 )
 from undeadzone.nonlinearities import sensor
-from undeadzone.nonlinearities.sensor import Sensor, Zone, resolve
+from undeadzone.nonlinearities.sensor import Sensor, resolve
 from undeadzone.numerics.gaussian import TAIL, from_upper_entries, to_upper_entries
 from undeadzone.observers import Kalman
 from undeadzone.observers.filtering.augmented_state import (
@@ -63,22 +71,17 @@ from undeadzone_arena.observers.parts.joint_claims import (
 )
 from undeadzone_arena.observers.parts.window import Affine, HorizonWeights, Window
 
-seeds = st.integers(0, 2**32 - 1)
 TS = 0.05
 MODEL = sample_plant(PAPER_PLANT, TS)
 ALL = [EKF, UKF, Tobit, ParticleFilter, MovingHorizon]
-PENDULUM = {
-    "states": ["angle", "rate"],
-    "inputs": ["u"],
-    "f": ["rate", "-9.81 * sin(angle) - 0.5 * rate + u"],
-    "h": ["angle"],
-    "x0": [0.5, 0.0],
-}
+PENDULUM = tables_of("""
+states = ["angle", "rate"]
+inputs = ["u"]
+f = ["rate", "-9.81 * sin(angle) - 0.5 * rate + u"]
+h = ["angle"]
+x0 = [0.5, 0.0]
+""")
 SAMPLED = {"time": "sampled", "step": 0.01, "duration": 6.0}
-
-
-def zone(p: int = 1, **options: Any) -> Zone:
-    return resolve(Sensor(**{"right": 1.0, "left": 1.0} | EXACT_SENSOR | options), p, TS)
 
 
 def full(column: Floats, size: int) -> Floats:
@@ -609,8 +612,10 @@ def test_a_missing_sample_leaves_the_python_observers_to_the_model(method: Any) 
 def test_the_live_loop_is_the_loop() -> None:
     """Kalman's filter as a graph, and the same step called from Python: the same run."""
     scenario = scene(
-        observer={"method": "kalman", "right": [0.5, 2.0]},
-        sensor={"noise": 0.02},
+        """
+        observer = { method = "kalman", right = [0.5, 2.0] }
+        sensor = { noise = 0.02 }
+        """,
         simulation=SAMPLED,
     )
     expected, problem = simulate(scenario), resolve_scenario(scenario)
@@ -638,18 +643,18 @@ def test_the_live_loop_is_the_loop() -> None:
         assert signal == pytest.approx(same, rel=1e-9, abs=1e-9), name
 
 
-CHAIN = {
-    "A": [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-4.0, -6.0, -4.0]],
-    "B": [[0.0], [0.0], [4.0]],
-    "C": [[1.0, 0.0, 0.0]],
-    "x0": [0.5, 0.0, 0.0],
-}
-TWO = {
-    "A": [[-1.0, 0.5], [-0.5, -2.0]],
-    "B": [[1.0, 0.0], [0.0, 1.0]],
-    "C": [[1.0, 0.0], [0.2, 1.0]],
-    "x0": [0.5, -0.5],
-}
+CHAIN = tables_of("""
+A = [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-4.0, -6.0, -4.0]]
+B = [[0.0], [0.0], [4.0]]
+C = [[1.0, 0.0, 0.0]]
+x0 = [0.5, 0.0, 0.0]
+""")
+TWO = tables_of("""
+A = [[-1.0, 0.5], [-0.5, -2.0]]
+B = [[1.0, 0.0], [0.0, 1.0]]
+C = [[1.0, 0.0], [0.2, 1.0]]
+x0 = [0.5, -0.5]
+""")
 PLANTS: dict[str, tuple[Any, Any]] = {
     "third order": (CHAIN, {"method": "state_feedback", "poles": [-6.0, -6.0, -6.0]}),
     "two outputs": (TWO, {"method": "state_feedback", "alpha": 5.0}),
@@ -675,9 +680,11 @@ def test_any_plant_runs_and_its_estimates_are_finite_with_their_standard_deviati
     }
     run = simulate(
         scene(
+            """
+            sensor = { right = 0.8, left = 0.6, noise = 0.01 }
+            simulation = { time = "sampled", step = 0.02, duration = 4.0 }
+            """,
             observer={"method": method.__struct_config__.tag, "right": [0.3, 1.5]},
-            sensor={"right": 0.8, "left": 0.6, "noise": 0.01},
-            simulation={"time": "sampled", "step": 0.02, "duration": 4.0},
             **changes,
         )
     )
@@ -718,61 +725,6 @@ def test_python_observers_say_where_they_cannot_run() -> None:
 
 
 # --- Wrong input
-
-
-@pytest.mark.parametrize("method", ALL, ids=lambda method: method.__struct_config__.tag)
-def test_continuous_time_is_refused_with_what_to_do(method: Any) -> None:
-    with pytest.raises(InputError, match=r"Set simulation\.time"):
-        method(right=[0.5, 2.0]).build(PAPER_PLANT, zone())
-    if method is EKF:
-        with pytest.raises(InputError, match=r"Set simulation\.time"):
-            method(right=[0.5, 2.0], mode="measured").build(PAPER_PLANT, zone())
-
-
-@pytest.mark.parametrize(
-    ("options", "where", "error", "words"),
-    [
-        (lambda: EKF(right=[0.5, 2.0]), zone(kind="jump"), InputError, "Use 'censored'"),
-        (lambda: Tobit(right=[0.5, 2.0]), zone(kind="jump"), InputError, "Use 'censored'"),
-        (lambda: MovingHorizon(right=[0.5, 2.0]), zone(kind="jump"), InputError, "Use 'censored'"),
-        (lambda: EKF(right=[2.0, 0.5]), zone(), InputError, "observer.right: a range"),
-        (lambda: UKF(right=1.0), zone(), ShapeError, "observer.right: expected the declared range"),
-        (lambda: UKF(right=[0.5, 2.0], alpha=2.0), zone(), InputError, "observer.alpha"),
-        (lambda: UKF(right=[0.5, 2.0], kappa=-4.0), zone(), InputError, "observer.alpha"),
-        (lambda: UKF(right=[0.5, 2.0], alpha=1e-3), zone(), InputError, "Raise alpha or beta"),
-        (lambda: EKF(right=[0.5, 2.0], swing=-1.0), zone(), InputError, "observer.swing"),
-        (
-            lambda: EKF(right=[0.5, 2.0], disturbance=[1.0, 2.0]),
-            zone(),
-            ShapeError,
-            "observer.disturbance",
-        ),
-        (
-            lambda: ParticleFilter(right=[0.5, 2.0], particles=1),
-            zone(),
-            InputError,
-            "observer.particles",
-        ),
-        (lambda: MovingHorizon(right=[0.5, 2.0], slack=0.0), zone(), InputError, "observer.slack"),
-        (
-            lambda: MovingHorizon(right=[0.5, 2.0], horizon=1e3, period=0.05),
-            zone(),
-            InputError,
-            "observer.period",
-        ),
-        (
-            lambda: MovingHorizon(right=[0.5, 2.0], horizon=-1.0),
-            zone(),
-            InputError,
-            "observer.horizon",
-        ),
-    ],
-)
-def test_wrong_options_are_named(
-    options: Callable[[], Any], where: Zone, error: type[Exception], words: str
-) -> None:
-    with pytest.raises(error, match=words):
-        options().build(MODEL, where)
 
 
 # --- Their parts

@@ -11,7 +11,9 @@ from pathlib import Path
 
 import pytest
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "asymmetric_noise.toml"
+from documents import EXAMPLES
+
+EXAMPLE = EXAMPLES / "asymmetric_noise.toml"
 # As gcc does: a temporary file, a process of its own that computes, and no end for a while.
 SLOW = """#!/bin/sh
 touch "$TMPDIR/cc1234.s"

@@ -22,7 +22,7 @@ from test_engines import CONTROLLERS, OBSERVERS, PENDULUM, TWO_OUTPUTS, small
 import once
 import undeadzone as uz
 from requirements import require
-from scenes import scene
+from scenes import scene, tables_of
 from undeadzone.compile import elementary, lanes, scalar_step
 from undeadzone.compile.graph import LANES, Nodes, required_nodes
 from undeadzone.errors import FileError, InputError
@@ -161,9 +161,11 @@ def test_make_builds_the_self_test_and_it_passes(joint: Path, tmp_path: Path) ->
     "changes",
     [
         {"plant": TWO_OUTPUTS, "observer": {"method": "certified", "gamma": 5.0}},
-        {"plant": PENDULUM, "observer": {"method": "certified", "L": [1.0, 0.0]},
-         "reference": {"kind": "sine", "amplitude": 1.0, "frequency": 0.5},
-         "simulation": {"duration": 3.0, "step": 1e-2, "substeps": 1}},
+        (tables_of("""
+            observer = { method = "certified", L = [1.0, 0.0] }
+            reference = { kind = "sine", amplitude = 1.0, frequency = 0.5 }
+            simulation = { duration = 3.0, step = 0.01, substeps = 1 }
+            """) | {"plant": PENDULUM}),
         {"sensor": {"kind": "jump", "noise": 0.05}},
         {"sensor": {"dropout": 0.2, "quantum": 0.01}},
     ],
@@ -702,8 +704,13 @@ def test_a_run_that_diverges_early_is_followed_to_there_without_compiling(
 ) -> None:
     """Of 100,000 samples the first are enough; the step of a large plant compiles for long."""
     unstable = scene(
-        plant={"A": [[0.0, 1.0], [1.0, 0.0]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]], "x0": [1, 0]},
-        controller={"method": "pid", "k_p": 0.0},
+        """
+        plant.A = [[0.0, 1.0], [1.0, 0.0]]
+        plant.B = [[0.0], [1.0]]
+        plant.C = [[1.0, 0.0]]
+        plant.x0 = [1, 0]
+        controller = { method = "pid", k_p = 0.0 }
+        """,
         simulation=SLOW | {"step": 0.05, "duration": 1000.0},
     )
     problem = resolve_scenario(unstable)

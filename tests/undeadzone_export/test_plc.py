@@ -20,6 +20,7 @@ from test_lower import A, B, calling_outputs, stateless
 import once
 import undeadzone as uz
 from requirements import import_package, require
+from scenes import tables_of
 from structured_text import Reader, Refused
 from undeadzone.compile import elementary, portable_maths
 from undeadzone.compile.graph import Nodes
@@ -256,9 +257,11 @@ def test_the_compiler_matiec_gives_the_same_bits(method: str, single: bool, tmp_
         {"sensor": {"play": [0.2, 0.2]},
          "observer": {"method": "kalman"} | OBSERVERS["kalman"][1]},
         {"plant": TWO_OUTPUTS, "observer": {"method": "certified", "gamma": 5.0}},
-        {"plant": PENDULUM, "observer": {"method": "certified", "L": [1.0, 0.0]},
-         "reference": {"kind": "sine", "amplitude": 1.0, "frequency": 0.5},
-         "simulation": {"duration": 3.0, "step": 1e-2, "substeps": 1}},
+        (tables_of("""
+            observer = { method = "certified", L = [1.0, 0.0] }
+            reference = { kind = "sine", amplitude = 1.0, frequency = 0.5 }
+            simulation = { duration = 3.0, step = 0.01, substeps = 1 }
+            """) | {"plant": PENDULUM}),
     ],
     ids=["jump", "range", "play", "two outputs", "nonlinear"],
 )  # fmt: skip

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 import undeadzone as uz
+from documents import ROOT
 from undeadzone_export import exporting
 
-ROOT = Path(__file__).parents[2]
 DRIVE = """
 import json, sys
 sys.path.insert(0, ".")

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from documents import EXAMPLES
 from requirements import needs
 from undeadzone.cli import group
 from undeadzone.errors import InputError
@@ -19,7 +20,7 @@ from undeadzone_export.snippet import Lost, lost_of_answer, snippet_texts
 LENGTH = 20  # lines of a snippet
 
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "motor_position.toml"
+EXAMPLE = EXAMPLES / "motor_position.toml"
 
 
 def run_export(source: Path, out: Path, *more: str) -> str:

@@ -18,6 +18,7 @@ from scipy.signal import lfilter
 
 import undeadzone as uz
 from further import further
+from records import dead_zone
 from undeadzone.cli import group
 from undeadzone.errors import InputError
 from undeadzone.util.arrays import Floats
@@ -211,7 +212,7 @@ def test_a_dead_zone_leaves_nothing() -> None:
     rng = np.random.default_rng(2)
     u = walk(rng)
     z = two_lags(u)
-    y = np.maximum(z - 0.5, 0) + np.minimum(z + 0.35, 0) + 0.02 * rng.standard_normal(u.size)
+    y = dead_zone(z, 0.5, 0.35) + 0.02 * rng.standard_normal(u.size)
     answer = identify_log(u, y)
     assert answer.verdict == "dead_zone"
     assert answer.width is not None

@@ -17,6 +17,7 @@ from scipy.signal import cont2discrete, lfilter
 import undeadzone as uz
 from documents import script_of_docs
 from further import further
+from records import dead_zone, driven, identify_log, identify_second_order, logged
 from undeadzone.cli import group
 from undeadzone.errors import InputError
 from undeadzone.scenario.reader import read
@@ -52,14 +53,7 @@ def through(v: Floats, gaps: tuple[float, float], widths: tuple[float, float]) -
     for k, value in enumerate(v):
         now = max(min(now, value + gaps[1]), value - gaps[0])
         y[k] = now
-    return np.maximum(y - widths[0], 0.0) + np.minimum(y + widths[1], 0.0)
-
-
-def driven(seed: int, size: int = 1000) -> tuple[np.random.Generator, Floats, Floats]:
-    """Random steps u, and the output z of a second-order plant."""
-    rng = np.random.default_rng(seed)
-    u = np.repeat(rng.standard_normal(size // 12 + 1), 12)[:size]
-    return rng, u, lfilter(np.append(0.0, B), np.append(1.0, A), u)
+    return dead_zone(y, widths[0], widths[1])
 
 
 def disturbed(rng: np.random.Generator, rms: float, size: int = 1000) -> Floats:
@@ -67,12 +61,6 @@ def disturbed(rng: np.random.Generator, rms: float, size: int = 1000) -> Floats:
     w = lfilter([1.0], [1.0, -0.8], rng.standard_normal(size + 200))
     w = lfilter(np.append(0.0, B), np.append(1.0, A), w)[200:]
     return np.asarray(rms * w / w.std())
-
-
-def logged(u: Floats, y: Floats) -> RecordData:
-    """A record as it is, without scales."""
-    side = np.sign(y).astype(int)
-    return RecordData(u[:, None], y, np.ones(y.size, bool), START, side, False, np.ones(1), 1.0)
 
 
 def loop(kind: str, a0: float, seed: int) -> tuple[MovingPlant, Floats, Floats, Floats]:
@@ -280,12 +268,12 @@ def behind_a_disturbance(strong: float, seed: int = 22) -> tuple[Floats, Floats]
 
 def test_a_strong_disturbance_widens_a_servos_gap_or_withdraws_it() -> None:
     u, y = behind_a_disturbance(0.4)
-    found = uz.identify(t=STEP, u=u, y=y, order=2, delay=0)
+    found = identify_second_order(u, y)
     assert found.verdict == "play"
     assert found.width.low < 0.5 < found.width.high
     assert 0.05 < found.width.half_width < 0.15
     u, y = behind_a_disturbance(0.9)
-    found = uz.identify(t=STEP, u=u, y=y, order=2, delay=0)
+    found = identify_second_order(u, y)
     assert found.verdict == "undecided"
     assert found.width is None
     assert any("hide the gap" in reason for reason in found.numbers()["reasons"])
@@ -391,7 +379,7 @@ def valve(seed: int, **more: Any) -> tuple[Any, tuple[float, float]]:
     """What is identified of a plant behind an actuator's dead zone, and the true widths."""
     rng, u, _ = driven(seed)
     widths = tuple(rng.uniform(0.2, 0.8, 2))
-    passed = np.maximum(u - widths[0], 0.0) + np.minimum(u + widths[1], 0.0)
+    passed = dead_zone(u, widths[0], widths[1])
     z = lfilter(np.append(0.0, B), np.append(1.0, A), passed)
     y = z + disturbed(rng, 0.02) + 0.01 * rng.standard_normal(z.size)
     return uz.identify(t=STEP, u=u, y=y, order=2, delay=0, **more), widths
@@ -446,7 +434,7 @@ def test_a_plant_that_integrates_is_neither_play_nor_friction() -> None:
         u = np.repeat(2 * rng.standard_normal(36), 20)[:700]
         u -= u.mean()
         z = 0.05 * np.cumsum(lfilter([0, 0.05], [1, -0.95], u))
-        y = np.maximum(z - 0.3, 0) + np.minimum(z + 0.2, 0) + 0.003 * rng.standard_normal(z.size)
+        y = dead_zone(z, 0.3, 0.2) + 0.003 * rng.standard_normal(z.size)
         answer = uz.identify(t=0.01, u=u, y=y, order=order)
         assert isinstance(answer, uz.Identified)
         assert answer.verdict == "unclear"
@@ -460,7 +448,7 @@ def test_a_plant_that_integrates_is_neither_play_nor_friction() -> None:
 def test_a_play_that_held_out_data_may_owe_to_chance_is_undecided() -> None:
     """One-step errors prefer the play ahead of a zone, held-out blocks hardly."""
     log = make_named_log(9806, "play and zone")
-    found = uz.identify(t=log.step, u=log.u, y=log.y)
+    found = identify_log(log)
     assert found.verdict == "undecided"
     assert "by chance, perhaps" in found.answer.reasons[0]
 
@@ -471,12 +459,12 @@ def test_a_play_that_held_out_data_may_owe_to_chance_is_undecided() -> None:
 def test_a_zone_is_not_named_for_a_larger_model_with_other_widths(truth: str, seed: int) -> None:
     """A zone of the input was not excluded, and the sensor's alone had odds above 0.99."""
     log = make_named_log(seed, truth)
-    found = uz.identify(t=log.step, u=log.u, y=log.y)
+    found = identify_log(log)
     assert found.verdict in ("undecided", "unclear")
 
 
 def test_the_steps_of_an_encoder_are_no_play() -> None:
     """An encoder's steps of 0.03 pass for a play of 0.014 with odds of 0.99."""
     log = make_named_log(8605, "operating point")
-    found = uz.identify(t=log.step, u=log.u, y=log.y)
+    found = identify_log(log)
     assert found.verdict == "operating_point"

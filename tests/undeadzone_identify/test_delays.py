@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from records import dead_zone, logged
 from undeadzone.nonlinearities.sensor import DIRECTIONS
 from undeadzone_identify.models.plant import RecordData, delay_inputs
 from undeadzone_identify.models.zone import WidthLimits
@@ -33,9 +34,8 @@ def data() -> RecordData:
     u = np.repeat(rng.standard_normal(90), 12)
     z = lfilter(np.r_[np.zeros(LATE + 1), 0.013, 0.006, 0.017], np.poly(POLES).real, u)
     e = 2 * z + 0.05 * rng.standard_normal(u.size)
-    y = np.maximum(e - 0.5, 0.0) + np.minimum(e + 0.4, 0.0)
-    ok, side = np.ones(y.size, bool), np.sign(y).astype(int)
-    return RecordData(u[:, None], y, ok, np.zeros(1, int), side, True, np.ones(1), 1.0)
+    y = dead_zone(e, 0.5, 0.4)
+    return logged(u, y, silent_zeros=True)
 
 
 def fitted(data: RecordData, samples: int, orders: list[int]) -> list[OrderFit]:

@@ -13,6 +13,7 @@ from click.testing import CliRunner
 from scipy.signal import lfilter
 
 import undeadzone as uz
+from records import identify_log, identify_second_order, second_order, steps
 from undeadzone.cli import group
 from undeadzone.errors import InputError
 from undeadzone.linalg.hold import zoh
@@ -24,10 +25,6 @@ from undeadzone_identify.selection.adequacy import SEEN
 
 DENOMINATOR = [1.0, -1.6, 0.68]
 STEP = 0.05
-
-
-def steps(rng, size: int, length: int = 12) -> np.ndarray:
-    return np.repeat(rng.standard_normal(size // length + 1), length)[:size]
 
 
 def driven(seed: int = 1, size: int = 900, late: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -90,7 +87,7 @@ def test_scores_of_tied_widths_are_differences(kind: str) -> None:
 
 def test_the_width_of_an_integrating_plant() -> None:
     log = motor(np.random.default_rng(4))
-    answer = uz.identify(t=log.step, u=log.u, y=log.y, integrators=1, order=2, delay=0)
+    answer = identify_log(log, integrators=1, order=2, delay=0)
     width = log.right + log.left
     assert answer.verdict == "dead_zone"
     assert answer.width.low <= width <= answer.width.high
@@ -99,7 +96,7 @@ def test_the_width_of_an_integrating_plant() -> None:
     assert answer.centre is None
     assert np.sum(np.abs(answer.plant["poles"]) < 1e-9) == 1
     with pytest.raises(InputError, match="expected 0, 1 or 2"):
-        uz.identify(t=log.step, u=log.u, y=log.y, integrators=3)
+        identify_log(log, integrators=3)
 
 
 def test_a_mode_that_rings_for_half_of_the_record_is_found() -> None:
@@ -109,7 +106,7 @@ def test_a_mode_that_rings_for_half_of_the_record_is_found() -> None:
     z = lfilter([0.0, 0.1, 0.05], np.poly([pole, pole.conj()]).real, u)
     z /= z.std()
     y = z + 0.02 * rng.standard_normal(z.size)
-    y = np.maximum(y - 0.6, 0.0) + np.minimum(y + 0.3, 0.0)
+    y = dead_zone(y, 0.6, 0.3)
     answer = uz.identify(t=1.0, u=u, y=y, order=2, delay=0)
     assert answer.verdict == "dead_zone"
     assert answer.right.low <= 0.6 <= answer.right.high
@@ -121,7 +118,7 @@ def test_a_pole_that_no_plant_in_continuous_time_has_is_one_pole() -> None:
     rng = np.random.default_rng(9)
     u = np.repeat(rng.standard_normal(80), 5)
     z = lfilter([0.0, 1.0], [1.0, 0.6], u) + 0.02 * rng.standard_normal(u.size)
-    y = np.maximum(z - 0.2, 0.0) + np.minimum(z + 0.1, 0.0)
+    y = dead_zone(z, 0.2, 0.1)
     answer = uz.identify(t=0.1, u=u, y=y, order=1)
     poles = answer.summary()["plant"]
     assert "+-" not in poles
@@ -181,7 +178,7 @@ def test_the_interval_of_a_jump_holds_as_often_as_it_says() -> None:
 def test_a_jump_sensor_is_named_and_measured(tmp_path: Path) -> None:
     u, z = driven(size=700)
     y = np.where((z > 0.5) | (z < -0.3), z, 0.0)
-    answer = uz.identify(t=STEP, u=u, y=y, order=2, delay=0)
+    answer = identify_second_order(u, y)
     assert answer.verdict == "jump"
     assert not answer.zone
     for edge, truth in ((answer.right, 0.5), (answer.left, 0.3)):
@@ -199,7 +196,7 @@ def test_an_offset_behind_the_zone_is_named() -> None:
     u, z = driven()
     noise = 0.03 * np.random.default_rng(0).standard_normal(u.size)
     y = 0.1 + dead_zone(z, 0.5, 0.3) + noise
-    answer = uz.identify(t=STEP, u=u, y=y, order=2, delay=0)
+    answer = identify_second_order(u, y)
     assert answer.verdict == "other"
     assert "constant offset behind the zone" in answer.answer.reasons[0]
     cured = uz.identify(t=STEP, u=u, y=y, order=2, zero=0.1, place="sensor", delay=0)
@@ -229,11 +226,11 @@ def test_a_spring_that_stiffens_is_no_zone() -> None:
 def test_an_edge_that_is_hardly_passed_has_its_profile() -> None:
     rng = np.random.default_rng(1)
     u = steps(rng, 1200)
-    z = lfilter([0.0, 0.05, 0.03], DENOMINATOR, u)
+    z = second_order(u)
     z /= z.std()
     right = float(np.sort(z)[-15])
     y = dead_zone(z + 0.03 * rng.standard_normal(1200), right, 0.3)
-    answer = uz.identify(t=STEP, u=u, y=y, order=2, delay=0)
+    answer = identify_second_order(u, y)
     assert answer.answer.excitation.visits[0] == 2
     assert any("profile likelihood" in remark for remark in answer.answer.remarks)
     assert answer.right.low <= right <= answer.right.high

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
 
 import undeadzone as uz
+from records import dead_zone, logged, second_order
 from undeadzone_identify.models import plant
 from undeadzone_identify.models.plant import (
     PlantSimulator,
@@ -29,14 +29,13 @@ def log(size: int = 1600, late: int = 0) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(7)
     u = np.repeat(rng.standard_normal(size // 10), 10)
     u[size // 4 : size // 2] *= 0.02
-    z = lfilter([0.0, 0.05, 0.03], [1.0, -1.6, 0.68], np.roll(u, late))
+    z = second_order(np.roll(u, late))
     e = z + 0.03 * rng.standard_normal(size)
-    return u, np.maximum(e - 0.5, 0.0) + np.minimum(e + 0.3, 0.0)
+    return u, dead_zone(e, 0.5, 0.3)
 
 
 def data_of(u: np.ndarray, y: np.ndarray, starts: tuple[int, ...] = (0,)) -> RecordData:
-    ok, side = np.ones(y.size, bool), np.sign(y).astype(int)
-    return RecordData(u[:, None], y, ok, np.array(starts), side, True, np.ones(1), 1.0)
+    return logged(u, y, starts, silent_zeros=True)
 
 
 @pytest.fixture

@@ -11,12 +11,21 @@ import pytest
 from benchmarks.identify.logs import loops as loop_logs
 from benchmarks.identify.logs import names as names_logs
 from benchmarks.identify.logs.names import NamedLog, make
-from benchmarks.identify.logs.servo import Recorded, random_log, resting_log
+from benchmarks.identify.logs.servo import random_log, resting_log
 from benchmarks.identify.logs.zone_or_play import through
 from scipy.signal import lfilter
 
 import undeadzone as uz
 from further import further
+from records import (
+    dead_zone,
+    driven,
+    identify_log,
+    identify_second_order,
+    logged,
+    second_order,
+    steps,
+)
 from undeadzone.cli import group
 from undeadzone.nonlinearities.play import levels
 from undeadzone.scenario.reader import parse
@@ -34,7 +43,7 @@ from undeadzone_identify.models.elements import (
 from undeadzone_identify.models.estimates import Interval
 from undeadzone_identify.models.least_squares import Density, LeastSquares
 from undeadzone_identify.models.place import PlaceShape, fit_place
-from undeadzone_identify.models.plant import PlantSimulator, RecordData
+from undeadzone_identify.models.plant import PlantSimulator
 from undeadzone_identify.models.zone import WidthLimits
 from undeadzone_identify.models.zone_fit import fit_linear, fit_zone
 from undeadzone_identify.page import build_identified_page
@@ -53,37 +62,6 @@ from undeadzone_identify.servo.observations import Observations, build_observati
 
 DENOMINATOR = [1.0, -1.6, 0.68]
 STEP = 0.05
-
-
-def dead_zone(z: Floats, right: float, left: float) -> Floats:
-    return np.maximum(z - right, 0.0) + np.minimum(z + left, 0.0)
-
-
-def driven(seed: int, size: int = 700) -> tuple[np.random.Generator, Floats, Floats]:
-    """Random steps u, and the output z of a second-order plant."""
-    rng = np.random.default_rng(seed)
-    u = np.repeat(rng.standard_normal(size // 12 + 1), 12)[:size]
-    return rng, u, lfilter([0.0, 0.05, 0.03], DENOMINATOR, u)
-
-
-def logged(u: Floats, y: Floats) -> RecordData:
-    """A record as it is, without scales."""
-    ok, side = np.ones(y.size, bool), np.sign(y).astype(int)
-    return RecordData(u[:, None], y, ok, np.zeros(1, int), side, False, np.ones(1), 1.0)
-
-
-def found(u: Floats, y: Floats, **more: object) -> uz.Identified:
-    """What a log says of a plant of second order without a delay, if nothing else is told."""
-    answer = uz.identify(t=STEP, u=u, y=y, **{"order": 2, "delay": 0} | more)
-    assert isinstance(answer, uz.Identified)
-    return answer
-
-
-def identify_log(log: NamedLog | Recorded, **more: object) -> uz.Identified:
-    """What a log says where nothing else is told."""
-    answer = uz.identify(t=log.step, u=log.u, y=log.y, **more)
-    assert isinstance(answer, uz.Identified)
-    return answer
 
 
 # --- odds
@@ -153,7 +131,7 @@ def test_which_models_hold_which() -> None:
 
 
 def test_a_level_is_fitted_beside_every_map() -> None:
-    rng, u, z = driven(1)
+    rng, u, z = driven(1, 700)
     y = 5.0 + z + 0.02 * rng.standard_normal(z.size)
     simulator = PlantSimulator(logged(u, y), 2)
     plain = fit_linear(simulator)
@@ -190,7 +168,7 @@ def test_a_significant_zone_is_not_named_none() -> None:
 
 
 def test_a_saturation_pays_for_edges_that_few_readings_tell() -> None:
-    rng, u, z = driven(3)
+    rng, u, z = driven(3, 700)
     data = logged(u, z + 0.05 * rng.standard_normal(z.size))
     fit = fit_zone(PlantSimulator(data, 2), "behind", WidthLimits())
     rivals = {name: one.density for name, one in fit_maps(fit).items()}
@@ -199,8 +177,8 @@ def test_a_saturation_pays_for_edges_that_few_readings_tell() -> None:
 
 @pytest.mark.parametrize("seed", [1, *further(2)])
 def test_a_log_about_an_operating_point_tells_nothing_of_a_zone(seed: int) -> None:
-    rng, u, z = driven(seed)
-    answer = found(5.0 + u, 5.0 + z + 0.02 * rng.standard_normal(z.size))
+    rng, u, z = driven(seed, 700)
+    answer = identify_second_order(5.0 + u, 5.0 + z + 0.02 * rng.standard_normal(z.size))
     assert answer.verdict == "operating_point"
     assert not answer.zone
     assert answer.width is None
@@ -222,7 +200,7 @@ def test_the_colour_of_a_loops_disturbance_is_no_friction() -> None:
 def test_a_zone_at_both_ends_is_not_sold_as_the_sensors() -> None:
     rng, u, _ = driven(3, 1200)
     z = lfilter([0.0, 0.05, 0.03], DENOMINATOR, dead_zone(u, 0.4, 0.3))
-    answer = found(u, dead_zone(z, 0.3, 0.4) + 0.01 * rng.standard_normal(z.size))
+    answer = identify_second_order(u, dead_zone(z, 0.3, 0.4) + 0.01 * rng.standard_normal(z.size))
     assert answer.verdict == "two_zones"
     numbers, truth = answer.numbers(), {"right": (0.3, 0.4), "left": (0.4, 0.3)}
     for side, (sensor, actuator) in truth.items():
@@ -250,7 +228,7 @@ def test_steps_of_an_encoder_are_no_zone_beside_the_inputs() -> None:
     """Rounded readings are silent within half a step; with that, two zones had odds of .99."""
     _, u, _ = driven(31, 1500)
     z = lfilter([0.0, 0.05, 0.03], DENOMINATOR, dead_zone(u, 0.4, 0.3))
-    answer = found(u, 0.2 * np.round(z / 0.2), delay="auto")
+    answer = identify_second_order(u, 0.2 * np.round(z / 0.2), delay="auto")
     assert answer.verdict == "input_zone"
     assert answer.numbers()["odds"]["input_zone"] > 0.9
 
@@ -259,12 +237,12 @@ def test_a_width_that_may_be_0_is_undecided() -> None:
     _, u, z = driven(4, 400)
     rng = np.random.default_rng(0)
     y = dead_zone(z, 0.01, 0.01) + 0.3 * rng.standard_normal(z.size)
-    assert found(u, y).verdict in ("none", "undecided")
+    assert identify_second_order(u, y).verdict in ("none", "undecided")
 
 
 def test_readings_that_stick_at_both_ends_are_a_saturation() -> None:
     rng, u, z = driven(12, 1000)
-    answer = found(u, np.clip(z + 0.02 * rng.standard_normal(z.size), -0.4, 0.5))
+    answer = identify_second_order(u, np.clip(z + 0.02 * rng.standard_normal(z.size), -0.4, 0.5))
     assert answer.verdict == "saturation"
     assert "[-0.4, 0.5]" in answer.answer.reasons[0]
 
@@ -273,7 +251,7 @@ def test_most_readings_at_both_ends_are_a_saturation_whatever_curve_fits_the_res
     """In a loop that winds up the few readings between the ends were another curve."""
     rng, u, z = driven(12, 1000)
     y = np.clip(z + 0.3 * z**2 + 0.01 * rng.standard_normal(z.size), -0.3, 0.3)
-    answer = found(u, y, delay="auto")
+    answer = identify_second_order(u, y, delay="auto")
     assert answer.verdict == "saturation"
 
 
@@ -290,7 +268,7 @@ def test_what_looks_like_friction_is_tested_for_a_play() -> None:
     rng = np.random.default_rng(990_011)
     size, pole = int(rng.integers(300, 900)), np.exp(-STEP * rng.uniform(0.5, 2.0))
     hold = int(rng.uniform(15, 60))
-    u = np.repeat(rng.standard_normal(size // hold + 1), hold)[:size]
+    u = steps(rng, size, hold)
     if rng.random() < 0.3:
         u = lfilter([1.0], [1.0, -0.95], rng.standard_normal(size))
     z = lfilter([0.0, 1 - pole], [1.0, -pole], u / u.std())
@@ -438,12 +416,12 @@ def test_the_limits_of_an_encoder_are_those_of_all_readings(seed: int) -> None:
 
 def test_a_play_that_reaches_its_ends_is_no_saturation() -> None:
     """Limits do not explain how the readings between them lag."""
-    _, u, z = driven(5)
+    _, u, z = driven(5, 700)
     level, read = 0.0, np.empty(z.size)
     for k, value in enumerate(z):
         level = min(max(level, value - 0.4), value + 0.4)
         read[k] = 0.02 * round(level / 0.02)
-    answer = found(u, np.clip(read, -1.2, 1.2))
+    answer = identify_second_order(u, np.clip(read, -1.2, 1.2))
     assert answer.answer.case.fitted.prepared.ends.has_ends
     assert answer.answer.case.limited is None
     assert answer.verdict != "saturation"
@@ -456,8 +434,8 @@ def test_a_disturbance_ahead_of_limits_leaves_nothing_beyond_them() -> None:
 
 
 def test_odds_are_printed_and_sum_to_1() -> None:
-    rng, u, z = driven(5)
-    answer = found(u, dead_zone(z, 0.4, 0.3) + 0.02 * rng.standard_normal(z.size))
+    rng, u, z = driven(5, 700)
+    answer = identify_second_order(u, dead_zone(z, 0.4, 0.3) + 0.02 * rng.standard_normal(z.size))
     assert answer.verdict == "dead_zone"
     assert answer.summary()["odds"].startswith("sensor ")
     odds = answer.numbers()["odds"]
@@ -472,7 +450,7 @@ def test_dropouts_to_0_are_missing_and_counted() -> None:
     rng, u, z = driven(6, 1000)
     y = dead_zone(z, 0.4, 0.3) + 0.02 * rng.standard_normal(z.size)
     dropped = rng.random(z.size) < 0.02
-    answer = found(u, np.where(dropped, 0.0, y), place="sensor")
+    answer = identify_second_order(u, np.where(dropped, 0.0, y), place="sensor")
     assert answer.right.low <= 0.4 <= answer.right.high
     assert answer.left.low <= 0.3 <= answer.left.high
     assert any("dropouts" in remark for remark in answer.answer.remarks)
@@ -484,7 +462,7 @@ def test_a_silence_between_two_glitches_is_no_dropout() -> None:
     y = dead_zone(z + 0.01 * rng.standard_normal(z.size), 0.4, 0.3)
     first, last = silence(y)
     y[[first + 1, last - 1]] = 6.0 * np.abs(y).max()
-    answer = found(u, y, place="sensor")
+    answer = identify_second_order(u, y, place="sensor")
     assert not any("dropouts" in remark for remark in answer.answer.remarks)
     assert answer.right.low <= 0.4 <= answer.right.high
     assert answer.left.low <= 0.3 <= answer.left.high
@@ -500,7 +478,7 @@ def silence(y: Floats) -> tuple[int, int]:
 def test_a_jump_sensor_does_not_drop_out() -> None:
     rng, u, z = driven(7, 700)
     z = z + 0.03 * rng.standard_normal(z.size)
-    answer = found(u, np.where((z > 0.5) | (z < -0.3), z, 0.0))
+    answer = identify_second_order(u, np.where((z > 0.5) | (z < -0.3), z, 0.0))
     assert answer.verdict == "jump"
     assert not any("dropouts" in remark for remark in answer.answer.remarks)
 
@@ -522,7 +500,7 @@ def test_a_stuck_reading_is_missing_and_counted() -> None:
     rng, u, z = driven(8, 900)
     y = dead_zone(z, 0.4, 0.3) + 0.02 * rng.standard_normal(z.size)
     y[400:490] = y[400]
-    answer = found(u, y, place="sensor")
+    answer = identify_second_order(u, y, place="sensor")
     assert any("stuck" in remark for remark in answer.answer.remarks)
     assert answer.right.low <= 0.4 <= answer.right.high
 
@@ -534,7 +512,7 @@ def test_a_sensor_that_freezes_now_and_then_is_no_play() -> None:
     for begin in (100, 210, 330, 480, 620, 750):
         y[begin : begin + 25] = y[begin]
     y[[40, 41, 560]] = np.nan
-    answer = found(u, y)
+    answer = identify_second_order(u, y)
     assert any("150 such readings are taken as missing" in one for one in answer.answer.remarks)
     assert answer.verdict == "none"
 
@@ -544,7 +522,7 @@ def test_flats_of_a_gap_end_without_a_jump() -> None:
     t = np.arange(1200) * 0.05
     z = np.sin(0.4 * t) + 0.5 * np.sin(0.13 * t)
     y = levels(z[:, None], np.array([0.05]), np.array([0.05]), z[:1])[:, 0]
-    answer = found(z, y)
+    answer = identify_second_order(z, y)
     assert not any("stuck" in remark for remark in answer.answer.remarks)
 
 
@@ -553,7 +531,7 @@ def test_one_hold_at_an_extreme_is_no_end_of_the_range() -> None:
     y = z + 0.005 * rng.standard_normal(z.size)
     top = int(np.argmax(y))
     y[top : top + 14] = y[top]
-    remarks = found(u, y).answer.remarks
+    remarks = identify_second_order(u, y).answer.remarks
     assert not any("ends of the range" in remark for remark in remarks)
 
 
@@ -572,8 +550,8 @@ def test_held_out_samples_are_blocks_over_every_record() -> None:
 def test_a_pause_at_the_end_is_no_reason_to_ask_about_columns() -> None:
     rng, u, _ = driven(11, 900)
     u[600:] = 0.0
-    z = lfilter([0.0, 0.05, 0.03], DENOMINATOR, u)
-    answer = found(u, dead_zone(z + 0.03 * rng.standard_normal(900), 0.4, 0.3))
+    z = second_order(u)
+    answer = identify_second_order(u, dead_zone(z + 0.03 * rng.standard_normal(900), 0.4, 0.3))
     assert answer.verdict == "dead_zone"
     assert answer.right.low <= 0.4 <= answer.right.high
 
@@ -594,7 +572,7 @@ def in_a_loop(seed: int, gain: float) -> tuple[Floats, Floats]:
 
 @pytest.mark.parametrize("gain", [0.0, 2.0])
 def test_a_closed_loop_is_detected(gain: float) -> None:
-    answer = found(*in_a_loop(0, gain), place="sensor")
+    answer = identify_second_order(*in_a_loop(0, gain), place="sensor")
     closed = any("closed loop" in remark for remark in answer.answer.remarks)
     assert closed == (gain > 0)
     assert (answer.numbers()["closed_loop"] < 1e-3) == (gain > 0)

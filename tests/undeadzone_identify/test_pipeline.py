@@ -15,6 +15,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 import undeadzone as uz
 from further import further
+from records import dead_zone, steps
 from requirements import import_package
 from undeadzone.errors import InputError
 from undeadzone.util.arrays import Floats
@@ -50,14 +51,6 @@ from undeadzone_identify.selection.widths import profile_likelihood
 A, B = np.array([-1.6, 0.68]), np.array([0.05, 0.03])
 
 
-def deadzone(z, right, left):
-    return np.maximum(z - right, 0.0) + np.minimum(z + left, 0.0)
-
-
-def steps(rng, size, hold=12):
-    return np.repeat(rng.standard_normal(size // hold + 1), hold)[:size]
-
-
 def record(seed=0, size=900, right=0.5, left=0.3, noise=0.03, where="ahead", disturbance=0.0):
     """A log of a second-order plant behind a zone: t, u, y and the true z."""
     rng = np.random.default_rng(seed)
@@ -65,7 +58,7 @@ def record(seed=0, size=900, right=0.5, left=0.3, noise=0.03, where="ahead", dis
     driven = u + disturbance * lfilter([0.3], [1, -0.95], rng.standard_normal(size))
     z = lfilter(np.append(0.0, B), np.append(1.0, A), driven)
     e = noise * rng.standard_normal(size)
-    y = deadzone(z + e, right, left) if where == "ahead" else deadzone(z, right, left) + e
+    y = dead_zone(z + e, right, left) if where == "ahead" else dead_zone(z, right, left) + e
     return 0.05 * np.arange(size), u, y, z
 
 
@@ -438,7 +431,7 @@ def test_friction_family_with_c_equal_a_is_a_sensor_zone() -> None:
     numbers = np.array([*A, *B, 0.0, 0.0, *A, 0.3, 0.2, 0.0, 0.0, 0.0])
     z = simulate_friction(2, 1, False, np.hstack([lagged, pulses]), numbers[None, :])[0]
     w = lfilter(np.append(0.0, B), np.append(1.0, A), u)
-    assert np.abs(z - deadzone(w, 0.3, 0.2)).max() < 1e-12
+    assert np.abs(z - dead_zone(w, 0.3, 0.2)).max() < 1e-12
 
 
 def friction_log(seed=1, size=1200, force=0.4, Ts=0.2):

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
+from records import dead_zone
 from undeadzone_identify.models.chain import ChainFit, ChainModel
 from undeadzone_identify.models.least_squares import LeastSquares
 from undeadzone_identify.models.place import PlaceModel, PlaceShape, fit_place, raise_order
@@ -20,7 +21,7 @@ SIZE = 400
 def records(rng: np.random.Generator, poles: list[float], noise: float) -> RecordData:
     """Two records behind a zone of the input of 0.4 and 0.3."""
     u = np.repeat(rng.standard_normal(SIZE // 4), 4)
-    passed = np.maximum(u - 0.4, 0.0) + np.minimum(u + 0.3, 0.0)
+    passed = dead_zone(u, 0.4, 0.3)
     denominator = np.poly(poles)
     z = lfilter([0.0, denominator.sum()], denominator, passed)
     y = z + noise * rng.standard_normal(SIZE)

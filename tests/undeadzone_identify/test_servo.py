@@ -26,6 +26,7 @@ from scipy.stats import norm
 
 import undeadzone as uz
 from further import further
+from records import identify_log
 from requirements import needs
 from undeadzone.cli import group
 from undeadzone.scenario.reader import parse
@@ -418,7 +419,7 @@ def test_what_overflows_is_no_servo() -> None:
 def test_a_filter_with_the_torques_of_a_servo_follows_its_log(seed: int, lost: float) -> None:
     """Friction and slow torques were no part of the scenario, and the filter lost the log."""
     log = random_log(seed)
-    found = uz.identify(t=log.step, u=log.u, y=log.y)
+    found = identify_log(log)
     assert isinstance(found, uz.Identified)
     text = found.scenario()
     servo = found.answer.element.fit

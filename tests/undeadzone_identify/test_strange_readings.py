@@ -27,14 +27,18 @@ def log_of(kind: str, seed: int) -> tuple[Floats, Floats]:
     return log.u, log.y
 
 
+def write_log(u: Floats, y: Floats) -> None:
+    """Write log.csv into the folder."""
+    table = np.column_stack([STEP * np.arange(u.size), u, y])
+    np.savetxt("log.csv", table, delimiter=",", header="t,u,y", comments="")
+
+
 def test_an_input_that_acts_in_its_own_sample_is_taken_one_sample_earlier(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The widths hold, and the command that is printed estimates along the same log."""
     monkeypatch.chdir(tmp_path)
-    u, y = log_of(FEEDTHROUGH, 8000)
-    table = np.column_stack([STEP * np.arange(u.size), u, y])
-    np.savetxt("log.csv", table, delimiter=",", header="t,u,y", comments="")
+    write_log(*log_of(FEEDTHROUGH, 8000))
     run = CliRunner()
     told = run.invoke(group, ["identify", "log.csv", "--no-figures", "--out", "o"])
     words = " ".join(told.output.split())
@@ -56,9 +60,7 @@ def test_a_log_of_an_input_of_its_own_row_ends_in_firmware(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    u, y = log_of(FEEDTHROUGH, 8000)
-    table = np.column_stack([STEP * np.arange(u.size), u, y])
-    np.savetxt("log.csv", table, delimiter=",", header="t,u,y", comments="")
+    write_log(*log_of(FEEDTHROUGH, 8000))
     words = ["identify", "log.csv", "--no-figures", "--out", "o", "--chain", "fw"]
     told = CliRunner().invoke(group, words)
     assert told.exit_code == 0, told.output

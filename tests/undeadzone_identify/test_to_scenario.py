@@ -17,6 +17,7 @@ import pytest
 import undeadzone as uz
 from commands import undeadzone
 from further import further
+from records import dead_zone
 from requirements import needs
 from undeadzone.errors import InputError
 from undeadzone.scenario.reader import parse
@@ -73,7 +74,7 @@ def record(element: str, reading: str, integrates: bool, order: int = 2) -> tupl
 
 def zone(z: Floats) -> Floats:
     """What a dead zone leaves."""
-    return np.maximum(z - RIGHT, 0.0) + np.minimum(z + LEFT, 0.0)
+    return dead_zone(z, RIGHT, LEFT)
 
 
 def play(z: Floats) -> Floats:

@@ -12,6 +12,7 @@ from scipy.signal import lfilter
 from scipy.stats import t as student
 
 import undeadzone as uz
+from records import dead_zone
 from undeadzone.errors import InputError
 from undeadzone_identify.logs.prepare import jump_edge_below
 from undeadzone_identify.models.estimates import Interval
@@ -30,7 +31,7 @@ def log(left_swings: int) -> tuple[np.ndarray, np.ndarray]:
     u[20 * np.linspace(3, 37, left_swings).astype(int)[:, None] + np.arange(20)] = -1.6
     z = lfilter([0.0, 0.2], [1.0, -0.8], u)
     e = z + 0.03 * rng.standard_normal(z.size)
-    return u, np.maximum(e - RIGHT, 0.0) + np.minimum(e + LEFT, 0.0)
+    return u, dead_zone(e, RIGHT, LEFT)
 
 
 @pytest.fixture(scope="module")

@@ -20,7 +20,7 @@ from test_docs import PAGES, same
 
 import once
 import undeadzone_paper
-from documents import script_of_docs
+from documents import EXAMPLES, script_of_docs
 from undeadzone.controllers import PD
 from undeadzone.linalg.riccati import paper_riccati
 from undeadzone.plants.build import system
@@ -153,7 +153,7 @@ def test_rate_agrees_with_the_fall_of_V(five: Run) -> None:
 
 
 def test_repaired_is_the_example_that_ships(five: Run) -> None:
-    shipped = read(Path(__file__).parents[2] / "examples" / "paper_5sin.toml")
+    shipped = read(EXAMPLES / "paper_5sin.toml")
     np.testing.assert_array_equal(five.d_hat, simulate(shipped, check_step=False).d_hat)
 
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import msgspec
 import numpy as np
 import pytest
 
+from documents import EXAMPLES
 from undeadzone.scenario.reader import read
 from undeadzone_paper.diagrams import (
     CONTROLLER,
@@ -24,7 +23,7 @@ from undeadzone_paper.diagrams import (
 )
 from undeadzone_paper.example import example_as_printed, example_as_repaired
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "paper_printed.toml"
+EXAMPLE = EXAMPLES / "paper_printed.toml"
 
 
 def test_as_printed_the_observer_hears_nothing_of_u_and_no_state_is_fed_back() -> None:

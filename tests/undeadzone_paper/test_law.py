@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -10,6 +9,7 @@ import numpy as np
 import pytest
 import scipy.linalg as sl
 
+from documents import EXAMPLES
 from undeadzone.errors import InputError, UndeadzoneError
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
@@ -19,7 +19,7 @@ from undeadzone.scenario.schema import Simulation
 from undeadzone.simulation.simulate import simulate
 from undeadzone_paper.law import PrintedLaw
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "paper_printed.toml"
+EXAMPLE = EXAMPLES / "paper_printed.toml"
 A, B, C = np.array([[0.0, 1.0], [-1.0, -2.0]]), np.array([[0.0], [1.0]]), np.array([[1.0, 0.0]])
 L = np.array([[-1.25], [-1.62]])
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import msgspec
 
+from documents import EXAMPLES
 from undeadzone.nonlinearities.sensor import Sensor
 from undeadzone.plants.options import Plant
 from undeadzone.registry import CONTROLLERS, OBSERVERS, Registry
@@ -15,7 +16,7 @@ from undeadzone.signals.exosystem import Sine
 from undeadzone_export import export
 from undeadzone_paper.letters import read_letters
 
-FIRMWARE = Path(__file__).parents[2] / "examples" / "firmware.toml"
+FIRMWARE = EXAMPLES / "firmware.toml"
 REQUESTED = (
     "x in (1)-(12)", "x in (14)", "y", "y^", "y~", "d^", "m", "k_s", "sigma", "alpha", "P, Q", "L",
     "d_M", "k_p, k_d", "beta^", "chi_r, chi_l, chi_bar",

@@ -10,7 +10,6 @@ from tests.undeadzone.compile.test_engines import CONTROLLERS, OBSERVERS, PENDUL
 Table = dict[str, Any]
 STEPS: Final = 120  # of a run
 IN_PYTHON: Final = ("moving_horizon", "particle_filter")
-OF_ARMS: Final = ("computed_torque", "gravity_pd")
 ONE_LINK: Final[Table] = {
     "arm": {"kind": "one_link"},
     "parameters": {"m": 1.0, "l": 0.5, "c": 0.25, "I": 0.02, "b1": 0.5, "g": 9.81},

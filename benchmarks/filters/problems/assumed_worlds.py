@@ -6,7 +6,7 @@ late steps. Each is posed in seconds of its own plant, and then stated in anothe
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,7 +24,9 @@ from benchmarks.filters.problems.random_plants import (
     CORRELATION,
     Problems,
     World,
+    companion,
     drive,
+    polynomial,
     response,
     wrong_model,
 )
@@ -169,24 +171,11 @@ def _plants(rng: np.random.Generator, poles: str, order: int, count: int) -> Pla
             own = [-frequency, *others, -1.0][: order - 1]
             own.append(rng.uniform(0.2, 1.0) if poles == "unstable" else 0.0)
         size = abs(np.prod(chosen_poles)) * rng.uniform(0.5, 2.0)
-        a, a_led = _rows(own), _rows(chosen_poles)
-        models.append(_companion(a, size))
-        led.append(_companion(a_led, size))
+        a, a_led = polynomial(own), polynomial(chosen_poles)
+        models.append(companion(a, size))
+        led.append(companion(a_led, size))
         feedback.append((a_led - a) / size)
     return Plants(models, led, np.array(feedback))
-
-
-def _rows(poles: list[Any]) -> Floats:
-    """The coefficients of the polynomial with these roots, from s^0 up."""
-    return np.asarray(np.poly(poles)[:0:-1].real)
-
-
-def _companion(a: Floats, size: float) -> Matrices:
-    """The plant z^(n) + ... + a_0 z = size u."""
-    order = a.size
-    A = np.eye(order, k=1)
-    A[-1] = -a
-    return Matrices(A, size * np.eye(order)[:, -1:], np.eye(order)[:1])
 
 
 def _drives(

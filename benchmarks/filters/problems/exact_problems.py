@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.linalg import expm, solve_discrete_lyapunov
 
+from benchmarks.filters.problems.random_plants import companion, polynomial
 from undeadzone.linalg.matrices import Matrices
 from undeadzone.nonlinearities.sensor import deadzone
 from undeadzone.util.arrays import Floats
@@ -106,10 +107,8 @@ def _problem(
     poles = [-frequency]
     if order == 2:
         poles = list(np.roots([1.0, 2 * damping * frequency, frequency**2]))
-    a = np.poly(poles)[:0:-1].real
-    A = np.eye(order, k=1)
-    A[-1] = -a
-    model = Matrices(A, a[0] * rng.uniform(0.5, 2.0) * np.eye(order)[:, -1:], np.eye(order)[:1])
+    a = polynomial(poles)
+    model = companion(a, a[0] * rng.uniform(0.5, 2.0))
     quarter = np.pi / 2 / frequency
     brief = 0.25 * quarter * rng.uniform(0.5, 2.0)
     correlation = {"coloured": brief, "white": 0.1 * STEP, "constant": np.inf}[kind]

@@ -137,13 +137,27 @@ def _excursion(rng: np.random.Generator, reach: str, d: Floats) -> tuple[Floats,
 
 def _plant(rng: np.random.Generator, order: int) -> Matrices:
     """A stable plant in companion form, C = [1 0 ...]."""
+    a = polynomial(stable_poles(rng, order))
+    return companion(a, a[0] * rng.uniform(0.5, 2.0))
+
+
+def stable_poles(rng: np.random.Generator, order: int) -> list[Any]:
+    """One to three random poles."""
     frequency, damping = rng.uniform(1.0, 6.0), rng.uniform(0.2, 1.5)
     pair = np.roots([1.0, 2 * damping * frequency, frequency**2])
-    poles = {1: [-frequency], 2: pair, 3: [*pair, -rng.uniform(0.5, 5.0)]}[order]
-    a = np.poly(poles)[:0:-1].real  # of the polynomial, from s^0 up
-    A = np.eye(order, k=1)
+    return {1: [-frequency], 2: [*pair], 3: [*pair, -rng.uniform(0.5, 5.0)]}[order]
+
+
+def polynomial(poles: list[Any]) -> Floats:
+    """The coefficients of the polynomial with these roots, from s^0 up."""
+    return np.asarray(np.poly(poles)[:0:-1].real)
+
+
+def companion(a: Floats, size: float) -> Matrices:
+    """The plant z^(n) + ... + a_0 z = size u."""
+    A = np.eye(a.size, k=1)
     A[-1] = -a
-    return Matrices(A, a[0] * rng.uniform(0.5, 2.0) * np.eye(order)[:, -1:], np.eye(order)[:1])
+    return Matrices(A, size * np.eye(a.size)[:, -1:], np.eye(a.size)[:1])
 
 
 def wrong_model(rng: np.random.Generator, model: Matrices, tolerance: float) -> Matrices:

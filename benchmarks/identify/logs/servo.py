@@ -20,7 +20,6 @@ from undeadzone.util.arrays import Floats
 PARTS = 20  # of a sample
 LATEST = 3  # samples by which the input is late at most
 LIMIT = 6.0  # of the controller, in rms of its feedforward
-REST = (0, 1)  # of every sample: position and rate before it
 
 
 class Servo(NamedTuple):

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.linalg import expm, solve_continuous_lyapunov
 from test_identifiability import visiting
 
-from scenes import random_plant, scene
+from scenes import random_plant, scene, seeds, tables_of
 from undeadzone.analysis.branch_schedule import (
     Schedule,
     level_crossing_times,
@@ -34,26 +34,20 @@ from undeadzone.scenario.schema import Scenario
 from undeadzone.signals.exosystem import Samples, Sine, Sines, Tone, Trapezoid, build_exosystem
 from undeadzone.simulation.simulate import simulate
 
-seeds = st.integers(0, 2**32 - 1)
 SAMPLED = {"time": "sampled", "step": 1e-2}
-TWO_SINES = {
-    "kind": "sines",
-    "components": [
-        {"amplitude": 3.0, "frequency": 0.5},
-        {"amplitude": 2.0, "frequency": 0.75, "phase": 1.0},
-    ],
-    "offset": 0.4,
-}
-COUPLED = {
-    "A": [
-        [0.0, 1.0, 0.0, 0.0],
-        [-4.0, -1.5, 1.0, 0.2],
-        [0.0, 0.0, 0.0, 1.0],
-        [1.0, 0.2, -3.0, -1.2],
-    ],
-    "B": [[0.0, 0.0], [1.0, 0.0], [0.0, 0.0], [0.0, 1.0]],
-    "C": [[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]],
-}
+TWO_SINES = tables_of("""
+kind = "sines"
+components = [
+    { amplitude = 3.0, frequency = 0.5 },
+    { amplitude = 2.0, frequency = 0.75, phase = 1.0 },
+]
+offset = 0.4
+""")
+COUPLED = tables_of("""
+A = [[0.0, 1.0, 0.0, 0.0], [-4.0, -1.5, 1.0, 0.2], [0.0, 0.0, 0.0, 1.0], [1.0, 0.2, -3.0, -1.2]]
+B = [[0.0, 0.0], [1.0, 0.0], [0.0, 0.0], [0.0, 1.0]]
+C = [[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]]
+""")
 
 
 def schedule_of(scenario: Scenario) -> Schedule:
@@ -138,15 +132,15 @@ def test_the_loop_decays_at_the_rate_predicted(
 def test_two_outputs_decay_at_the_rate_predicted() -> None:
     """With a complex slowest pair the decay is read off in the slow plane, over whole turns."""
     scenario = scene(
+        """
+        sensor = { right = [0.5, 0.2], left = [0.3, 0.6] }
+        reference = { kind = "sine", amplitude = [2.0, 1.5], frequency = 0.5, phase = [0.0, 1.0] }
+        observer.method = "certified"
+        observer.L = [[1.0, 0.2], [0.5, 0.0], [0.0, 1.5], [0.1, 0.4]]
+        observer.gamma = [2.0, 3.0]
+        simulation = { duration = 30.0, step = 0.002 }
+        """,
         plant=COUPLED,
-        sensor={"right": [0.5, 0.2], "left": [0.3, 0.6]},
-        reference={"kind": "sine", "amplitude": [2.0, 1.5], "frequency": 0.5, "phase": [0.0, 1.0]},
-        observer={
-            "method": "certified",
-            "L": [[1.0, 0.2], [0.5, 0.0], [0.0, 1.5], [0.1, 0.4]],
-            "gamma": [2.0, 3.0],
-        },
-        simulation={"duration": 30.0, "step": 2e-3},
     )
     predicted = rates_of(scenario)
     run = simulate(scenario, check_step=False)

@@ -10,14 +10,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scenes import PAPER_PLANT, linear, random_plant, response
+from scenes import PAPER_PLANT, linear, random_plant, response, seeds
 from undeadzone.analysis.certificate.passivity import certify, passive_gain
 from undeadzone.errors import StructureError
 from undeadzone.linalg.hold import zoh
 from undeadzone.linalg.matrices import companion_form
 from undeadzone.plants.options import Plant, linear_matrices
 
-seeds = st.integers(0, 2**32 - 1)
 GAMMA = np.array([10.0])
 
 

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from scenes import PAPER_PLANT, random_plant, scene, table
+from scenes import PAPER_PLANT, random_plant, scene, seeds, table, tables_of
 from undeadzone.analysis.branch_schedule import Schedule, plan_schedule
 from undeadzone.analysis.error_dynamics import branch_pattern
 from undeadzone.analysis.identifiability.disturbance import first_order_inputs, unknown_bias
@@ -46,7 +46,6 @@ from undeadzone.simulation.simulate import simulate
 from undeadzone.util.arrays import Floats
 from undeadzone_design.synthesis.check import check
 
-seeds = st.integers(0, 2**32 - 1)
 CHAIN = linear_matrices(Plant(integrators=2))
 WIDTHS = np.array([1.0, 0.7])
 
@@ -203,23 +202,21 @@ def sensitivities(plant: Matrices, x0: Floats, u: Floats, widths: Floats, step: 
     "changes",
     [
         {},
-        {
-            "plant": {"integrators": 2, "x0": [0.2, 0.0]},
-            "observer": {"method": "certified", "L": [3.0, 2.0]},
-        },
-        {
-            "plant": {"companion": [0.0, 2.0, 3.0]},
-            "observer": {"method": "certified", "L": [3.0, 2.0, 0.0]},
-        },
+        tables_of("""
+            plant = { integrators = 2, x0 = [0.2, 0.0] }
+            observer = { method = "certified", L = [3.0, 2.0] }
+            """),
+        tables_of("""
+            plant = { companion = [0.0, 2.0, 3.0] }
+            observer = { method = "certified", L = [3.0, 2.0, 0.0] }
+            """),
         {"reference": {"kind": "sine", "amplitude": 2.0, "frequency": 1.0, "offset": 2.0}},
-        {
-            "plant": {
-                "A": [[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -2.0, -1.0]],
-                "B": [[1.0, 0.0], [0.0, 0.0], [0.0, 1.0]],
-                "C": [[1.0, 0.5, 0.0], [0.0, 1.0, 0.0]],
-            },
-            "observer": {"method": "certified", "L": [[1.0, 0.0], [0.0, 1.0], [0.0, 0.0]]},
-        },
+        tables_of("""
+            plant.A = [[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -2.0, -1.0]]
+            plant.B = [[1.0, 0.0], [0.0, 0.0], [0.0, 1.0]]
+            plant.C = [[1.0, 0.5, 0.0], [0.0, 1.0, 0.0]]
+            observer = { method = "certified", L = [[1.0, 0.0], [0.0, 1.0], [0.0, 0.0]] }
+            """),
     ],
 )
 def test_the_invisible_directions_are_the_kernel_of_the_brute_force_gramian(
@@ -252,9 +249,10 @@ def test_the_invisible_directions_are_the_kernel_of_the_brute_force_gramian(
 @pytest.mark.parametrize("bias", [False, True])
 def test_deviations_are_those_of_the_brute_force_gramian(bias: bool) -> None:
     """Sampled, without process noise: sigma times the root of the inverse of the summed squares."""
-    scenario = scene(
-        sensor={"left": 0.7}, simulation={"time": "sampled", "step": 2e-2, "duration": 3.0}
-    )
+    scenario = scene("""
+        sensor = { left = 0.7 }
+        simulation = { time = "sampled", step = 0.02, duration = 3.0 }
+        """)
     linear, schedule = plan(scenario)
     found = optimal_deviations(
         linear,
@@ -263,9 +261,11 @@ def test_deviations_are_those_of_the_brute_force_gramian(bias: bool) -> None:
     )
     run = simulate(
         scene(
-            sensor={"left": 0.7},
+            """
+            sensor = { left = 0.7 }
+            simulation = { time = "sampled", step = 0.02, duration = 12.0 }
+            """,
             plant={**PAPER, "x0": [0.0, 0.0]},
-            simulation={"time": "sampled", "step": 2e-2, "duration": 12.0},
         )
     )
     later = slice(450, 600)  # three whole periods, the transients gone
@@ -288,7 +288,11 @@ def test_deviations_are_those_of_the_brute_force_gramian(bias: bool) -> None:
     assert np.isinf(found.states).tolist() == [bias, False]
 
 
-PAPER = {"A": [[0.0, 1.0], [-1.0, -2.0]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]]}
+PAPER = tables_of("""
+A = [[0.0, 1.0], [-1.0, -2.0]]
+B = [[0.0], [1.0]]
+C = [[1.0, 0.0]]
+""")
 
 
 def test_continuous_information_is_the_integral_of_squared_sensitivities() -> None:
@@ -309,9 +313,10 @@ def test_continuous_information_is_the_integral_of_squared_sensitivities() -> No
 
 def test_deviations_with_process_noise_are_those_of_a_kalman_filter() -> None:
     """A Kalman filter on [x; d] over the same sides, its prior vague, ends with that variance."""
-    scenario = scene(
-        sensor={"left": 0.7}, simulation={"time": "sampled", "step": 2e-2, "duration": 6.0}
-    )
+    scenario = scene("""
+        sensor = { left = 0.7 }
+        simulation = { time = "sampled", step = 0.02, duration = 6.0 }
+        """)
     linear, schedule = plan(scenario)
     Q = np.zeros((4, 4))
     Q[:2, :2] = 0.3 * linear.B @ linear.B.T
@@ -356,7 +361,9 @@ def test_continuous_and_sampled_deviations_agree_for_short_samples() -> None:
 
 def test_fast_and_slow_poles_over_a_long_run_do_not_overflow() -> None:
     linear, schedule = plan(
-        scene(plant={"A": [[-0.05, 0.0], [0.0, -400.0]], "B": [[1.0], [400.0]], "C": [[1.0, 1.0]]})
+        scene("""
+            plant = { A = [[-0.05, 0.0], [0.0, -400.0]], B = [[1.0], [400.0]], C = [[1.0, 1.0]] }
+            """)
     )
     found = optimal_deviations(linear, schedule, ReadingConditions(np.array([0.05]), 1e-3, 1e4))
     assert 0 < found.widths[0]["centre"] < 1.0
@@ -533,13 +540,12 @@ def test_only_readings_of_a_nonlinear_plant_that_arrive_count() -> None:
         "states": ["q", "w"],
         "inputs": ["M"],
     }
-    changes: dict[str, Any] = {
-        "plant": pendulum,
-        "reference": {"kind": "sine", "amplitude": 1.0, "frequency": 0.5},
-        "controller": {"method": "state_feedback", "poles": [-5.0, -6.0]},
-        "observer": {"method": "extended", "right": [0.0, 1.0], "left": [0.0, 1.0]},
-        "simulation": {"time": "sampled", "step": 0.01, "duration": 4.0},
-    }
+    changes: dict[str, Any] = tables_of("""
+        reference = { kind = "sine", amplitude = 1.0, frequency = 0.5 }
+        controller = { method = "state_feedback", poles = [-5.0, -6.0] }
+        observer = { method = "extended", right = [0.0, 1.0], left = [0.0, 1.0] }
+        simulation = { time = "sampled", step = 0.01, duration = 4.0 }
+        """) | {"plant": pendulum}
     for dropout, known in ((0.9999999, False), (0.5, True)):
         sensor = {"right": 0.3, "left": 0.2, "noise": 1e-3, "dropout": dropout}
         (verdict,) = simulate(scene(sensor=sensor, **changes)).info.identifiable
@@ -583,16 +589,20 @@ def test_a_disturbance_that_swings_hides_nothing(tmp_path: Path) -> None:
 
 def test_a_linear_plant_and_the_same_as_formulas_get_one_verdict() -> None:
     """Both edges are visited, and noise leaves more than the widths: no, practically."""
-    common: dict[str, Any] = {
-        "sensor": {"right": 0.05, "left": 0.05, "noise": 0.05},
-        "reference": {"kind": "sine", "amplitude": 5.0, "frequency": 0.05},
-        "controller": {"method": "state_feedback", "poles": [-1.0, -1.2]},
-        "observer": {"method": "luenberger", "L": [1.0, 1.0]},
-        "simulation": {"duration": 20.0, "step": 0.01, "time": "sampled"},
-    }
+    common: dict[str, Any] = tables_of("""
+        sensor = { right = 0.05, left = 0.05, noise = 0.05 }
+        reference = { kind = "sine", amplitude = 5.0, frequency = 0.05 }
+        controller = { method = "state_feedback", poles = [-1.0, -1.2] }
+        observer = { method = "luenberger", L = [1.0, 1.0] }
+        simulation = { duration = 20.0, step = 0.01, time = "sampled" }
+        """)
     formulas = {"f": ["v", "-0.0001 * q - 0.2 * v + u"], "h": ["q"], "states": ["q", "v"]}
     plants = (
-        {"A": [[0.0, 1.0], [-0.0001, -0.2]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]]},
+        tables_of("""
+            A = [[0.0, 1.0], [-0.0001, -0.2]]
+            B = [[0.0], [1.0]]
+            C = [[1.0, 0.0]]
+            """),
         formulas | {"inputs": ["u"]},
     )
     deviations = []

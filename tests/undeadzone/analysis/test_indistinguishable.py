@@ -10,7 +10,7 @@ import pytest
 from benchmarks.design import indistinguishable as bench
 from scipy.signal import lsim
 
-from scenes import scene
+from scenes import scene, tables_of
 from undeadzone.analysis.identifiability.disturbance import correlation_time, unknown_constants
 from undeadzone.analysis.identifiability.indistinguishable import describe_indistinguishable
 from undeadzone.nonlinearities.sensor import deadzone
@@ -131,13 +131,11 @@ def test_a_tone_hides_most_of_the_width_at_the_frequency_of_the_reference() -> N
 
 def test_of_a_nonlinear_plant_a_disturbance_counts_as_a_constant_of_its_rms() -> None:
     bent = {"f": ["v", "-x - 0.01 * x**3 - 2 * v + u"], "h": ["x"], "states": ["x", "v"]}
-    changes: dict[str, Any] = {
-        "plant": {**bent, "inputs": ["u"]},
-        "reference": {"kind": "sine", "amplitude": 2.0, "frequency": 0.2},
-        "observer": {"method": "extended", "right": [0.0, 2.0], "left": [0.0, 2.0]},
-        "controller": {"method": "state_feedback", "poles": [-5.0, -6.0]},
-        "simulation": {**SAMPLED, "duration": 8.0},
-    }
+    changes: dict[str, Any] = tables_of("""
+        reference = { kind = "sine", amplitude = 2.0, frequency = 0.2 }
+        observer = { method = "extended", right = [0.0, 2.0], left = [0.0, 2.0] }
+        controller = { method = "state_feedback", poles = [-5.0, -6.0] }
+        """) | {"plant": {**bent, "inputs": ["u"]}, "simulation": {**SAMPLED, "duration": 8.0}}
     alone, pushed = assess_only_output(**changes), assess_only_output(**changes, disturbance=SLOW)
     assert alone.second is None
     assert pushed.std["right"] > 5 * alone.std["right"]

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from scenes import linear, random_plant
+from scenes import linear, random_plant, seeds, tables_of
 from undeadzone.analysis.branch_schedule import reading_levels, schedule_of_record
 from undeadzone.analysis.convergence.floquet import matrix_exponentials
 from undeadzone.analysis.identifiability import linearised_run, nonlinear
@@ -246,24 +246,17 @@ def test_a_run_in_continuous_time() -> None:
     """The bent integrator's invisible change is not constant: an error of steps would show it."""
     run = simulate(
         convert(
-            {
-                "plant": {
-                    "f": ["F / (1 + s**2)"],
-                    "h": ["s + s**3 / 3"],
-                    "states": ["s"],
-                    "inputs": ["F"],
-                },
-                "sensor": {"right": 0.3, "left": 0.2},
-                "reference": {"kind": "sine", "amplitude": 1.5, "frequency": 2.0},
-                "observer": {
-                    "method": "certified",
-                    "L": [1.0],
-                    "gamma": 5.0,
-                    "widths0": [0.1, 0.1],
-                },
-                "controller": {"method": "state_feedback", "alpha": 5.0},
-                "simulation": {"duration": 6.0, "step": STEP},
-            }
+            tables_of("""
+                plant.f = ["F / (1 + s**2)"]
+                plant.h = ["s + s**3 / 3"]
+                plant.states = ["s"]
+                plant.inputs = ["F"]
+                sensor = { right = 0.3, left = 0.2 }
+                reference = { kind = "sine", amplitude = 1.5, frequency = 2.0 }
+                observer = { method = "certified", L = [1.0], gamma = 5.0, widths0 = [0.1, 0.1] }
+                controller = { method = "state_feedback", alpha = 5.0 }
+                """)
+            | {"simulation": {"duration": 6.0, "step": STEP}}
         ),
         check_step=False,
     )
@@ -276,7 +269,7 @@ def test_a_run_in_continuous_time() -> None:
 
 @settings(max_examples=40)
 @given(
-    st.integers(0, 2**32 - 1),
+    seeds,
     st.integers(1, 3),
     st.integers(1, 2),
     st.booleans(),

@@ -13,11 +13,13 @@ from benchmarks.loops.play import WORLDS
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from test_alternatives import STEP, driven, through
-from test_engines import distance, parts
+from test_engines import gap_of_engines
 from test_play import CENSORED, KALMAN, late, slow
 
 import undeadzone as uz
 from further import further
+from records import identify_second_order
+from scenes import tables_of
 from undeadzone.analysis.branch_schedule import plan_schedule, schedule_of_record
 from undeadzone.analysis.identifiability.play_and_zone import (
     ReadingConditions,
@@ -25,8 +27,7 @@ from undeadzone.analysis.identifiability.play_and_zone import (
     gap_and_width_information,
     gap_prior_rows,
 )
-from undeadzone.compile import interpret, lanes
-from undeadzone.errors import InputError, UndeadzoneError
+from undeadzone.errors import InputError
 from undeadzone.linalg.matrices import Matrices
 from undeadzone.nonlinearities.sensor import Sensor, resolve
 from undeadzone.observers.filtering import constant_states
@@ -144,54 +145,6 @@ def test_without_a_zone_it_is_the_play() -> None:
 # What is refused
 
 
-@pytest.mark.parametrize(
-    ("sensor", "words"),
-    [
-        ({"play": [0.5, -0.1]}, "sensor.play: gaps must not be negative"),
-        ({"play": 0.5}, "expected \\[c_r, c_l\\].*found one number"),
-        ({"play": [0.1, 0.2, 0.3]}, "expected \\[c_r, c_l\\]"),
-        ({"play": [[0.0, 1.0], [0.0, 1.0]]}, "a simulation needs them"),
-        ({"kind": "jump"}, 'ahead of kind = "deadzone", found "jump"'),
-        ({"kind": "play"}, "its gaps in sensor.right"),
-        ({"noise_before": 0.1}, "like a ratchet"),
-        ({"load_friction": 0.1}, "only a play has a load"),
-        ({"window": 0.02}, "at least 4 samples"),
-    ],
-)
-def test_a_sensor_that_cannot_be_is_refused(sensor: dict[str, Any], words: str) -> None:
-    with pytest.raises(UndeadzoneError, match=words):
-        resolve_scenario(both(sensor, KALMAN))
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"simulation": {"time": "continuous", "step": 1e-3}}, "sensor.play: a play shows"),
-        ({"model": {"play": [[0.5, 0.5], [0.0, 1.0]]}}, "model.play: a range \\[lo, hi\\] must"),
-        ({"model": {"play": [-1.0, 0.5]}}, "model.play: gaps must not be negative"),
-        ({"behind_play": 30.0}, "behind_play"),
-    ],
-)
-def test_a_scenario_that_cannot_be_is_refused(changes: dict[str, Any], words: str) -> None:
-    with pytest.raises(UndeadzoneError, match=words):
-        resolve_scenario(both({}, KALMAN, **changes))
-
-
-def test_gaps_of_no_play_are_refused() -> None:
-    with pytest.raises(InputError, match=r"model\.play: the sensor has no play"):
-        resolve_scenario(slow({"kind": "deadzone"}, KALMAN, model=RANGES))
-
-
-@pytest.mark.parametrize(
-    "method",
-    ["ekf", "ukf", "extended", "certified", "oracle", "adaptive_inverse", "moving_horizon"],
-)
-def test_other_observers_refuse_it(method: str) -> None:
-    widths = {"right": [0.0, 2.0]} if method in ("ekf", "ukf", "extended", "moving_horizon") else {}
-    with pytest.raises(InputError, match=f"{method!r} knows no play ahead of a dead zone"):
-        resolve_scenario(both({}, {"method": method} | widths))
-
-
 def test_the_page_and_the_arena_refuse_it(tmp_path: Path) -> None:
     scenario = both({}, KALMAN, disturbance=None)
     with pytest.raises(InputError, match="one band, a dead zone's or a play's, not both"):
@@ -280,18 +233,21 @@ def test_missing_limited_and_wrong_readings_do_no_harm() -> None:
 
 
 def test_each_output_has_gaps_of_its_own() -> None:
-    plant = {
-        "A": [[0.0, 1.0, 0.0, 0.0], [-1.0, -2.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0], [0, 0, -2, -3]],
-        "B": [[0.0, 0.0], [1.0, 0.0], [0.0, 0.0], [0.0, 1.0]],
-        "C": [[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]],
-    }
-    sensor = {"right": [1.0, 0.4], "left": [0.7, 0.6], "play": [[0.5, 0.3], [0.2, 0.7]]}
-    changes: dict[str, Any] = {
-        "plant": plant,
-        "controller": {"method": "state_feedback", "poles": [-8.0, -8.4, -8.8, -9.2]},
-        "model": {"play": [[[0.0, 1.0], [0.0, 1.0]], [[0.0, 1.0], [0.0, 1.0]]]},
-        "reference": {"kind": "sine", "amplitude": [5.0, 4.0], "frequency": 0.2},
-    }
+    plant = tables_of("""
+        A = [[0.0, 1.0, 0.0, 0.0], [-1.0, -2.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0], [0, 0, -2, -3]]
+        B = [[0.0, 0.0], [1.0, 0.0], [0.0, 0.0], [0.0, 1.0]]
+        C = [[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]]
+        """)
+    sensor = tables_of("""
+        right = [1.0, 0.4]
+        left = [0.7, 0.6]
+        play = [[0.5, 0.3], [0.2, 0.7]]
+        """)
+    changes: dict[str, Any] = tables_of("""
+        controller = { method = "state_feedback", poles = [-8.0, -8.4, -8.8, -9.2] }
+        model = { play = [[[0.0, 1.0], [0.0, 1.0]], [[0.0, 1.0], [0.0, 1.0]]] }
+        reference = { kind = "sine", amplitude = [5.0, 4.0], frequency = 0.2 }
+        """) | {"plant": plant}
     run = simulate(both(sensor | {"noise": 0.02}, KALMAN, **changes))
     for i, (c, d) in enumerate([([0.5, 0.3], [1.0, 0.7]), ([0.2, 0.7], [0.4, 0.6])]):
         own = {"play": c, "right": d[0], "left": d[1], "noise": 0.02}
@@ -385,7 +341,11 @@ def test_known_gaps_leave_nothing_hidden() -> None:
 
 
 def test_an_integrator_hides_the_sum_of_the_centres_too() -> None:
-    motor = {"A": [[0.0, 1.0], [0.0, -2.0]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]]}
+    motor = tables_of("""
+        A = [[0.0, 1.0], [0.0, -2.0]]
+        B = [[0.0], [1.0]]
+        C = [[1.0, 0.0]]
+        """)
     run = simulate(both({"noise": 0.02}, KALMAN, model=RANGES, plant=motor))
     (verdict,) = run.info.identifiable
     assert verdict["width"]
@@ -467,7 +427,7 @@ def test_identify_writes_the_scenario_that_runs(tmp_path: Path) -> None:
     rng, u, z = driven(21)
     gaps, widths = (0.25, 0.15), (0.2, 0.3)
     y = through(z, gaps, widths) + 0.01 * rng.standard_normal(z.size)
-    found = uz.identify(t=STEP, u=u, y=y, order=2, delay=0)
+    found = identify_second_order(u, y)
     (tmp_path / "both.toml").write_text(found.scenario())
     scenario = uz.read(tmp_path / "both.toml")
     sensor = resolve_scenario(scenario).sensor
@@ -520,16 +480,10 @@ def test_a_scenario_is_read_as_it_was_written(tmp_path: Path) -> None:
     [(next(iter(READINGS)), KALMAN), *((reading, CENSORED) for reading in READINGS)],
     ids=["kalman", *READINGS],
 )
-def test_engines_agree_to_the_last_bit(
-    reading: str, observer: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("UNDEADZONE_CACHE", str(tmp_path))
+def test_engines_agree_to_the_last_bit(reading: str, observer: dict[str, Any]) -> None:
     short = {"duration": 2.0}
     scenario = both(READINGS[reading], observer, model=RANGES, simulation=short)
-    step, states, exogenous, params, _ = parts(scenario)
-    expected, _ = interpret.run_interpreted(step, states, exogenous, params)
-    outputs, _ = lanes.run_lanes(lanes.build_kernel(step, width=1), states, exogenous, params)
-    assert distance(outputs[0], expected) <= 1e-13
+    assert gap_of_engines(scenario) <= 1e-13
 
 
 def test_exported_c_passes_its_self_test(tmp_path: Path) -> None:

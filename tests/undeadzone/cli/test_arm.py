@@ -11,6 +11,7 @@ import pytest
 
 import undeadzone as uz
 from commands import undeadzone
+from documents import EXAMPLES
 from requirements import import_package
 from undeadzone.errors import InputError
 from undeadzone.plants.robots.geared import fastest_contact
@@ -21,7 +22,7 @@ from undeadzone.scenario.urdf_start import starting_scenario
 
 import_package("adam")
 
-UR5 = Path(__file__).parents[3] / "examples" / "ur5.urdf"
+UR5 = EXAMPLES / "ur5.urdf"
 LINK = """<link name="{name}"><inertial><origin xyz="0 0 -0.2"/><mass value="{mass}"/>
   <inertia ixx="0.03" iyy="0.03" izz="0.002" ixy="0" ixz="0" iyz="0"/></inertial></link>"""
 JOINT = """<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>

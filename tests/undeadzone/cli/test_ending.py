@@ -12,12 +12,11 @@ from pathlib import Path
 import click
 import pytest
 
+from commands import COMMAND
+from documents import EXAMPLES, ROOT
 from undeadzone.cli import ending, group
 from undeadzone.cli.ending import name_options, run_to_exit_code
 from undeadzone.errors import InputError, Terminated
-
-EXAMPLES = Path(__file__).parents[3] / "examples"
-COMMAND = [sys.executable, "-c", "from undeadzone.cli import main; main()"]
 
 
 @pytest.fixture
@@ -245,7 +244,7 @@ def test_sigterm_reports_what_is_stored(tmp_path: Path, workers: int) -> None:
     path = tmp_path / "runs.partial"
     with subprocess.Popen(
         [sys.executable, "-c", STOPPED, str(path), str(workers)],
-        cwd=Path(__file__).parents[3],
+        cwd=ROOT,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

@@ -11,6 +11,7 @@ import msgspec
 import pytest
 
 from commands import undeadzone
+from documents import EXAMPLES
 from undeadzone.cli.output import export_command
 from undeadzone.cli.run import _describe_rival
 from undeadzone.controllers import StateFeedback
@@ -19,7 +20,7 @@ from undeadzone.scenario.reader import read
 from undeadzone.scenario.schema import Scenario, Simulation
 from undeadzone_paper.example import example_as_printed, example_as_repaired
 
-EXAMPLE = Path(__file__).parents[3] / "examples" / "paper_printed.toml"
+EXAMPLE = EXAMPLES / "paper_printed.toml"
 CHANGE = re.compile(r'(observer|controller|simulation)\.(\w+) = ("\w+")')
 
 

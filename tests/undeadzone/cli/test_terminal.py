@@ -15,15 +15,14 @@ from pathlib import Path
 
 import pytest
 
-from commands import undeadzone
+from commands import COMMAND, undeadzone
+from documents import ROOT
 from undeadzone.cli.common import paint_verdicts
 from undeadzone.cli.output import LARGE, decide_table
 from undeadzone.cli.watch import watch
 from undeadzone.util import shown
 from undeadzone_identify.command import identify
 
-ROOT = Path(__file__).parents[3]
-COMMAND = [sys.executable, "-c", "from undeadzone.cli import main; main()"]
 COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 TWO = ["run", "examples/two_outputs.toml", "--no-figures"]
 

@@ -30,10 +30,8 @@ PI = Decimal(
 
 
 @pytest.fixture(autouse=True, scope="module")
-def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("UNDEADZONE_CACHE", str(tmp_path_factory.mktemp("kernels")))
-        yield
+def nothing_compiled(own_cache: None) -> Iterator[None]:
+    yield
     kernel.cache_clear()
 
 

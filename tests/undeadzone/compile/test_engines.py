@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tests.scenes import scene
+from tests.scenes import scene, tables_of
 
 import once
 from undeadzone import registry
@@ -78,20 +78,25 @@ CONTROLLERS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
     "state_feedback": (BOTH, {"alpha": 5.0, "robust": {"gain": 0.5}}),
     "taylor_feedback": (BOTH, {"reach": 3.0}),
 }
-FIRST_ORDER = {"A": [[-1.0]], "B": [[1.0]], "C": [[1.0]], "x0": [0.4]}
-PENDULUM = {
-    "states": ["angle", "rate"],
-    "inputs": ["torque"],
-    "f": ["rate", "-9.81 * sin(angle) - 1.5 * rate + torque"],
-    "h": ["angle"],
-    "x0": [0.3, 0.0],
-}
-TWO_OUTPUTS = {
-    "A": [[-1.0, 0.5], [-0.5, -2.0]],
-    "B": [[1.0, 0.0], [0.0, 1.0]],
-    "C": [[1.0, 0.0], [0.2, 1.0]],
-    "x0": [0.5, -0.5],
-}
+FIRST_ORDER = tables_of("""
+A = [[-1.0]]
+B = [[1.0]]
+C = [[1.0]]
+x0 = [0.4]
+""")
+PENDULUM = tables_of("""
+states = ["angle", "rate"]
+inputs = ["torque"]
+f = ["rate", "-9.81 * sin(angle) - 1.5 * rate + torque"]
+h = ["angle"]
+x0 = [0.3, 0.0]
+""")
+TWO_OUTPUTS = tables_of("""
+A = [[-1.0, 0.5], [-0.5, -2.0]]
+B = [[1.0, 0.0], [0.0, 1.0]]
+C = [[1.0, 0.0], [0.2, 1.0]]
+x0 = [0.5, -0.5]
+""")
 
 
 PAIRS = [(observer, "state_feedback") for observer in registry.OBSERVERS.list_tags()] + [
@@ -111,13 +116,14 @@ def combinations() -> list[tuple[str, str, str]]:
 
 def small(time: str = "continuous", **changes: Any) -> Scenario:
     """A first-order loop of 300 steps that crosses the zone both ways."""
-    base: dict[str, Any] = {
+    base: dict[str, Any] = tables_of("""
+        sensor = { right = 0.5, left = 0.3, noise = 0.01, noise_before = 0.01 }
+        reference = { kind = "sine", amplitude = 2.0, frequency = 1.0 }
+        controller = { method = "state_feedback", alpha = 5.0 }
+        simulation = { duration = 3.0, step = 0.01 }
+        """) | {
         "plant": FIRST_ORDER,
-        "sensor": {"right": 0.5, "left": 0.3, "noise": 0.01, "noise_before": 0.01},
-        "reference": {"kind": "sine", "amplitude": 2.0, "frequency": 1.0},
         "observer": {"method": "certified"} | OBSERVERS["certified"][1],
-        "controller": {"method": "state_feedback", "alpha": 5.0},
-        "simulation": {"duration": 3.0, "step": 1e-2},
     }
     tables = base | changes
     return scene(**tables | {"simulation": tables["simulation"] | {"time": time}})
@@ -159,6 +165,15 @@ def distance(values: Floats, expected: Floats) -> float:
     return float((np.abs(np.where(finite, values, 0.0) - expected) / size).max())
 
 
+def gap_of_engines(scenario: Scenario) -> float:
+    """How far the compiled loop of a scenario is from the interpreted one, by `distance`."""
+    loop = parts(scenario)[:4]
+    expected, _ = interpret.run_interpreted(*loop)
+    step, *numbers = loop
+    found, _ = lanes.run_lanes(lanes.build_kernel(step, width=1), *numbers)
+    return distance(found[0], expected)
+
+
 def identical(a: Floats, b: Floats) -> bool:
     """Equal to the last bit and the sign of zero; every NaN is the same."""
     if a.shape != b.shape:
@@ -195,12 +210,14 @@ def test_every_observer_and_controller_runs_the_same(
     "changes",
     [
         {"plant": TWO_OUTPUTS, "observer": {"method": "certified", "gamma": 5.0}},
-        {
-            "plant": PENDULUM,
-            "observer": {"method": "certified", "L": [1.0, 0.0]},
-            "reference": {"kind": "sine", "amplitude": 1.0, "frequency": 0.5},
-            "simulation": {"duration": 3.0, "step": 1e-2, "substeps": 1},
-        },
+        (
+            tables_of("""
+            observer = { method = "certified", L = [1.0, 0.0] }
+            reference = { kind = "sine", amplitude = 1.0, frequency = 0.5 }
+            simulation = { duration = 3.0, step = 0.01, substeps = 1 }
+            """)
+            | {"plant": PENDULUM}
+        ),
         {"sensor": {"kind": "jump", "noise": 0.05}},
     ],
     ids=["two outputs", "nonlinear", "jump"],

@@ -30,6 +30,7 @@ from test_engines import (
     stateless,
 )
 
+from scenes import tables_of
 from undeadzone.compile import cache, kernel, lanes
 from undeadzone.compile.lower import Arithmetic
 from undeadzone.compile.machine import (
@@ -88,11 +89,9 @@ def earlier_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(autouse=True, scope="module")
-def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("UNDEADZONE_CACHE", str(tmp_path_factory.mktemp("kernels")))
-        cache.load_or_compile.cache_clear()
-        yield
+def nothing_compiled(own_cache: None) -> Iterator[None]:
+    cache.load_or_compile.cache_clear()
+    yield
     cache.load_or_compile.cache_clear()
 
 
@@ -324,7 +323,11 @@ def test_machine_code_of_a_loop_stays_short() -> None:
 
     machine = MACHINES["AVX-512"][0]
     scenario = small(
-        plant={"A": [[0.0, 1.0], [-1.0, -2.0]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]]},
+        plant=tables_of("""
+            A = [[0.0, 1.0], [-1.0, -2.0]]
+            B = [[0.0], [1.0]]
+            C = [[1.0, 0.0]]
+            """),
         observer={"method": "certified", "L": [1.0, 1.5], "gamma": 10.0},
         simulation={"duration": 3.0, "step": 1e-2, "switching": "plain"},
     )

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from test_engines import BOTH, WIDTHS, distance, identical, parts, shocks, small
 
+from documents import EXAMPLES
 from undeadzone.compile import lanes
 from undeadzone.errors import InputError
 from undeadzone.scenario.problem import resolve_scenario
@@ -22,8 +23,6 @@ from undeadzone.simulation.simulate import prepare
 from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
 from undeadzone_studies.ensemble.result import Ensemble
-
-EXAMPLES = Path(__file__).parents[3] / "examples"
 
 
 def test_a_step_in_parts_is_the_whole_step_to_the_last_bit() -> None:

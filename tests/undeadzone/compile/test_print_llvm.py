@@ -6,7 +6,6 @@ All that may vary varies.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -19,11 +18,7 @@ from undeadzone_studies.ensemble.batch import prepare_batch
 ARITHMETIC = r"(?:fadd|fsub|fmul|fdiv)(?: contract)?"
 
 
-@pytest.fixture(autouse=True, scope="module")
-def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("UNDEADZONE_CACHE", str(tmp_path_factory.mktemp("kernels")))
-        yield
+pytestmark = pytest.mark.usefixtures("own_cache")
 
 
 def functions(code: str) -> dict[str, str]:

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from scipy.linalg import expm, solve_discrete_are
 
-from scenes import random_plant, scene, slopes, table
+from scenes import random_plant, scene, slopes, table, tables_of
 from undeadzone.controllers import LQR, ComputedTorque
 from undeadzone.controllers.lqr import Params, linearise_trajectory, trajectory_gains
-from undeadzone.errors import InputError, ShapeError, StepError
+from undeadzone.errors import StepError
 from undeadzone.feedforward.targets import Target, flat_targets
 from undeadzone.interfaces import Controller, Estimate
 from undeadzone.linalg.matrices import Matrices
@@ -30,16 +30,15 @@ from undeadzone.simulation.packed import graph
 from undeadzone.simulation.simulate import outputs_of, prepare, simulate
 from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
-from undeadzone_arena import GravityPD
 
 TWO = {"kind": "two_link"}
-FAST = {
-    "kind": "sine",
-    "amplitude": [0.5, 1.2],
-    "frequency": 1.0,
-    "phase": [0.0, -1.5707963],
-    "offset": [-1.5, 1.5],
-}
+FAST = tables_of("""
+kind = "sine"
+amplitude = [0.5, 1.2]
+frequency = 1.0
+phase = [0.0, -1.5707963]
+offset = [-1.5, 1.5]
+""")
 REST = {"kind": "step", "amplitude": [0.4, -0.7]}
 LINK = {"plant": {"arm": {"kind": "elastic_joint", "measured": "link"}}, "tracked": [0]}
 TORQUE: dict[str, Any] = {"method": "computed_torque", "bandwidth": 15.0}
@@ -378,11 +377,11 @@ def test_lqr_follows_with_a_plant_given_by_formulas() -> None:
 
 def test_a_reference_twice_as_large_does_not_scale_the_gains() -> None:
     """scale.reference of ensembles scales the targets of a linear plant and nothing else."""
-    data = table(
-        controller={"method": "lqr", "R": 0.01},
-        observer={"method": "full_state"},
-        simulation={"time": "sampled"},
-    )
+    data = table("""
+        controller = { method = "lqr", R = 0.01 }
+        observer = { method = "full_state" }
+        simulation = { time = "sampled" }
+        """)
     start = prepare(resolve_scenario(scene(**data)))
     loop = start.loop
     scaled = loop._replace(
@@ -431,91 +430,3 @@ def test_what_is_planned_varies_along_the_path_and_is_no_parameter() -> None:
     assert plan.shape == (problem.steps + 1, 8)
     assert np.ptp(plan, axis=0).max() > 0.1 * np.abs(plan).max()
     assert tree.count_numbers(problem.controller.params) == 0
-
-
-LINEAR = sample_plant(random_plant(np.random.default_rng(0), 2), 0.01)
-ELASTIC = resolve_scenario(
-    moving(
-        GRAVITY | {"k_p": 30.0, "k_d": 2.0}, reference={"kind": "step", "amplitude": 0.4}, **LINK
-    )
-).model
-
-
-@pytest.mark.parametrize(
-    ("options", "model", "error", "words"),
-    [
-        (ComputedTorque(bandwidth=1.0), LINEAR, InputError, "'computed_torque' needs an arm"),
-        (
-            ComputedTorque(bandwidth=1.0),
-            ELASTIC,
-            InputError,
-            "'computed_torque' needs an arm whose every joint has its motor",
-        ),
-        (
-            ComputedTorque(),
-            arm_model(1e-3),
-            InputError,
-            "needs either bandwidth .* or k_p and k_d, found none",
-        ),
-        (
-            ComputedTorque(bandwidth=1.0, k_p=1.0),
-            arm_model(1e-3),
-            InputError,
-            "found bandwidth and k_p",
-        ),
-        (ComputedTorque(k_p=1.0), arm_model(1e-3), InputError, "found k_p"),
-        (
-            ComputedTorque(bandwidth=[1.0, 0.0]),
-            arm_model(1e-3),
-            InputError,
-            "controller.bandwidth: must be positive, found 0",
-        ),
-        (
-            ComputedTorque(bandwidth=[1.0] * 3),
-            arm_model(1e-3),
-            ShapeError,
-            r"controller.bandwidth: expected 2 numbers \(one per joint\), found 3",
-        ),
-        (GravityPD(k_p=1.0, k_d=1.0), LINEAR, InputError, "'gravity_pd' needs an arm"),
-        (
-            GravityPD(k_p=1.0, k_d=-1.0),
-            arm_model(1e-3),
-            InputError,
-            "controller.k_d: must be positive, found -1",
-        ),
-        (
-            GravityPD(k_p=100.0, k_d=100.0),
-            arm_model(1e-2),
-            StepError,
-            "simulation.step: 0.01 s is too coarse for controller.k_p, k_d",
-        ),
-        (
-            LQR(),
-            arm_model(),
-            InputError,
-            r"'lqr' works on samples. Set simulation.time = \"sampled\"",
-        ),
-        (
-            LQR(Q=[1.0, 2.0, 3.0]),
-            LINEAR,
-            ShapeError,
-            r"controller.Q: expected a 2 x 2 matrix \(states x states\), found a list of 3 numbers",
-        ),
-        (
-            LQR(R=[[1.0, 2.0]]),
-            LINEAR,
-            ShapeError,
-            r"controller.R: expected a 1 x 1 matrix \(inputs x inputs\), found 1 x 2",
-        ),
-        (LQR(R=0.0), LINEAR, InputError, "controller.R: must be positive definite"),
-        (
-            LQR(stride=0),
-            LINEAR,
-            InputError,
-            "controller.stride: expected a number of samples, at least 1, found 0",
-        ),
-    ],
-)
-def test_what_is_refused(options: Any, model: System, error: type[Exception], words: str) -> None:
-    with pytest.raises(error, match=words):
-        options.build(model)

@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_continuous_are, solve_continuous_lyapunov
 
-from scenes import PAPER_PLANT, linear, random_plant
+from scenes import PAPER_PLANT, random_plant
 from undeadzone.controllers import PD, Robust, StateFeedback
-from undeadzone.errors import InputError, ShapeError, StructureError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate
 from undeadzone.plants.build import system
@@ -109,46 +108,6 @@ def test_robust_term_is_bounded_smooth_and_zero_on_the_target() -> None:
         assert abs(u - 1.0 + K @ x) <= rho + 1e-12
 
 
-@pytest.mark.parametrize(
-    ("options", "error", "words"),
-    [
-        ({"speed": 0.0}, InputError, "controller.speed: must be greater than 0, found 0"),
-        ({"speed": 1.0, "alpha": 1.0}, InputError, "exactly one of .*, found alpha and speed"),
-        ({"K": [1.0, 2.0], "alpha": 1.0}, InputError, "found K and alpha"),
-        (
-            {"K": [1.0, 2.0, 3.0]},
-            ShapeError,
-            r"controller.K: expected a 1 x 2 matrix \(inputs x states\), found 1 x 3",
-        ),
-        ({"poles": [-1.0]}, ShapeError, "controller.poles: expected 2 poles"),
-        ({"alpha": 0.0}, InputError, "controller.alpha: must be greater than 0, found 0"),
-        (
-            {"alpha": 1.0, "Q": [[1.0, 0.0], [0.0, -1.0]]},
-            InputError,
-            "controller.Q: must be positive definite",
-        ),
-        (
-            {"K": [-9.0, 0.0], "robust": Robust(gain=1.0)},
-            StructureError,
-            "controller: A - BK is not stable",
-        ),
-        (
-            {"K": [1.0, 1.0], "robust": Robust(gain=1.0, width=0.0)},
-            InputError,
-            "controller.robust.width: must be greater than 0",
-        ),
-        (
-            {"K": [1.0, 1.0], "robust": Robust(gain=float("nan"))},
-            InputError,
-            "controller.robust.gain: every number must be finite",
-        ),
-    ],
-)
-def test_wrong_state_feedback(options: dict[str, Any], error: type[Exception], words: str) -> None:
-    with pytest.raises(error, match=words):
-        StateFeedback(**options).build(PAPER_PLANT)
-
-
 @pytest.mark.parametrize("Ts", [None, 0.02])
 def test_pd_is_42_with_a_filtered_derivative(Ts: float | None) -> None:
     model = PAPER_PLANT if Ts is None else sample_plant(PAPER_PLANT, Ts)
@@ -167,33 +126,6 @@ def test_pd_gains_from_34_are_alpha_BP_with_A_less_LC() -> None:
     P = solve_continuous_are(A - np.array([[12.0], [15.0]]) @ C, B, np.eye(2), np.eye(1) / 20.0)
     params = PD(alpha=10.0, L=[12.0, 15.0]).build(PAPER_PLANT).params
     assert [*params.k_p, *params.k_d] == pytest.approx((10.0 * B.T @ P).ravel())
-
-
-@pytest.mark.parametrize(
-    ("options", "model", "words"),
-    [
-        (
-            {"k_p": 1.0, "k_d": 1.0},
-            linear(-np.eye(2), np.ones((2, 1)), np.eye(2)),
-            "controller.method: 'pd' needs as many inputs as outputs, .* 1 and 2",
-        ),
-        ({"k_p": 1.0}, sample_plant(PAPER_PLANT, 0.1), "controller: pd needs k_p and k_d"),
-        ({}, linear([[-1.0]], [[1.0]], [[1.0]]), "controller: pd needs k_p and k_d"),
-        (
-            {"k_p": 1.0, "k_d": 1.0, "filter_time": 0.0},
-            PAPER_PLANT,
-            "controller.filter_time: must be greater than 0",
-        ),
-        (
-            {"k_p": [1.0, 2.0], "k_d": 1.0},
-            PAPER_PLANT,
-            "controller.k_p: expected 1 number .one per output., found 2",
-        ),
-    ],
-)
-def test_wrong_pd(options: dict[str, Any], model: System, words: str) -> None:
-    with pytest.raises(InputError, match=words):
-        PD(**options).build(model)
 
 
 @pytest.mark.parametrize("Ts", [None, 0.01])

@@ -167,21 +167,3 @@ def test_what_is_no_law_is_refused() -> None:
         uz.simulate(scenario, controller=uz.PID(k_p=1.0))  # type: ignore[arg-type]
     with pytest.raises(InputError, match="sampled"):
         uz.simulate(scene(), controller=lambda t, estimate, r: 0.0)
-
-
-@pytest.mark.parametrize(
-    ("table", "message"),
-    [
-        ({"method": "linear"}, "needs A, B, C and D"),
-        ({"method": "linear", "A": [[1.0]]}, r"controller\.B: .*together"),
-        ({"method": "linear", "numerator": [1.0]}, r"controller\.denominator"),
-        ({"method": "linear", "numerator": [1, 2, 3], "denominator": [1, 2]}, "Add a filter"),
-        ({"method": "linear", "D": [[1.0]], "numerator": [1.0], "denominator": [1.0]}, "not both"),
-        ({"method": "pid", "k_p": 1.0, "limits": [1.0, -1.0]}, "least < largest"),
-        ({"method": "pid", "k_p": 1.0, "filter_time": 0.0}, r"controller\.filter_time"),
-        ({"method": "lqg", "integral": -1.0}, r"controller\.integral"),
-    ],
-)
-def test_wrong_options_are_named(table: dict[str, Any], message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        run(table)

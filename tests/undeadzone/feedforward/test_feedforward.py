@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from scenes import PAPER_PLANT, linear, random_plant, response
+from scenes import PAPER_PLANT, linear, random_plant, response, seeds, tables_of
 from undeadzone.errors import StructureError, TrackingError
 from undeadzone.feedforward.flank_path import crossing
 from undeadzone.feedforward.targets import invert_targets, linear_targets, regulator
@@ -31,7 +31,6 @@ from undeadzone.signals.exosystem import (
     build_exosystem,
 )
 
-seeds = st.integers(0, 2**32 - 1)
 T = np.linspace(0.0, 3.0, 301)
 SINE = Sine(amplitude=5.0, frequency=1.0)
 
@@ -177,13 +176,13 @@ def test_more_outputs_than_inputs_cannot_follow() -> None:
         linear_targets(plant, exo(SINE, 2), [0, 1], T)
 
 
-PENDULUM: dict[str, Any] = {
-    "f": ["rate", "-g * sin(angle) - b * rate + torque"],
-    "h": ["angle"],
-    "states": ["angle", "rate"],
-    "inputs": ["torque"],
-    "parameters": {"g": 9.81, "b": 0.8},
-}
+PENDULUM: dict[str, Any] = tables_of("""
+f = ["rate", "-g * sin(angle) - b * rate + torque"]
+h = ["angle"]
+states = ["angle", "rate"]
+inputs = ["torque"]
+parameters = { g = 9.81, b = 0.8 }
+""")
 
 
 def test_inversion_of_a_pendulum_is_that_by_hand() -> None:

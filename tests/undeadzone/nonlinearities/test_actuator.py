@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from test_engines import distance, parts, small
+from test_engines import gap_of_engines, small
 
 import undeadzone as uz
-from scenes import EXACT_SENSOR, PAPER_PLANT, scene
+from scenes import EXACT_SENSOR, PAPER_PLANT, scene, tables_of
 from undeadzone.analysis.identifiability.linear import unobservable_changes
 from undeadzone.analysis.identifiability.sensor_and_actuator import sensor_actuator_identifiability
-from undeadzone.compile import interpret, lanes
-from undeadzone.errors import InputError, ShapeError, StructureError
+from undeadzone.compile import interpret
+from undeadzone.errors import InputError
 from undeadzone.nonlinearities.actuator import (
     Actuator,
     ActuatorModel,
@@ -53,16 +53,17 @@ COASTS = INVERSE | {"coast": 0.8}
 
 def loop(**changes: Any) -> Scenario:
     """The paper's plant behind a dead zone at either end."""
-    tables: dict[str, Any] = {
+    tables: dict[str, Any] = tables_of("""
+        reference = { kind = "sine", amplitude = 4.0, frequency = 0.4 }
+        controller = { method = "state_feedback", poles = [-6.0, -6.3] }
+        disturbance = { kind = "random", rms = 0.5, correlation_time = 0.0001 }
+        """) | {
         "sensor": {"right": 1.0, "left": 0.7, "noise": 0.01} | EXACT_SENSOR,
         "actuator": {"right": RIGHT, "left": LEFT},
         "model": {"actuator": RANGES},
         "compensator": COASTS,
         "observer": KALMAN,
-        "reference": {"kind": "sine", "amplitude": 4.0, "frequency": 0.4},
-        "controller": {"method": "state_feedback", "poles": [-6.0, -6.3]},
         "simulation": {"time": "sampled", "step": TS, "duration": 20.0},
-        "disturbance": {"kind": "random", "rms": 0.5, "correlation_time": 1e-4},
     }
     simulation = tables["simulation"] | changes.pop("simulation", {})
     return scene(**tables | changes | {"simulation": simulation})
@@ -71,6 +72,16 @@ def loop(**changes: Any) -> Scenario:
 def outputs(scenario: Scenario) -> Outputs:
     """All outputs of the loop along a run."""
     return outputs_of(prepare(resolve_scenario(scenario)))
+
+
+def gap_of_commands(scenario: Scenario) -> float:
+    """How far what an exported controller commands is from what the loop commands."""
+    problem = resolve_scenario(scenario)
+    expected = selftest_vectors.record_inputs(problem, export_parts.build_step(problem))[:, 1]
+    step = export_parts.build_step(problem, "observer+controller")
+    rows = selftest_vectors.record_inputs(problem, step)
+    found, _ = interpret.run_interpreted(step.function, step.start, rows, step.defaults)
+    return float(np.abs(found[:, 0] - expected).max() / np.abs(expected).max())
 
 
 def late(run: Run, error: Floats) -> float:
@@ -133,37 +144,6 @@ def test_a_known_zone_that_is_inverted_is_none(time: str) -> None:
 
 
 # What is refused
-
-
-@pytest.mark.parametrize(
-    ("changes", "error", "words"),
-    [
-        ({"actuator": {"right": -1.0}}, InputError, "actuator.right"),
-        ({"actuator": {"slope": [1.0, 0.0]}}, InputError, "must be positive"),
-        ({"actuator": {"limit": [1.0, 2.0]}}, InputError, "lo < 0 < hi"),
-        ({"actuator": {"rate": [1.0]}}, ShapeError, r"\[falling, rising\]"),
-        ({"model": {"actuator": {"right": [0.0, 6.0], "left": 1.0}}}, InputError, "a range too"),
-        (
-            {"model": {"actuator": {"right": [6.0, 0.0]} | {"left": [0.0, 6.0]}}},
-            InputError,
-            "0 <= lo",
-        ),
-        ({"observer": {"method": "certified"}}, InputError, "cannot estimate the widths"),
-        ({"observer": {"method": "ekf", "right": [0.0, 3.0]}}, InputError, "cannot estimate"),
-        (
-            {"model": None, "observer": {"method": "particle_filter", "right": [0.0, 3.0]}},
-            InputError,
-            "knows no actuator",
-        ),
-        ({"compensator": COASTS | {"every": 0.5}}, InputError, "must be shorter"),
-        ({"model": None, "actuator": None}, InputError, "no actuator to compensate"),
-    ],
-)
-def test_what_cannot_be_is_refused(
-    changes: dict[str, Any], error: type[Exception], words: str
-) -> None:
-    with pytest.raises(error, match=words):
-        resolve_scenario(loop(**changes))
 
 
 @pytest.mark.parametrize(
@@ -322,10 +302,10 @@ def test_no_mode_visited_tells_nothing_of_the_actuator() -> None:
 
 def test_robust_adaptive_control_needs_no_inverse() -> None:
     """Given the true state it follows through an unknown zone; its plain twin does not."""
-    changes = {
-        "compensator": {"method": "none"},
-        "model": {"actuator": {"right": 0.0, "left": 0.0}},
-    }
+    changes = tables_of("""
+        compensator = { method = "none" }
+        model = { actuator = { right = 0.0, left = 0.0 } }
+        """)
     observer = {"method": "full_state"}
     law = {"method": "robust_adaptive", "rate": 10.0, "poles": [-6.0], "layer": 0.1}
     robust = simulate(loop(observer=observer, controller=law, **changes))
@@ -346,42 +326,26 @@ def test_robust_adaptive_control_learns_as_fast_in_samples() -> None:
 def test_the_adaptive_inverse_learns_the_widths_behind_a_clean_sensor() -> None:
     """Of a plant that is fast beside its reference; behind slow ones it learns the sum slowly."""
     compensator = {"method": "adaptive_inverse", "width_max": 6.0}
-    changes = {
-        "plant": {"A": [[-4.0]], "B": [[4.0]], "C": [[1.0]]},
-        "actuator": {"right": 1.0, "left": 0.7},
-        "reference": {"kind": "sine", "amplitude": 3.0, "frequency": 0.1},
-        "controller": {"method": "state_feedback", "poles": [-8.0]},
-        "sensor": {"right": 0.0, "left": 0.0, "noise": 0.0},
-        "observer": {"method": "full_state"},
-        "model": {"actuator": {"right": 0.0, "left": 0.0}},
-        "disturbance": None,
-        "simulation": {"duration": 60.0},
-    }
+    changes = tables_of("""
+        plant = { A = [[-4.0]], B = [[4.0]], C = [[1.0]] }
+        actuator = { right = 1.0, left = 0.7 }
+        reference = { kind = "sine", amplitude = 3.0, frequency = 0.1 }
+        controller = { method = "state_feedback", poles = [-8.0] }
+        sensor = { right = 0.0, left = 0.0, noise = 0.0 }
+        observer = { method = "full_state" }
+        model = { actuator = { right = 0.0, left = 0.0 } }
+        simulation = { duration = 60.0 }
+        """) | {"disturbance": None}
     learnt = simulate(loop(compensator=compensator, **changes))
     none = simulate(loop(compensator={"method": "none"}, **changes))
     assert late(learnt, learnt.z - learnt.r) < 0.1 * late(none, none.z - none.r)
-
-
-def test_the_adaptive_inverse_refuses_an_integrator() -> None:
-    tank = {"A": [[0.0]], "B": [[1.0]], "C": [[1.0]]}
-    with pytest.raises(StructureError, match="stable plant"):
-        resolve_scenario(
-            loop(
-                plant=tank,
-                controller={"method": "state_feedback", "poles": [-4.0]},
-                compensator={"method": "adaptive_inverse"},
-            )
-        )
 
 
 # Engines
 
 
 @pytest.mark.parametrize("method", ["kalman", "censored"])
-def test_engines_agree_to_the_last_bit(
-    method: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("UNDEADZONE_CACHE", str(tmp_path))
+def test_engines_agree_to_the_last_bit(method: str) -> None:
     scenario = small(
         "sampled",
         observer={"method": method, "right": [0.1, 1.0]},
@@ -389,10 +353,7 @@ def test_engines_agree_to_the_last_bit(
         model={"actuator": {"right": [0.0, 1.0], "left": [0.0, 1.0]}},
         compensator={"method": "smooth_inverse", "coast": 0.1, "every": 0.5},
     )
-    step, states, exogenous, params, _ = parts(scenario)
-    expected, _ = interpret.run_interpreted(step, states, exogenous, params)
-    found, _ = lanes.run_lanes(lanes.build_kernel(step, width=1), states, exogenous, params)
-    assert distance(found[0], expected) == 0
+    assert gap_of_engines(scenario) == 0
 
 
 def test_exported_c_passes_its_self_test(tmp_path: Path) -> None:
@@ -403,12 +364,7 @@ def test_exported_c_passes_its_self_test(tmp_path: Path) -> None:
 @pytest.mark.parametrize("method", ["none", "inverse", "smooth_inverse", "adaptive_inverse"])
 def test_an_exported_controller_commands_what_the_loop_commands(method: str) -> None:
     compensator = {"method": method, "coast": 0.4, "every": 1.0}
-    problem = resolve_scenario(loop(compensator=compensator, simulation={"duration": 3.0}))
-    expected = selftest_vectors.record_inputs(problem, export_parts.build_step(problem))[:, 1]
-    step = export_parts.build_step(problem, "observer+controller")
-    rows = selftest_vectors.record_inputs(problem, step)
-    found, _ = interpret.run_interpreted(step.function, step.start, rows, step.defaults)
-    assert np.abs(found[:, 0] - expected).max() < 1e-9 * np.abs(expected).max()
+    assert gap_of_commands(loop(compensator=compensator, simulation={"duration": 3.0})) < 1e-9
 
 
 def test_figure_and_page_show_an_actuator_whose_widths_are_estimated() -> None:

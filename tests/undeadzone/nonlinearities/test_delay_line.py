@@ -107,18 +107,3 @@ def test_certified_gains_are_certified_whatever_the_delay() -> None:
     assert shifted.certified
     assert shifted.margin == prompt.margin
     assert shifted.rate == pytest.approx(prompt.rate)
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"time": "continuous"}, 'plant.delay: .*Set simulation.time = "sampled"'),
-        ({"samples": -1}, "plant.delay: expected 0 to 1000 samples, found -1"),
-        ({"assumed": 2000}, "model.delay: expected 0 to 1000 samples, found 2000"),
-        ({"controller": 'method = "pd"\nk_p = 1.0\nk_d = 0.1'}, "'pd' feeds back the innovation"),
-        ({"observer": 'method = "moving_horizon"\nright = [0.1, 0.5]'}, "computes in Python"),
-    ],
-)
-def test_what_knows_no_delay_is_refused(change: dict[str, Any], words: str) -> None:
-    with pytest.raises(uz.InputError, match=words):
-        uz.simulate(late(**change))

@@ -14,7 +14,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
-from undeadzone.errors import InputError, ShapeError
 from undeadzone.nonlinearities import sensor
 from undeadzone.nonlinearities.sensor import Sensor, deadzone
 
@@ -224,41 +223,3 @@ def test_resolve_spreads_numbers_over_outputs() -> None:
         [0.5, 0.7],
         [2, 2],
     )
-
-
-@pytest.mark.parametrize(
-    ("options", "error", "words"),
-    [
-        ({"right": -1.0, "left": 1.0}, InputError, "sensor.right: must not be negative, found -1"),
-        (
-            {"right": 1.0, "left": [1.0, 2.0, 3.0]},
-            ShapeError,
-            "sensor.left: expected 2 numbers .*, found 3",
-        ),
-        ({"right": 1.0, "left": 1.0, "slope": 0.0}, InputError, "sensor.slope: must be positive"),
-        (
-            {"right": float("nan"), "left": 1.0},
-            InputError,
-            "sensor.right: every number must be finite",
-        ),
-        ({"right": "wide", "left": 1.0}, InputError, "sensor.right: expected numbers"),
-        (
-            {"right": 1.0, "left": 1.0, "noise": -0.1},
-            InputError,
-            "sensor.noise: must not be negative",
-        ),
-        (
-            {"right": 1.0, "left": 1.0, "threshold": -0.1},
-            InputError,
-            "sensor.threshold: must not be negative",
-        ),
-        (
-            {"right": 1.0, "left": 1.0, "false_alarm_rate": 0.0},
-            InputError,
-            "sensor.false_alarm_rate: must be greater than 0",
-        ),
-    ],
-)
-def test_wrong_sensors(options: dict[str, Any], error: type[Exception], words: str) -> None:
-    with pytest.raises(error, match=words):
-        sensor.resolve(Sensor(**options), 2, 1e-3)

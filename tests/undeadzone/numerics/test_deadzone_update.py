@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import subprocess
+from collections.abc import Iterable
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,11 +13,10 @@ import casadi as ca
 import numpy as np
 import pytest
 from hypothesis import given, settings
-from hypothesis import strategies as st
 
 import once
 import undeadzone as uz
-from scenes import EXACT_SENSOR, linear
+from scenes import EXACT_SENSOR, linear, seeds
 from undeadzone.interfaces import Reading
 from undeadzone.nonlinearities.sensor import Sensor, deadzone, resolve, side
 from undeadzone.numerics.deadzone_update import DeadzoneMemory, DeadzoneUpdate, deadzone_update
@@ -58,7 +58,7 @@ def test_known_edges_give_the_moments_of_a_cut_gaussian(mean: float, std: float)
     assert updated.mean[1:].tolist() == [0.0, 0.0]
 
 
-@given(seed=st.integers(0, 2**32 - 1))
+@given(seed=seeds)
 @settings(max_examples=60, deadline=None)
 def test_silence_leaves_a_covariance_that_is_one(seed: int) -> None:
     """Whatever is believed, of zones that may be negative too."""
@@ -328,13 +328,17 @@ class Case(NamedTuple):
 
 def in_header(cases: list[Case], folder: Path) -> Floats:
     """Results of the header for cases: (side, memory, x, P) a row."""
-    (folder / "deadzone_update.h").write_text(
-        (files("undeadzone.numerics") / "deadzone_update.h").read_text()
-    )
-    (folder / "main.c").write_text(ANY)
-    flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-O1"]
+    return run_header(ANY, [case.line() for case in cases], folder)
+
+
+def run_header(main: str, lines: Iterable[Any], folder: Path, *options: str) -> Floats:
+    """Rows that a program prints of lines; it takes the header, compiled with all warnings."""
+    header = files("undeadzone.numerics") / "deadzone_update.h"
+    (folder / "deadzone_update.h").write_text(header.read_text())
+    (folder / "main.c").write_text(main)
+    flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-O1", *options]
     program = once.program(["deadzone_update", *flags, "main.c"], folder)
-    text = "\n".join(case.line() for case in cases)
+    text = "\n".join(map(str, lines))
     done = subprocess.run([program], input=text, capture_output=True, text=True, check=True)
     return np.array([line.split() for line in done.stdout.splitlines()], float)
 
@@ -379,7 +383,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("deadzone_update")
 
 
-@given(seed=st.integers(0, 2**32 - 1))
+@given(seed=seeds)
 @settings(max_examples=40, deadline=None)
 def test_the_header_agrees_at_extremes(seed: int, folder: Path) -> None:
     """To 1e-6 of a deviation; both choose the same edges, and wait alike."""
@@ -538,14 +542,7 @@ def test_the_header_moves_the_columns_alike(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     z = 2 * np.sin(0.05 * np.arange(300))
     readings = deadzone(z, 1.0, 0.8, 2.0) + 0.02 * rng.normal(size=300)
-    header = files("undeadzone.numerics") / "deadzone_update.h"
-    (tmp_path / "deadzone_update.h").write_text(header.read_text())
-    (tmp_path / "main.c").write_text(SHAPED)
-    flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-O1"]
-    program = once.program(["deadzone_update", *flags, "main.c"], tmp_path)
-    text = "\n".join(map(str, readings))
-    done = subprocess.run([program], input=text, capture_output=True, text=True, check=True)
-    rows = np.array([line.split() for line in done.stdout.splitlines()], float)
+    rows = run_header(SHAPED, readings, tmp_path)
     x, P, memory = np.array([0, 2, 1.15, 1.15]), np.diag([25, 1, 0.24, 0.24]), DeadzoneMemory()
     eye, S, F, ahead = np.eye(4), np.zeros((4, 3)), np.eye(4), 0.0
     F[0, 1] = 0.01
@@ -616,13 +613,6 @@ def test_columns_are_how_far_a_mean_moves_with_the_sensor(name: str) -> None:
 
 def in_c(readings: Floats, at_left: int, noise: float, before: float, folder: Path) -> Floats:
     """What the header makes of readings, compiled with all warnings: (side, x, P) a row."""
-    header = files("undeadzone.numerics") / "deadzone_update.h"
-    (folder / "deadzone_update.h").write_text(header.read_text())
-    (folder / "main.c").write_text(MAIN)
     words = {"AT_LEFT": at_left, "NOISE": noise, "BEFORE": before}
     defined = [f"-D{name}={value}" for name, value in words.items()]
-    flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-O1", *defined]
-    program = once.program(["deadzone_update", *flags, "main.c"], folder)
-    text = "\n".join(map(str, readings))
-    done = subprocess.run([program], input=text, capture_output=True, text=True, check=True)
-    return np.array([line.split() for line in done.stdout.splitlines()], float)
+    return run_header(MAIN, readings, folder, *defined)

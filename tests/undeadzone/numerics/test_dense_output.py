@@ -8,8 +8,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from scenes import scene, slopes
-from undeadzone.errors import InputError
+from scenes import scene, slopes, tables_of
 from undeadzone.numerics.dense_output import (
     DenseStep,
     Levels,
@@ -22,22 +21,20 @@ from undeadzone.numerics.dense_output import (
 from undeadzone.results.run import Run
 from undeadzone.simulation.simulate import simulate
 
-TWO = {
-    "plant": {
-        "A": [[0.0, 1.0, 0.0], [-2.0, -1.5, 0.3], [0.1, 0.0, -3.0]],
-        "B": [[0.0, 0.0], [1.0, 0.0], [0.0, 2.0]],
-        "C": [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]],
-    },
-    "sensor": {"right": [0.6, 0.4], "left": [0.5, 0.7]},
-    "reference": {"kind": "sine", "amplitude": [2.0, 1.5], "frequency": 0.5},
-    # Gains as slow as the plant: the short RK4 steps are the truth.
-    "observer": {"method": "certified", "gamma": 4.0, "L": [[1.0, 0.0], [1.5, 0.0], [0.0, 1.0]]},
-    "controller": {"method": "state_feedback", "alpha": 5.0},
-}
-GRAZING = {
-    "reference": {"kind": "sine", "amplitude": 1.002, "frequency": 1.0},
-    "plant": {"A": [[0, 1], [-1, -2]], "B": [[0], [1]], "C": [[1, 0]]},
-}
+TWO = tables_of("""
+plant.A = [[0.0, 1.0, 0.0], [-2.0, -1.5, 0.3], [0.1, 0.0, -3.0]]
+plant.B = [[0.0, 0.0], [1.0, 0.0], [0.0, 2.0]]
+plant.C = [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
+sensor = { right = [0.6, 0.4], left = [0.5, 0.7] }
+reference = { kind = "sine", amplitude = [2.0, 1.5], frequency = 0.5 }
+# Gains as slow as the plant: the short RK4 steps are the truth.
+observer = { method = "certified", gamma = 4.0, L = [[1.0, 0.0], [1.5, 0.0], [0.0, 1.0]] }
+controller = { method = "state_feedback", alpha = 5.0 }
+""")
+GRAZING = tables_of("""
+reference = { kind = "sine", amplitude = 1.002, frequency = 1.0 }
+plant = { A = [[0, 1], [-1, -2]], B = [[0], [1]], C = [[1, 0]] }
+""")
 
 
 def run(order: int, step: float, duration: float = 3.0, **changes: Any) -> Run:
@@ -181,33 +178,6 @@ def test_an_excursion_within_a_step_is_seen() -> None:
     assert not (coarse.side == 1).any()
     assert float(np.abs(truth.d_hat[-1] - truth.d_hat[0]).max()) > 1e-4
     assert gap(coarse, truth) < 1e-9
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"simulation": {"order": 3}}, "simulation.order: expected 4 to 20, found 3"),
-        (
-            {"simulation": {"order": 8, "time": "sampled"}},
-            "simulation.order: above 4 only in continuous time",
-        ),
-        (
-            {"simulation": {"order": 8, "switching": "plain"}},
-            "simulation.order: above 4 only in continuous time",
-        ),
-        (
-            {
-                "simulation": {"order": 8},
-                "controller": {"method": "state_feedback", "alpha": 5.0, "robust": {"gain": 0.5}},
-            },
-            "simulation.order: above 4 only for a plant, an observer and a controller "
-            "that are linear",
-        ),
-    ],
-)
-def test_what_has_no_series_is_refused(changes: dict[str, Any], words: str) -> None:
-    with pytest.raises(InputError, match=words):
-        simulate(scene(**changes))
 
 
 @pytest.mark.parametrize(("edge", "after"), [(0.0, -1.0), (0.1, 0.0)])

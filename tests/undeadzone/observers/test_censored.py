@@ -18,10 +18,21 @@ from scipy.linalg import expm
 from scipy.stats import norm, truncnorm
 
 import undeadzone as uz
-from scenes import EXACT_SENSOR, PAPER_PLANT, OnNumbers, linear, random_plant, scene
+from scenes import (
+    EXACT_SENSOR,
+    PAPER_PLANT,
+    OnNumbers,
+    centre_std,
+    follow_together,
+    linear,
+    random_plant,
+    scene,
+    seeds,
+    tables_of,
+)
 from undeadzone.compile import interpret
 from undeadzone.controllers.state_feedback import rest_response
-from undeadzone.errors import InputError, ShapeError
+from undeadzone.errors import InputError
 from undeadzone.interfaces import Estimate
 from undeadzone.linalg.hold import zoh
 from undeadzone.linalg.matrices import Matrices
@@ -53,7 +64,6 @@ from undeadzone.simulation.simulate import prepare, simulate
 from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
 
-seeds = st.integers(0, 2**32 - 1)
 TS = 0.02
 MODEL = sample_plant(PAPER_PLANT, TS)
 RANGE = [0.3, 2.0]
@@ -104,12 +114,6 @@ def tones(seconds: float, amplitude: float, offset: float = 0.0) -> Floats:
 KNOWN_TO_BOTH = ("x", "z", "right", "left", "innovation", "innovation_std", "refused", "restarts")
 
 
-def centre_std(estimate: Estimate) -> float:
-    return float(
-        np.sqrt(2 * estimate.right_std**2 + 2 * estimate.left_std**2 - estimate.width_std**2)[0] / 2
-    )
-
-
 # --- Where it is the Kalman filter
 
 
@@ -126,24 +130,17 @@ def test_without_silence_and_extras_it_is_kalman(seed: int, n: int, p: int) -> N
             Censored(**EXACT | common, silence=False),
         )
     ]
-    steps, states = (
-        [OnNumbers(observer, model) for observer in pair],
-        [observer.init(observer.params) for observer in pair],
-    )
     least = np.inf
-    for _ in range(30):
-        y, u = rng.normal(size=p) * rng.choice([0.02, 3.0], p), rng.normal(size=1)
-        both = [
-            step(state, u, y, sensor.side(y, where.threshold))
-            for step, state in zip(steps, states, strict=True)
-        ]
-        states = [after for after, _ in both]
+    readings = (
+        (rng.normal(size=p) * rng.choice([0.02, 3.0], p), rng.normal(size=1)) for _ in range(30)
+    )
+    for states, both in follow_together(pair, model, where, readings):
         assert np.array_equal(*[tree.pack_tree(state.filter) for state in states])
         for name in KNOWN_TO_BOTH:
-            assert np.array_equal(*[getattr(estimate, name) for _, estimate in both]), name
-        least = min(least, both[0][1].x_std.min())
+            assert np.array_equal(*[getattr(estimate, name) for estimate in both]), name
+        least = min(least, both[0].x_std.min())
     # Readings at random contradict each other: of one state, nine may be refused, and nothing told.
-    assert least < 2.0 or both[0][1].refused.sum() >= 9
+    assert least < 2.0 or both[0].refused.sum() >= 9
 
 
 def test_a_silence_that_contradicts_nothing_changes_nothing() -> None:
@@ -408,15 +405,17 @@ def test_intervals_fail_if_a_coloured_disturbance_is_modelled_as_white() -> None
 def test_two_outputs_and_two_inputs_in_the_loop() -> None:
     run = simulate(
         scene(
-            plant={
-                "A": [[-1.0, 0.5], [-0.5, -2.0]],
-                "B": [[1.0, 0.0], [0.0, 1.0]],
-                "C": [[1.0, 0.0], [0.2, 1.0]],
-                "x0": [0.5, -0.5],
-            },
-            sensor={"right": [0.8, 0.5], "left": [0.6, 1.0], "noise": [0.01, 0.02]},
-            reference={"kind": "sine", "amplitude": [3.0, 2.0], "frequency": 0.5},
-            disturbance={"kind": "random", "rms": [0.5, 0.3], "correlation_time": 0.2},
+            """
+            plant.A = [[-1.0, 0.5], [-0.5, -2.0]]
+            plant.B = [[1.0, 0.0], [0.0, 1.0]]
+            plant.C = [[1.0, 0.0], [0.2, 1.0]]
+            plant.x0 = [0.5, -0.5]
+            sensor = { right = [0.8, 0.5], left = [0.6, 1.0], noise = [0.01, 0.02] }
+            reference = { kind = "sine", amplitude = [3.0, 2.0], frequency = 0.5 }
+            disturbance = { kind = "random", rms = [0.5, 0.3], correlation_time = 0.2 }
+            controller = { method = "state_feedback", poles = [-4.0, -5.0] }
+            simulation = { time = "sampled", step = 0.01, duration = 20.0 }
+            """,
             observer={
                 "method": "censored",
                 "right": [[0.3, 1.2], [0.2, 1.5]],
@@ -424,8 +423,6 @@ def test_two_outputs_and_two_inputs_in_the_loop() -> None:
                 "correlation_time": 0.2,
             }
             | {"bias": 0.0, "tolerance": 0.0, "drift": 0.0},
-            controller={"method": "state_feedback", "poles": [-4.0, -5.0]},
-            simulation={"time": "sampled", "step": 0.01, "duration": 20.0},
         )
     )
     assert run.d_std is not None
@@ -558,12 +555,11 @@ def test_a_range_that_is_surely_wrong_is_not_insisted_upon() -> None:
 
 
 def closed(observer: dict[str, Any], **changes: Any) -> Run:
-    tables: dict[str, Any] = {
-        "sensor": {"right": 1.3, "left": 0.9, "noise": 0.01},
-        "observer": {"method": "censored", "right": RANGE} | observer,
-        "controller": {"method": "state_feedback", "poles": [-8.0, -9.0]},
-        "simulation": {"time": "sampled", "step": 0.01, "duration": 20.0},
-    }
+    tables: dict[str, Any] = tables_of("""
+        sensor = { right = 1.3, left = 0.9, noise = 0.01 }
+        controller = { method = "state_feedback", poles = [-8.0, -9.0] }
+        simulation = { time = "sampled", step = 0.01, duration = 20.0 }
+        """) | {"observer": {"method": "censored", "right": RANGE} | observer}
     return simulate(scene(**tables | changes))
 
 
@@ -579,10 +575,10 @@ def test_what_the_model_leaves_out_is_countered_at_rest(n: int) -> None:
 
 
 def test_what_it_knows_of_the_disturbance_reaches_the_controller() -> None:
-    changes = {
-        "disturbance": {"kind": "sine", "amplitude": 4.0, "frequency": 0.3},
-        "sensor": {"right": 1.1, "left": 1.1, "noise": 0.01},
-    }
+    changes = tables_of("""
+        disturbance = { kind = "sine", amplitude = 4.0, frequency = 0.3 }
+        sensor = { right = 1.1, left = 1.1, noise = 0.01 }
+        """)
     with_it, without = (
         closed(
             {"disturbance": 3.0, "correlation_time": 0.3},
@@ -602,15 +598,13 @@ def test_ranges_alone_do_with_a_wrong_model() -> None:
 
     Stiffness and damping are a fifth larger than the model's.
     """
-    changes = {
-        "plant": {
-            "A": [[0.0, 1.0], [-1.2, -2.4]],
-            "B": [[0.0], [1.0]],
-            "C": [[1.0, 0.0]],
-            "x0": [0.5, 0.0],
-        },
-        "model": {"A": [[0.0, 1.0], [-1.0, -2.0]]},
-    }
+    changes = tables_of("""
+        plant.A = [[0.0, 1.0], [-1.2, -2.4]]
+        plant.B = [[0.0], [1.0]]
+        plant.C = [[1.0, 0.0]]
+        plant.x0 = [0.5, 0.0]
+        model = { A = [[0.0, 1.0], [-1.0, -2.0]] }
+        """)
     doubting, sure = (
         closed({}, **changes),
         closed(dict.fromkeys(("disturbance", "bias", "tolerance", "drift"), 0.0), **changes),
@@ -620,7 +614,11 @@ def test_ranges_alone_do_with_a_wrong_model() -> None:
     assert (np.abs(doubting.d_hat[-1] - [1.3, 0.9]) < 3 * doubting.d_std[-1]).all()
 
 
-UNSTABLE = {"A": [[0.0, 1.0], [1.0, -0.5]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]]}
+UNSTABLE = tables_of("""
+A = [[0.0, 1.0], [1.0, -0.5]]
+B = [[0.0], [1.0]]
+C = [[1.0, 0.0]]
+""")
 
 
 @pytest.mark.parametrize("plant", [{"integrators": 2}, UNSTABLE], ids=["integrators", "unstable"])
@@ -651,9 +649,11 @@ def test_twenty_seconds_at_1_khz_leave_every_covariance_positive() -> None:
     """
     problem = resolve_scenario(
         scene(
-            sensor={"right": 1.3, "left": 0.9, "noise": 1e-4},
+            """
+            sensor = { right = 1.3, left = 0.9, noise = 0.0001 }
+            simulation = { time = "sampled", step = 0.001, duration = 20.0 }
+            """,
             observer={"method": "censored", "right": RANGE, "x_std": 100.0},
-            simulation={"time": "sampled", "step": 1e-3, "duration": 20.0},
         )
     )
     loop, state, exogenous = prepare(problem)
@@ -679,43 +679,6 @@ def test_twenty_seconds_at_1_khz_leave_every_covariance_positive() -> None:
 
 
 # --- Wrong input
-
-
-@pytest.mark.parametrize(
-    ("changes", "model", "error", "words"),
-    [
-        ({}, PAPER_PLANT, InputError, r"Set simulation\.time"),
-        ({"bias": [1.0, 2.0]}, MODEL, ShapeError, "observer.bias: expected 1 number"),
-        ({"disturbance": -1.0}, MODEL, InputError, "observer.disturbance: must not be negative"),
-        (
-            {"correlation_time": 0.0},
-            MODEL,
-            InputError,
-            "observer.correlation_time: must be greater than 0",
-        ),
-        ({"washout_time": -1.0}, MODEL, InputError, "observer.washout_time"),
-        (
-            {"tolerance": {"A[0,0]": 0.1}},
-            MODEL,
-            InputError,
-            r"expected an entry of A or B that is not 0: A\[0,1\], A\[1,0\]",
-        ),
-        ({"tolerance": {"D[0,0]": 0.1}}, MODEL, InputError, "observer.tolerance.D"),
-        (
-            {"calibrated": 1.0},
-            MODEL,
-            InputError,
-            "observer.calibrated: must be a probability below 1",
-        ),
-        ({"levels": 0}, MODEL, InputError, "observer.levels: expected 1 to 10"),
-        ({"tolerance": -0.1}, MODEL, InputError, "observer.tolerance"),
-    ],
-)
-def test_wrong_options_are_named(
-    changes: dict[str, Any], model: System, error: type[Exception], words: str
-) -> None:
-    with pytest.raises(error, match=words):
-        Censored(**{"right": RANGE} | changes).build(model, zone())
 
 
 def test_tolerance_of_a_nonlinear_plant_is_one_number() -> None:

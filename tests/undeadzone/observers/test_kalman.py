@@ -21,11 +21,21 @@ from scipy.stats import norm, truncnorm
 
 from further import further
 from requirements import import_package
-from scenes import EXACT_SENSOR, PAPER_PLANT, OnNumbers, random_plant, scene
-from undeadzone.errors import InputError, ShapeError
+from scenes import (
+    EXACT_SENSOR,
+    PAPER_PLANT,
+    OnNumbers,
+    centre_std,
+    random_plant,
+    scene,
+    seeds,
+    tables_of,
+    zone,
+)
+from undeadzone.errors import InputError
 from undeadzone.interfaces import Reading
 from undeadzone.nonlinearities import sensor
-from undeadzone.nonlinearities.sensor import Sensor, Zone, resolve
+from undeadzone.nonlinearities.sensor import Sensor, resolve
 from undeadzone.numerics import gaussian
 from undeadzone.numerics.gaussian import Gaussian
 from undeadzone.observers import Kalman
@@ -41,16 +51,11 @@ from undeadzone.results.run import Run
 from undeadzone.simulation.simulate import simulate
 from undeadzone.util.arrays import Floats
 
-seeds = st.integers(0, 2**32 - 1)
 TS = 0.05
 MODEL = sample_plant(PAPER_PLANT, TS)
 OPTIONS = {"method": "kalman", "right": [0.5, 2.0], "left": [0.5, 2.0], "disturbance": 0.0}
 NOTHING = float("nan")
 UPPER = ca.Sparsity.upper(4)
-
-
-def zone(p: int = 1, **options: Any) -> Zone:
-    return resolve(Sensor(**{"right": 1.0, "left": 1.0} | EXACT_SENSOR | options), p, TS)
 
 
 def covariance(state: State) -> Floats:
@@ -433,9 +438,7 @@ def test_of_a_chain_of_integrators_only_the_width_becomes_known() -> None:
         x = model.linear.A @ x + model.linear.B @ u
     assert estimate.width_std < 1e-3
     assert estimate.right + estimate.left == pytest.approx(1.9, abs=3 * estimate.width_std[0])
-    centre = (
-        np.sqrt(2 * estimate.right_std**2 + 2 * estimate.left_std**2 - estimate.width_std**2) / 2
-    )
+    centre = centre_std(estimate)
     assert centre == pytest.approx(1.5 / np.sqrt(24), rel=0.01)
     assert abs((estimate.right - estimate.left) / 2 - 0.35) < 2 * centre
 
@@ -469,26 +472,26 @@ def test_a_run_is_saved_with_its_standard_deviations(tmp_path: Any) -> None:
 
 
 def test_a_nonlinear_plant_is_expanded_where_the_estimate_is() -> None:
-    pendulum = {
-        "states": ["angle", "rate"],
-        "inputs": ["u"],
-        "f": ["rate", "-9.81 * sin(angle) - 0.5 * rate + u"],
-        "h": ["angle"],
-        "x0": [2.0, 0.0],
-    }
+    pendulum = tables_of("""
+        states = ["angle", "rate"]
+        inputs = ["u"]
+        f = ["rate", "-9.81 * sin(angle) - 0.5 * rate + u"]
+        h = ["angle"]
+        x0 = [2.0, 0.0]
+        """)
     run = simulate(
         scene(
+            """
+            reference = { kind = "sine", amplitude = 1.5, frequency = 0.5 }
+            observer.method = "kalman"
+            observer.right = [0.05, 0.6]
+            observer.x_std = [1.5, 3.0]
+            observer.disturbance = 0.0
+            controller = { method = "state_feedback", poles = [-5.0, -5.0] }
+            simulation = { time = "sampled", step = 0.01, duration = 8.0 }
+            """,
             plant=pendulum,
             sensor={"right": 0.3, "left": 0.2, "noise": 0.01} | EXACT_SENSOR,
-            reference={"kind": "sine", "amplitude": 1.5, "frequency": 0.5},
-            observer={
-                "method": "kalman",
-                "right": [0.05, 0.6],
-                "x_std": [1.5, 3.0],
-                "disturbance": 0.0,
-            },
-            controller={"method": "state_feedback", "poles": [-5.0, -5.0]},
-            simulation={"time": "sampled", "step": 0.01, "duration": 8.0},
         )
     )
     assert run.d_std is not None
@@ -497,39 +500,6 @@ def test_a_nonlinear_plant_is_expanded_where_the_estimate_is() -> None:
 
 
 # --- Wrong input
-
-
-@pytest.mark.parametrize(
-    ("changes", "model", "where", "error", "words"),
-    [
-        ({}, PAPER_PLANT, zone(), InputError, 'simulation.time = "sampled"'),
-        ({}, MODEL, zone(kind="jump"), InputError, "Use 'censored'"),
-        ({"right": [2.0, 0.5]}, MODEL, zone(), InputError, "observer.right: a range"),
-        ({"left": [-1.0, 0.5]}, MODEL, zone(), InputError, "observer.left: a range"),
-        ({"right": 1.0}, MODEL, zone(), ShapeError, "observer.right: expected the declared range"),
-        ({"noise": 0.0}, MODEL, zone(), InputError, "observer.noise: must be positive"),
-        (
-            {"x_std": [1.0, 2.0, 3.0]},
-            MODEL,
-            zone(),
-            ShapeError,
-            "observer.x_std: expected 2 numbers",
-        ),
-        (
-            {"disturbance": -1.0},
-            MODEL,
-            zone(),
-            InputError,
-            "observer.disturbance: must not be negative",
-        ),
-        ({"drift": -1.0}, MODEL, zone(), InputError, "observer.drift"),
-    ],
-)
-def test_wrong_options_are_named(
-    changes: dict[str, Any], model: System, where: Zone, error: type[Exception], words: str
-) -> None:
-    with pytest.raises(error, match=words):
-        Kalman(**{"right": [0.5, 2.0]} | changes).build(model, where)
 
 
 def test_continuous_time_is_refused_with_what_to_do() -> None:

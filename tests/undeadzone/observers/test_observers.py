@@ -13,7 +13,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.linalg import solve_continuous_are
 
-from scenes import PAPER_PLANT, OnNumbers, linear, random_plant, scene
+from scenes import PAPER_PLANT, OnNumbers, linear, random_plant, scene, seeds, tables_of
 from undeadzone.analysis.certificate.passivity import certify
 from undeadzone.errors import InputError, ShapeError, StructureError
 from undeadzone.nonlinearities import sensor
@@ -24,7 +24,6 @@ from undeadzone.simulation.simulate import simulate
 from undeadzone.util.arrays import Floats
 from undeadzone_paper.observer import Printed
 
-seeds = st.integers(0, 2**32 - 1)
 L = np.array([1.0, 1.5])
 ZONE = resolve(Sensor(right=1.3, left=0.6), 1, 1e-3)
 NOTHING = float("nan")
@@ -149,10 +148,10 @@ def test_certified_with_true_widths_and_no_adaptation_is_the_oracle() -> None:
 
 
 def test_without_a_dead_zone_certified_is_luenbergers_observer() -> None:
-    tables: dict[str, Any] = {
-        "sensor": {"right": 0.0, "left": 0.0, "slope": 2.0},
-        "simulation": {"time": "sampled", "step": 0.01, "duration": 3.0},
-    }
+    tables: dict[str, Any] = tables_of("""
+        sensor = { right = 0.0, left = 0.0, slope = 2.0 }
+        simulation = { time = "sampled", step = 0.01, duration = 3.0 }
+        """)
     certified = simulate(
         scene(observer={"method": "certified", "L": L.tolist(), "gamma": 0.0}, **tables)
     )
@@ -257,35 +256,6 @@ def test_default_gain_is_certified_in_either_time() -> None:
         assert run.V is not None
         assert run.largest_rise_of_V is not None
         assert run.largest_rise_of_V < 1e-9
-
-
-@pytest.mark.parametrize(
-    ("options", "error", "words"),
-    [
-        (
-            {"L": [1.0, 2.0, 3.0]},
-            ShapeError,
-            r"observer.L: expected a 2 x 1 matrix \(states x outputs\), found 3 x 1",
-        ),
-        ({"L": [[1.0, 2.0]]}, ShapeError, "observer.L: expected a 2 x 1 matrix .*, found 1 x 2"),
-        ({"L": [1.0, float("inf")]}, InputError, "observer.L: every number must be finite"),
-        ({"gamma": -1.0}, InputError, "observer.gamma: must not be negative, found -1"),
-        ({"gamma": [1.0, 2.0]}, ShapeError, "observer.gamma: expected 1 number .*, found 2"),
-        ({"widths0": [0.5, -0.1]}, InputError, r"observer.widths0: must lie in \[0, width_max\]"),
-        (
-            {"widths0": [0.5, 2.0], "width_max": 1.0},
-            InputError,
-            r"observer.widths0: must lie in \[0, width_max\]",
-        ),
-        ({"widths0": [0.5, 2.0, 1.0]}, ShapeError, "observer.widths0: expected "),
-        ({"width_max": 0.0}, InputError, "observer.width_max: must be positive"),
-    ],
-)
-def test_wrong_options_of_certified(
-    options: dict[str, Any], error: type[Exception], words: str
-) -> None:
-    with pytest.raises(error, match=words):
-        Certified(**options).build(PAPER_PLANT, ZONE)
 
 
 def test_a_list_of_gains_needs_one_output_and_a_default_needs_stability() -> None:

@@ -118,11 +118,11 @@ def test_a_belief_that_is_no_number_begins_anew_and_says_so() -> None:
 
 def test_a_run_says_what_was_refused_and_whether_its_readings_fit() -> None:
     run = simulate(
-        scene(
-            sensor={"noise": 0.01},
-            observer={"method": "kalman", "right": [0.5, 2.0]},
-            simulation={"time": "sampled", "step": 0.01, "duration": 3.0},
-        )
+        scene("""
+            sensor = { noise = 0.01 }
+            observer = { method = "kalman", right = [0.5, 2.0] }
+            simulation = { time = "sampled", step = 0.01, duration = 3.0 }
+            """)
     )
     summary = run.summary()
     assert (summary["consistent"], summary["refused"], summary["restarts"]) == (True, 0, 0)

@@ -4,7 +4,6 @@ off.
 
 from __future__ import annotations
 
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -14,16 +13,16 @@ from benchmarks.filters import sensor_shapes as shapes
 from benchmarks.filters.problems.assumed_worlds import KINDS, problems
 
 import undeadzone as uz
+from documents import ROOT
 from further import further
 from scenes import EXACT_SENSOR, PAPER_PLANT
-from undeadzone.errors import InputError, ShapeError
 from undeadzone.interfaces import Estimate
 from undeadzone.nonlinearities.sensor import Sensor, deadzone, resolve
 from undeadzone.observers.filtering.sensor_shape import resolve_shape
 from undeadzone.plants.system import sample_plant
 from undeadzone.util.arrays import Floats
 
-DOCS = Path(__file__).parents[3] / "docs"
+DOCS = ROOT / "docs"
 TS, COUNT = 0.02, 600
 PLANT = uz.Plant(A=[[-2.0]], B=[[2.0]], C=[[1.0]])
 WIDTHS = {"right": 1.0, "left": 0.7, "noise": 0.02}
@@ -197,18 +196,3 @@ def test_a_log_says_that_its_readings_repeat() -> None:
     )
     assert "10 % of the readings of output 0 repeat the one before" in remarks
     assert "polls faster" not in quiet
-
-
-@pytest.mark.parametrize(
-    ("options", "kind", "words"),
-    [
-        ({"rounding": -0.1}, InputError, "sensor.rounding"),
-        ({"slope_std": [0.1, 0.1]}, ShapeError, "one per output"),
-        ({"lag": float("nan")}, InputError, "sensor.lag"),
-        ({"lag": 0.1, "kind": "play"}, InputError, "only a dead zone without a play"),
-        ({"rounding": 0.1, "kind": "jump"}, InputError, "leave it out"),
-    ],
-)
-def test_what_cannot_be_is_refused(options: dict[str, Any], kind: type, words: str) -> None:
-    with pytest.raises(kind, match=words):
-        resolve(Sensor(right=1.0, left=1.0, **options), 1, TS)

@@ -16,6 +16,7 @@ from benchmarks.gears.contact_urdf_arms import Outcome, line
 import undeadzone as uz
 from commands import undeadzone
 from requirements import import_package
+from scenes import tables_of
 from undeadzone.analysis.identifiability.linear import WidthIdentifiability
 from undeadzone.errors import InputError
 from undeadzone.numerics.runge_kutta import rk4_change
@@ -77,17 +78,18 @@ def along(plant: Geared, x0: Floats, u: Floats, h: float) -> Floats:
 
 def scenario(**changes: Any) -> uz.Scenario:
     """The two-link arm with gears on its figure of eight, its state known."""
-    tables: dict[str, Any] = {
+    tables: dict[str, Any] = tables_of("""
+        sensor = { right = 0.0, left = 0.0, noise = 0.001 }
+        observer = { method = "full_state" }
+        controller = { method = "computed_torque", bandwidth = 14.0 }
+        simulation = { time = "sampled", duration = 5.0, step = 0.001, substeps = 4 }
+        """) | {
         "plant": {
             "arm": {"kind": "two_link", "torque_max": [60.0, 25.0], "gears": GEARS | FRICTION},
             "x0": [-1.7, 1.4, 0.0, 0.0],
             "parameters": {"payload": 0.5},
         },
-        "sensor": {"right": 0.0, "left": 0.0, "noise": 0.001},
         "reference": EIGHT,
-        "observer": {"method": "full_state"},
-        "controller": {"method": "computed_torque", "bandwidth": 14.0},
-        "simulation": {"time": "sampled", "duration": 5.0, "step": 1e-3, "substeps": 4},
     }
     return convert(tables | changes)
 
@@ -213,14 +215,15 @@ def test_motors_led_across_their_gaps_keep_the_tip_on_its_path(known: uz.Run) ->
 def test_a_link_that_needs_no_torque_is_brought_back_to_its_path() -> None:
     """It floats in its gap, 20 mrad off: no torque is planned that would choose a flank for it."""
     gears = {"half": 0.03, "inertia": 0.012}
-    tables: dict[str, Any] = {
+    tables: dict[str, Any] = tables_of("""
+        reference = { kind = "quintic", points = [[0.0], [0.0]], times = [0.0, 1.5] }
+        simulation = { time = "sampled", duration = 1.5, step = 0.001, substeps = 4 }
+        """) | {
         "plant": {
             "arm": {"kind": "one_link", "torque_max": 3.0, "gears": gears},
             "x0": [0.02, 0.0],
             "parameters": {"m": 0.35, "l": 0.25, "c": 0.125, "I": 0.0018, "g": 0.0, "b1": 0.01},
-        },
-        "reference": {"kind": "quintic", "points": [[0.0], [0.0]], "times": [0.0, 1.5]},
-        "simulation": {"time": "sampled", "duration": 1.5, "step": 1e-3, "substeps": 4},
+        }
     }
     run = uz.simulate(scenario(**tables))
     assert run.z[0, 0] == pytest.approx(0.02, abs=1e-3)
@@ -319,7 +322,15 @@ def test_a_file_runs_and_its_numbers_are_json(tmp_path: Path) -> None:
 
 # --- Joints about nearly one axis
 
-COAXIAL = {
+COAXIAL = tables_of("""
+sensor = { right = 0.0, left = 0.0, noise = 0.001 }
+reference.kind = "quintic"
+reference.points = [[0.0, 0.0], [0.3, 0.3], [-0.3, -0.3], [0.0, 0.0]]
+reference.times = [0.0, 1.0, 3.0, 4.0]
+reference.repeat = true
+observer = { method = "contact", joints = "separate", half = [0.0, 0.03] }
+simulation = { time = "sampled", duration = 1.5, step = 0.001, substeps = 9 }
+""") | {
     "plant": {
         "arm": {
             "kind": "two_link",
@@ -330,16 +341,7 @@ COAXIAL = {
             **{"m1": 1.0, "m2": 1.0, "l1": 1e-4, "c1": 1e-4, "c2": 1e-4, "g": 0.0},
             **{"I1": 0.037, "I2": 1.4176},
         },
-    },
-    "sensor": {"right": 0.0, "left": 0.0, "noise": 1e-3},
-    "reference": {
-        "kind": "quintic",
-        "points": [[0.0, 0.0], [0.3, 0.3], [-0.3, -0.3], [0.0, 0.0]],
-        "times": [0.0, 1.0, 3.0, 4.0],
-        "repeat": True,
-    },
-    "observer": {"method": "contact", "joints": "separate", "half": [0.0, 0.03]},
-    "simulation": {"time": "sampled", "duration": 1.5, "step": 1e-3, "substeps": 9},
+    }
 }
 
 
@@ -389,45 +391,7 @@ def test_joint_by_joint_a_coupled_gap_is_as_it_was_declared() -> None:
     assert (run.x_std[:, 2:4] >= 0.03 / np.sqrt(3)).all()
 
 
-@pytest.mark.parametrize(
-    ("observer", "words"),
-    [
-        ({"groups": [["q1", "q2"]]}, 'joints = "coupled" is one group'),
-        ({"joints": "separate", "groups": [["q1", "q3"]]}, "expected one or 2 different names"),
-        ({"joints": "separate", "groups": [["q1", "q1"]]}, "expected one or 2 different names"),
-        ({"joints": "separate", "groups": [["q1", "q2"], ["q2"]]}, "belongs to one group alone"),
-    ],
-)
-def test_groups_that_cannot_be_are_refused(observer: dict[str, Any], words: str) -> None:
-    contact = {"method": "contact", "half": [0.0, 0.1], **observer}
-    with pytest.raises(uz.InputError, match=words):
-        resolve_scenario(scenario(observer=contact))
-
-
 # --- Refusals
-
-
-@pytest.mark.parametrize(
-    ("address", "value", "words"),
-    [
-        ("sensor.right", 0.01, "sensor.right: an arm with gears is read by encoders"),
-        ("sensor.play", [0.1, 0.1], "sensor.play: an arm with gears is read by encoders"),
-        ("plant.arm.reference", 0.1, "have no zone about a posture"),
-        ("plant.arm.measured", "velocity", "plant.arm.measured: encoders"),
-        ("plant.arm.gears.inertia", 0.0, "plant.arm.gears.inertia: must be positive"),
-        ("plant.parameters.half1", -0.1, "plant.parameters.half1: must not be negative"),
-        ("plant.x0", [0.0, 1.0], "plant.x0: expected 4 numbers"),
-        ("simulation.time", "continuous", "plant.arm.gears: contacts close and open too fast"),
-        ("observer", {"method": "extended", "right": 0.1}, "'extended' takes motors for links"),
-        ("controller", {"method": "lqr"}, "'lqr' takes motors for links"),
-        ("plant.delay", 3, "plant.delay: a controller foretells"),
-        ("controller.crossing", 0.0, "controller.crossing: must be greater than 0"),
-    ],
-)
-def test_what_does_not_go_with_gears_is_refused(address: str, value: Any, words: str) -> None:
-    with pytest.raises(InputError) as refusal:
-        uz.simulate(scenario().replace(address, value))
-    assert words in str(refusal.value)
 
 
 def test_online_refuses_what_does_not_know_gears() -> None:

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from scenes import PAPER_PLANT, random_plant, response, scene, slopes
+from scenes import PAPER_PLANT, random_plant, response, scene, seeds, slopes, tables_of
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.linalg.hold import zoh
 from undeadzone.linalg.matrices import Matrices
@@ -42,15 +42,14 @@ from undeadzone.simulation.simulate import simulate
 from undeadzone.util.arrays import Floats
 from undeadzone_arena.gain_defaults import rate_or_default
 
-seeds = st.integers(0, 2**32 - 1)
 FREQUENCIES = [0.0, 0.3, 1.0, 7.0, 200.0]
-PENDULUM: dict[str, Any] = {
-    "f": ["rate", "-g / l * sin(angle) - b * rate + torque"],
-    "h": ["angle"],
-    "states": ["angle", "rate"],
-    "inputs": ["torque"],
-    "parameters": {"g": 9.81, "l": 0.5, "b": 0.8},
-}
+PENDULUM: dict[str, Any] = tables_of("""
+f = ["rate", "-g / l * sin(angle) - b * rate + torque"]
+h = ["angle"]
+states = ["angle", "rate"]
+inputs = ["torque"]
+parameters = { g = 9.81, l = 0.5, b = 0.8 }
+""")
 
 
 def move(plant: System, x: Any, u: Any) -> Floats:
@@ -190,10 +189,10 @@ def test_callables_equal_formulas_also_in_the_loop() -> None:
     formulas = Plant(**PENDULUM, x0=[0.3, 0.1])
     for one, other in zip(system(callables).linear, system(formulas).linear, strict=True):
         assert one == pytest.approx(other)
-    tables: dict[str, Any] = {
-        "observer": {"method": "certified", "L": [2.0, 3.0]},
-        "simulation": {"duration": 0.3, "step": 0.01},
-    }
+    tables: dict[str, Any] = tables_of("""
+        observer = { method = "certified", L = [2.0, 3.0] }
+        simulation = { duration = 0.3, step = 0.01 }
+        """)
     reference = {"kind": "sine", "amplitude": 1.5, "frequency": 0.5}
     by_formulas = simulate(
         scene(plant=PENDULUM | {"x0": [0.3, 0.1]}, reference=reference, **tables)
@@ -250,108 +249,9 @@ def test_initial_state() -> None:
         initial_state(Plant(integrators=2, x0=[1, 2, 3]), chain)
 
 
-A2: Any = [[0.0, 1.0], [-1.0, -2.0]]
-
-
 @pytest.mark.parametrize(
     ("options", "error", "words"),
     [
-        ({}, InputError, "plant: give exactly one form .*, found none"),
-        (
-            {"A": A2, "integrators": 2},
-            InputError,
-            "plant: give exactly one form .*, found A and integrators",
-        ),
-        ({"A": A2, "B": [[0.0], [1.0]]}, InputError, "plant.C: missing"),
-        (
-            {"A": [[0.0, 1.0]], "B": [[1.0]], "C": [[1.0]]},
-            ShapeError,
-            "plant.A: expected a 1 x 1 matrix .*square.*, found 1 x 2",
-        ),
-        (
-            {"A": A2, "B": [[1.0]], "C": [[1.0, 0.0]]},
-            ShapeError,
-            r"plant.B: expected a matrix with 2 rows \(as many rows as A, 2\), found 1 x 1",
-        ),
-        (
-            {"A": A2, "B": [0.0, 1.0, 0.0], "C": [[1.0, 0.0]]},
-            ShapeError,
-            "plant.B: expected a matrix with 2 rows .*, found a list of 3 numbers",
-        ),
-        (
-            {"A": A2, "B": [[0.0], [1.0]], "C": [[1.0, 0.0, 0.0]]},
-            ShapeError,
-            "plant.C: expected a matrix with 2 columns .*, found 1 x 3",
-        ),
-        (
-            {"A": [[0.0, 1.0], [1.0]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]]},
-            InputError,
-            "plant.A: .*rows of different lengths",
-        ),
-        (
-            {"A": [[0.0, np.nan], [1.0, 0.0]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]]},
-            InputError,
-            "plant.A: every number must be finite",
-        ),
-        ({"integrators": 0}, InputError, "plant.integrators: expected 1 to 50, found 0"),
-        (
-            {"integrators": 2, "C": [[1.0, 0.0]]},
-            InputError,
-            "plant.C: has no meaning for a plant given by integrators",
-        ),
-        ({"integrators": 2, "x_eq": np.zeros(2)}, InputError, "plant.x_eq: has no meaning"),
-        (
-            {"integrators": 2, "parameters": {"g": 9.81}},
-            InputError,
-            "plant.parameters: has no meaning",
-        ),
-        ({"companion": []}, InputError, "plant.companion: expected at least one number"),
-        (
-            {"second_order": SecondOrder(zeta=0.5, omega_n=-1.0)},
-            InputError,
-            "plant.second_order.omega_n: must be greater than 0, found -1",
-        ),
-        (
-            {"second_order": SecondOrder(zeta=0.5, omega_n=1e200)},
-            InputError,
-            "plant.second_order.omega_n: every number must be below 1e.50",
-        ),
-        (
-            {"transfer_function": TransferFunction(numerator=[1, 2, 3], denominator=[1, 2, 3])},
-            InputError,
-            "strictly proper",
-        ),
-        (
-            {"transfer_function": TransferFunction(numerator=[0.0], denominator=[1, 2, 3])},
-            InputError,
-            "non-zero numerator",
-        ),
-        (
-            {"transfer_function": TransferFunction(numerator=[1.0], denominator=[1e-320, 2, 3])},
-            InputError,
-            "plant.transfer_function: its numbers are too far apart",
-        ),
-        (
-            {"transfer_function": TransferFunction(numerator=[[1], [2, 3]], denominator=[1, 2, 3])},
-            InputError,
-            "plant.transfer_function.numerator",
-        ),
-        (
-            PENDULUM | {"f": ["rate"]},
-            ShapeError,
-            r"plant.f: expected 2 formulas \(one per state\), found 1",
-        ),
-        (PENDULUM | {"h": None}, InputError, "plant: formulas need lists f and h"),
-        (PENDULUM | {"h": []}, InputError, "h must not be empty"),
-        (PENDULUM | {"h": ["agle"]}, InputError, "Did you mean 'angle'"),
-        (
-            PENDULUM | {"h": ["angle", 1.0]},
-            InputError,
-            "plant: every entry of f and h must be a formula in quotes",
-        ),
-        (PENDULUM | {"inputs": ["rate"]}, InputError, "a name is used twice"),
-        (PENDULUM | {"h": ["1 / angle"]}, InputError, "cannot be linearised at x_eq, u_eq"),
-        (PENDULUM | {"x_eq": [1.0]}, ShapeError, "plant.x_eq: expected 2 numbers"),
         (PENDULUM | {"h": lambda x: x[0]}, InputError, "both be formulas or both be callables"),
         ({"f": lambda x, u: x, "h": lambda x: x[0]}, InputError, "needs x0 or states"),
         (
@@ -361,7 +261,9 @@ A2: Any = [[0.0, 1.0], [-1.0, -2.0]]
         ),
     ],
 )
-def test_wrong_plants(options: dict[str, Any], error: type[Exception], words: str) -> None:
+def test_wrong_functions_of_a_program(
+    options: dict[str, Any], error: type[Exception], words: str
+) -> None:
     with pytest.raises(error, match=words):
         system(Plant(**options))
 

@@ -12,15 +12,15 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from requirements import import_package
+from scenes import seeds
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.plants.build import system
-from undeadzone.plants.options import ElasticJoint, OneLink, Plant, TwoLink
+from undeadzone.plants.options import ElasticJoint, Plant, TwoLink
 from undeadzone.plants.robots import build
 from undeadzone.plants.robots.arm import Arm, build_arm, forward_dynamics, inverse_dynamics
 from undeadzone.plants.system import System
 from undeadzone.util.arrays import Floats
 
-seeds = st.integers(0, 2**32 - 1)
 CHAINS = {"one_link": build.build_one_link(), "two_link": build.build_two_link()}
 ARMS = {name: build_arm(chain) for name, chain in CHAINS.items()}
 kinds = pytest.mark.parametrize("kind", ARMS)
@@ -439,25 +439,6 @@ def test_the_elastic_joint_draws_motor_and_link() -> None:
         pytest.approx(np.array([[0, 0, 0], [0.5 * np.cos(angle), 0.5 * np.sin(angle), 0]]))
         for angle in (0.3, 0.7)
     ]
-
-
-@pytest.mark.parametrize(
-    ("kind", "name", "value"),
-    [
-        (TwoLink, "m1", -1.0),
-        (TwoLink, "I2", 0.0),
-        (TwoLink, "l2", -0.3),
-        (OneLink, "m", 0.0),
-        (ElasticJoint, "J", -0.1),
-        (ElasticJoint, "k", 0.0),
-    ],
-)
-def test_numbers_that_no_arm_has_are_refused_by_name(kind: type, name: str, value: float) -> None:
-    for key in ("plant", "model"):
-        with pytest.raises(
-            InputError, match=rf"{key}\.parameters\.{name}: must be greater than 0, found {value:g}"
-        ):
-            system(Plant(arm=kind(), parameters={name: value}), key)
 
 
 def test_what_else_is_refused() -> None:

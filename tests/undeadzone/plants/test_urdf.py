@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from documents import EXAMPLES
 from requirements import import_package
 from undeadzone.errors import FileError, InputError
 from undeadzone.plants.options import URDF, Plant
@@ -23,7 +24,7 @@ from undeadzone.util.arrays import Floats
 
 import_package("adam.casadi")
 
-UR5 = Path(__file__).parents[3] / "examples" / "ur5.urdf"
+UR5 = EXAMPLES / "ur5.urdf"
 INERTIA = '<inertia ixx="0.02" ixy="0" ixz="0" iyy="0.02" iyz="0" izz="0.02"/>'
 INERTIAL = f'<inertial><mass value="1"/>{INERTIA}</inertial>'
 LIMIT = '<limit lower="-1" upper="2" effort="30" velocity="3"/>'

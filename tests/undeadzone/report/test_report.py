@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 import once
 import undeadzone
 from documents import raw_formulas
-from scenes import scene
+from scenes import scene, tables_of
 from undeadzone.analysis.certificate.design_file import Design, Knowledge
 from undeadzone.errors import FileError, InputError
 from undeadzone.observers import Certified
@@ -108,11 +108,11 @@ def run() -> Run:
 
 @pytest.fixture(scope="module")
 def two_outputs() -> Run:
-    plant = {
-        "A": [[-1.0, 0.2], [0.0, -2.0]],
-        "B": [[1.0, 0.0], [0.0, 1.0]],
-        "C": [[1.0, 0.0], [0.0, 1.0]],
-    }
+    plant = tables_of("""
+        A = [[-1.0, 0.2], [0.0, -2.0]]
+        B = [[1.0, 0.0], [0.0, 1.0]]
+        C = [[1.0, 0.0], [0.0, 1.0]]
+        """)
     observer = {"method": "certified", "gamma": 5.0}
     reference = {"kind": "sine", "amplitude": [3.0, 2.0], "frequency": 1.0}
     controller = {"method": "state_feedback", "poles": [-3.0, -4.0]}

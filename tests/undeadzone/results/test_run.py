@@ -26,19 +26,17 @@ from undeadzone.simulation.simulate import simulate
 def run() -> Run:
     """Two outputs, three units that need care in a CSV header, non-ASCII text."""
     return simulate(
-        scene(
-            title='Zweiachs-Prüfstand, "Ω"',
-            plant={
-                "A": [[0.0, 1.0], [-1.0, -2.0]],
-                "B": [[0.0], [1.0]],
-                "C": [[1.0, 0.0], [0.0, 1.0]],
-                "x0": [2.0, 0.0],
-            },
-            sensor={"right": [1.0, 0.5], "left": [0.8, 0.4], "noise": [0.0, 0.1]},
-            observer={"method": "certified", "gamma": [5.0, 2.0]},
-            simulation={"duration": 0.5},
-            units={"output": "µm, relative", "input": "N·m", "state": ["m", "m/s [fast]"]},
-        )
+        scene("""
+            title = 'Zweiachs-Prüfstand, "Ω"'
+            plant.A = [[0.0, 1.0], [-1.0, -2.0]]
+            plant.B = [[0.0], [1.0]]
+            plant.C = [[1.0, 0.0], [0.0, 1.0]]
+            plant.x0 = [2.0, 0.0]
+            sensor = { right = [1.0, 0.5], left = [0.8, 0.4], noise = [0.0, 0.1] }
+            observer = { method = "certified", gamma = [5.0, 2.0] }
+            simulation = { duration = 0.5 }
+            units = { output = "µm, relative", input = "N·m", state = ["m", "m/s [fast]"] }
+            """)
     )
 
 

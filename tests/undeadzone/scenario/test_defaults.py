@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
 import pytest
 
-from scenes import scene
+from documents import EXAMPLES
+from scenes import scene, tables_of
 from undeadzone.analysis.certificate.passivity import certify
 from undeadzone.controllers import LQR, ComputedTorque, StateFeedback
 from undeadzone.errors import InputError
@@ -25,11 +25,11 @@ from undeadzone.scenario.schema import Units
 from undeadzone.simulation.feedback import feedback_shares
 from undeadzone.simulation.simulate import simulate
 
-BARE: dict[str, Any] = {
-    "plant": {"A": [[0.0, 1.0], [-1.0, -2.0]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]]},
-    "sensor": {"right": 1.0, "left": 0.7},
-    "reference": {"kind": "sine", "amplitude": 5.0, "frequency": 0.5},
-}
+BARE: dict[str, Any] = tables_of("""
+plant = { A = [[0.0, 1.0], [-1.0, -2.0]], B = [[0.0], [1.0]], C = [[1.0, 0.0]] }
+sensor = { right = 1.0, left = 0.7 }
+reference = { kind = "sine", amplitude = 5.0, frequency = 0.5 }
+""")
 
 
 def plant(unit: float) -> System:
@@ -79,9 +79,10 @@ def test_kalman_corrects_a_wrong_model_unless_the_disturbance_is_0() -> None:
 
 
 def test_an_observer_without_gain_follows_its_model_alone() -> None:
-    scenario = scene(
-        observer={"method": "luenberger", "L": [0.0, 0.0]}, simulation={"duration": 12.0}
-    )
+    scenario = scene("""
+        observer = { method = "luenberger", L = [0.0, 0.0] }
+        simulation = { duration = 12.0 }
+        """)
     (share,) = feedback_shares(resolve_scenario(scenario), None)
     assert share == pytest.approx(0.0, abs=0.01)
     assert describe_feedback([share]).startswith("OPEN LOOP")
@@ -90,9 +91,11 @@ def test_an_observer_without_gain_follows_its_model_alone() -> None:
 
 def test_an_output_at_rest_tells_nothing_of_listening() -> None:
     still = scene(
+        """
+        reference = { kind = "sine", amplitude = 0.0, frequency = 1.0 }
+        simulation = { duration = 2.0 }
+        """,
         plant={**BARE["plant"], "x0": [0.0, 0.0]},
-        reference={"kind": "sine", "amplitude": 0.0, "frequency": 1.0},
-        simulation={"duration": 2.0},
     )
     assert np.isnan(feedback_shares(resolve_scenario(still), None)).all()
     assert not has_weak_feedback([None])
@@ -144,6 +147,6 @@ def test_options_keep_what_is_given() -> None:
 
 
 def test_states_of_an_arm_are_angles_then_rates() -> None:
-    arm = read(Path(__file__).parents[3] / "examples" / "two_link.toml")
+    arm = read(EXAMPLES / "two_link.toml")
     arm = msgspec.structs.replace(arm, units=Units())  # the file names its own
     assert resolve_scenario(arm).scenario.units.state == ["rad", "rad", "rad/s", "rad/s"]

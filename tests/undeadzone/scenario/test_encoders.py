@@ -11,21 +11,23 @@ import numpy as np
 import pytest
 
 import undeadzone as uz
-from scenes import EXACT_SENSOR
+from scenes import EXACT_SENSOR, tables_of
 from undeadzone.scenario.reader import convert
 
 
 def run(**observer: Any) -> uz.Run:
     return uz.simulate(
         convert(
-            {
-                "plant": {"arm": {"kind": "one_link"}, "parameters": {"g": 0.0, "b1": 0.1}},
+            tables_of("""
+                plant = { arm = { kind = "one_link" }, parameters = { g = 0.0, b1 = 0.1 } }
+                reference = { kind = "sine", amplitude = 0.5, frequency = 0.5 }
+                controller = { method = "computed_torque", bandwidth = 10.0 }
+                simulation = { time = "sampled", duration = 4.0, step = 0.004, substeps = 1 }
+                """)
+            | {
                 "sensor": {"right": 0.08, "left": 0.05, "noise": 1e-3} | EXACT_SENSOR,
-                "reference": {"kind": "sine", "amplitude": 0.5, "frequency": 0.5},
                 "observer": {"method": "extended", "right": [0.0, 0.15], "disturbance": 0.05}
                 | observer,
-                "controller": {"method": "computed_torque", "bandwidth": 10.0},
-                "simulation": {"time": "sampled", "duration": 4.0, "step": 0.004, "substeps": 1},
             }
         )
     )

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 import undeadzone as uz
+from documents import EXAMPLES
 from undeadzone.cli import group
 from undeadzone.cli.ending import run_to_exit_code
 from undeadzone.errors import InputError
@@ -271,7 +272,7 @@ def test_a_range_that_excludes_the_truth_is_reported() -> None:
 
 def test_an_actuator_range_that_excludes_the_truth_is_reported() -> None:
     """The output was 1.0 and an interval that excludes 1.2: plausible, and wrong."""
-    path = Path(__file__).parents[3] / "examples" / "valve_both_ends.toml"
+    path = EXAMPLES / "valve_both_ends.toml"
     valve = parse(path.read_text()) | {"simulation": {"duration": 3.0}}
     assert valve.actuator.right == 1.2
     message, short = "a false claim: model.actuator excludes", {"simulation": {"duration": 3.0}}

@@ -11,7 +11,7 @@ from benchmarks.loops.behind_play import gap_error
 from benchmarks.loops.plants.two_masses import GAIN, TAU, TS, TURN, two_masses
 
 import undeadzone as uz
-from scenes import scene
+from scenes import scene, tables_of
 from undeadzone.errors import InputError
 from undeadzone.scenario.overrun import decelerations
 from undeadzone.scenario.problem import resolve_scenario
@@ -25,12 +25,13 @@ MOTOR = {"A": [[0.0, 1.0], [0.0, -1 / TAU]], "B": [[0.0], [GAIN]], "C": [[1.0, 0
 
 def motor(sensor: dict[str, Any], **changes: Any) -> Scenario:
     """A motor that drives a load through gears."""
-    tables: dict[str, Any] = {
+    tables: dict[str, Any] = tables_of("""
+        observer = { method = "kalman", right = [0.0, 0.2], disturbance = 0.05 }
+        controller = { method = "state_feedback", poles = [-20.0, -21.0] }
+        """) | {
         "plant": MOTOR,
         "sensor": {"kind": "play", "right": 0.06, "left": 0.04, "noise": 1e-3} | sensor,
         "reference": SINE,
-        "observer": {"method": "kalman", "right": [0.0, 0.2], "disturbance": 0.05},
-        "controller": {"method": "state_feedback", "poles": [-20.0, -21.0]},
         "simulation": {"time": "sampled", "step": TS, "duration": 12.0},
     }
     return scene(**tables | changes)
@@ -93,33 +94,6 @@ def test_the_deceleration_of_a_sum_is_the_largest_against_its_motion(step: float
     assert decelerations(reference, 8.0, step)[0] == pytest.approx(
         (-bend * np.sign(rate)).max(), rel=0.03
     )
-
-
-@pytest.mark.parametrize(
-    ("sensor", "words"),
-    [
-        ({"kind": "deadzone", "load_friction": 0.1}, "only a play has a load"),
-        ({"load_inertia": 0.1}, "without friction"),
-        ({"load_friction": -0.1}, "sensor.load_friction"),
-        ({"load_friction": [0.0, 0.1]}, "a simulation needs one"),
-    ],
-)
-def test_a_load_that_cannot_be_is_refused(sensor: dict[str, Any], words: str) -> None:
-    with pytest.raises(InputError, match=words):
-        resolve_scenario(motor(sensor))
-
-
-@pytest.mark.parametrize(
-    ("friction", "observer", "words"),
-    [
-        ([0.2, 0.1], "kalman", "load_friction: expected a number or"),
-        ([0.0, 0.1], "adaptive_inverse", "cannot estimate it"),
-    ],
-)
-def test_an_invalid_friction_is_refused(friction: Any, observer: str, words: str) -> None:
-    options = {"method": observer} | ({"right": [0.0, 0.2]} if observer == "kalman" else {})
-    with pytest.raises(InputError, match=words):
-        resolve_scenario(motor({}, observer=options, model={"load_friction": friction}))
 
 
 # Friction

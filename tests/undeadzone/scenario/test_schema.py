@@ -24,7 +24,9 @@ def test_replace_changes_one_key_and_leaves_the_rest() -> None:
 
 
 def test_replace_takes_one_entry_of_a_matrix() -> None:
-    before = scene(plant={"A": [[0, 1], [-1, -2]], "B": [[0], [1]], "C": [[1, 0]]})
+    before = scene("""
+        plant = { A = [[0, 1], [-1, -2]], B = [[0], [1]], C = [[1, 0]] }
+        """)
     after = before.replace("plant.A[1,0]", -3.0)
     np.testing.assert_array_equal(after.plant.A, [[0, 1], [-3, -2]])
     with pytest.raises(InputError, match=r"plant\.A\[5,0\]: no such entry"):

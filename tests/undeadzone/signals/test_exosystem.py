@@ -11,7 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from undeadzone.errors import FileError, InputError, ShapeError
+from scenes import seeds
+from undeadzone.errors import FileError
 from undeadzone.signals import exosystem as signals
 from undeadzone.signals.exosystem import (
     Random,
@@ -136,7 +137,7 @@ def test_values_in_closed_form() -> None:
     )
 
 
-@given(st.integers(0, 2**32 - 1), st.integers(3, 12))
+@given(seeds, st.integers(3, 12))
 def test_csv_goes_through_its_samples_and_is_constant_beyond_its_ends(
     tmp_path_factory: pytest.TempPathFactory, seed: int, count: int
 ) -> None:
@@ -202,59 +203,6 @@ def test_unreadable_csv(tmp_path: Path) -> None:
     ]:
         with pytest.raises(FileError, match=f"reference.path: cannot read .*{words}"):
             build_exosystem("reference", Samples(path=f"{tmp_path}/{path}"), 1)
-
-
-@pytest.mark.parametrize(
-    ("signal", "error", "words"),
-    [
-        (
-            Sine(amplitude=[1.0, 2.0, 3.0], frequency=1.0),
-            ShapeError,
-            "reference.amplitude: expected 2 numbers .*, found 3",
-        ),
-        (
-            Sine(amplitude=1.0, frequency=0.0),
-            InputError,
-            "reference.frequency: must be greater than 0",
-        ),
-        (
-            Sine(amplitude=1.0, frequency=float("nan")),
-            InputError,
-            "reference.frequency: every number must be finite",
-        ),
-        (Sines(components=[]), InputError, "reference.components: expected at least one"),
-        (
-            Sines(
-                components=[Tone(amplitude=1.0, frequency=1.0), Tone(amplitude=1.0, frequency=-2.0)]
-            ),
-            InputError,
-            r"reference.components\[1\].frequency",
-        ),
-        (
-            Step(amplitude=1.0, before=[1.0, 2.0, 3.0]),
-            ShapeError,
-            "reference.before: expected 2 numbers",
-        ),
-        (
-            Step(amplitude=1.0, time=float("inf")),
-            InputError,
-            "reference.time: every number must be finite",
-        ),
-        (
-            Trapezoid(amplitude=1.0, rise=0.0, hold=1.0),
-            InputError,
-            "reference.rise: must be greater than 0",
-        ),
-        (
-            Trapezoid(amplitude=1.0, rise=1.0, hold=-1.0),
-            InputError,
-            "reference.hold: must be at least 0",
-        ),
-    ],
-)
-def test_wrong_signals(signal: Signal, error: type[Exception], words: str) -> None:
-    with pytest.raises(error, match=words):
-        build_exosystem("reference", signal, 2)
 
 
 def test_random_is_a_disturbance_only() -> None:

@@ -10,7 +10,6 @@ import itertools
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -36,11 +35,7 @@ STREAMS = [
 RUNS = [0, 1, 2, 1000, 2**32 - 1, 2**32, 2**63 - 1, 77, 5, 6, 7, 8, 9, 10, 11, 12]
 
 
-@pytest.fixture(autouse=True, scope="module")
-def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("UNDEADZONE_CACHE", str(tmp_path_factory.mktemp("kernels")))
-        yield
+pytestmark = pytest.mark.usefixtures("own_cache")
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ from scipy.linalg import expm
 from tests.scenes import linear
 
 from requirements import import_package
-from undeadzone.errors import InputError, ShapeError, TrackingError
+from undeadzone.errors import InputError, TrackingError
 from undeadzone.feedforward import joint_path as kinematics
 from undeadzone.feedforward.joint_path import (
     equations_of,
@@ -259,71 +259,6 @@ def test_joint_space_paths_steer_ordinary_plants() -> None:
     A, B, C = zeros.linear
     assert found.x_ref @ C.T == pytest.approx(path.output_at(steady))
     assert slope.x_ref == pytest.approx(found.x_ref @ A.T + found.u_ff @ B.T, abs=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("path", "channels", "error", "words"),
-    [
-        (
-            changed(VIA, times=[0.0, 1.0, 3.0]),
-            2,
-            ShapeError,
-            "reference.times: expected one time per point .*found 3 times and 4 points",
-        ),
-        (
-            Quintic(points=[[1.0, 2.0]], times=[0.0]),
-            2,
-            ShapeError,
-            "reference.times: .*two points or more",
-        ),
-        (changed(VIA, times=[0.0, 1.0, 1.0, 4.0]), 2, InputError, "reference.times: must increase"),
-        (VIA, 3, ShapeError, "reference.points: expected a matrix with 3 columns .*found 4 x 2"),
-        (
-            changed(VIA, times=[1.0, 2.0, 3.0, 4.0], repeat=True),
-            2,
-            InputError,
-            "reference.repeat: the first time must be 0",
-        ),
-        (
-            Quintic(points=[0.0, 1.0], times=[0.0, 1.0], repeat=True),
-            1,
-            InputError,
-            "reference.repeat: .*last point the first one again",
-        ),
-        (
-            CIRCLE,
-            1,
-            ShapeError,
-            "reference: a path in a plane needs two or three coordinates, there is 1",
-        ),
-        (EIGHT, 4, ShapeError, "there are 4"),
-        (
-            CIRCLE,
-            3,
-            ShapeError,
-            "reference.centre: expected 3 numbers .*one per coordinate.*, found 2",
-        ),
-        (
-            changed(CIRCLE, normal=[0.0, 0.0, 1.0]),
-            2,
-            InputError,
-            "reference.normal: has no meaning in two coordinates",
-        ),
-        (
-            changed(CIRCLE, centre=0.0, normal=[0.0, 0.0, 0.0]),
-            3,
-            InputError,
-            "reference.normal: must not be zero",
-        ),
-        (changed(CIRCLE, radius=0.0), 2, InputError, "reference.radius: must be greater than 0"),
-        (changed(CIRCLE, period=-1.0), 2, InputError, "reference.period: must be greater than 0"),
-        (changed(CIRCLE, ramp=-1.0), 2, InputError, "reference.ramp: must be at least 0"),
-        (changed(EIGHT, height=0.0), 2, InputError, "reference.height: must be greater than 0"),
-    ],
-)
-def test_wrong_paths(path: Path, channels: int, error: type[Exception], words: str) -> None:
-    with pytest.raises(error, match=words):
-        tip_path(path, channels)
 
 
 def test_task_space_needs_an_arm() -> None:

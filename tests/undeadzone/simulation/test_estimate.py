@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import json
-import sys
 from pathlib import Path
 
 import msgspec
@@ -23,8 +22,6 @@ from undeadzone.simulation.log_diagnosis import what_would_fit
 from undeadzone.simulation.online import build_observer
 from undeadzone.util.arrays import Floats
 
-EXAMPLES = Path(__file__).parents[3] / "examples"
-COMMAND = [sys.executable, "-c", "from undeadzone.cli import main; main()"]
 PLANT = uz.Plant(second_order=uz.SecondOrder(zeta=0.5, omega_n=4.0, gain=16.0), x0=[1.0, 0.0])
 SENSOR = uz.Sensor(right=1.3, left=0.6, noise=0.02)
 KALMAN = uz.Kalman(right=[0.0, 2.0], disturbance=0.0)

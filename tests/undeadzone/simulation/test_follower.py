@@ -19,6 +19,7 @@ from test_hostile_files import COMMAND
 from tests.live import KALMAN, STEP, WRONG_LINES, Watched, fed, line, regular, stream
 
 from commands import forked
+from documents import ROOT
 from undeadzone.cli.common import SCHEMA
 from undeadzone.errors import FileError
 from undeadzone.logs.clock import Clock
@@ -369,5 +370,5 @@ def test_a_signal_within_a_sample_loses_nothing(lever: Path, tmp_path: Path, sto
 
 
 def test_documented_kinds() -> None:
-    page = (Path(__file__).parents[3] / "docs" / "watch.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "watch.md").read_text(encoding="utf-8")
     assert [kind for kind in KINDS if f"`{kind}`" not in page] == []

@@ -296,6 +296,10 @@ def test_sampled_loop_equals_a_plain_loop(silence: bool) -> None:
     true_A, true_B = np.array([[0.0, 1.0], [-1.1, -1.8]]), np.array([0.0, 0.9])
     run = simulate(
         scene(
+            """
+            disturbance = { kind = "sine", amplitude = 3.0, frequency = 0.3 }
+            controller = { method = "state_feedback", poles = [-10.0, -12.0] }
+            """,
             plant={
                 "A": true_A.tolist(),
                 "B": true_B[:, None].tolist(),
@@ -310,9 +314,7 @@ def test_sampled_loop_equals_a_plain_loop(silence: bool) -> None:
                 "noise": 0.05,
                 "threshold": threshold,
             },
-            disturbance={"kind": "sine", "amplitude": 3.0, "frequency": 0.3},
             observer=OBSERVER | {"gamma": gamma, "width_max": limit, "silence": silence},
-            controller={"method": "state_feedback", "poles": [-10.0, -12.0]},
             simulation={"duration": steps * h, "step": h, "time": "sampled"},
         )
     )
@@ -363,17 +365,17 @@ def test_two_decoupled_outputs_equal_two_loops() -> None:
     zero = np.zeros((2, 2))
     both = simulate(
         scene(
+            """
+            sensor = { right = [1.0, 0.5], left = [0.8, 1.1] }
+            reference.kind = "sine"
+            reference.amplitude = [5.0, 4.0]
+            reference.frequency = 1.0
+            reference.phase = [0.0, 1.0]
+            """,
             plant={
                 "A": np.block([[A, zero], [zero, A]]).tolist(),
                 "B": np.kron(np.eye(2), B[:, None]).tolist(),
                 "C": np.kron(np.eye(2), C).tolist(),
-            },
-            sensor={"right": [1.0, 0.5], "left": [0.8, 1.1]},
-            reference={
-                "kind": "sine",
-                "amplitude": [5.0, 4.0],
-                "frequency": 1.0,
-                "phase": [0.0, 1.0],
             },
             observer=OBSERVER
             | {"L": np.kron(np.eye(2), L[:, None]).tolist(), "gamma": [10.0, 2.0]},

@@ -15,11 +15,11 @@ import pytest
 from test_hostile_files import COMMAND, SCENARIO, scenario
 from tests.jobs import sines
 
+from documents import ROOT
 from undeadzone.results.run import Run
 from undeadzone_studies.ensemble import run_blocks
 from undeadzone_studies.ensemble.result import Ensemble
 
-ROOT = Path(__file__).parents[3]
 VARIED = f'{SCENARIO}\n[ensemble]\nruns = 50\n"sensor.right" = {{ uniform = [0.3, 0.5] }}\n'
 
 WITH_WORKERS = """

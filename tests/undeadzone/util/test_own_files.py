@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 
 from commands import undeadzone
+from documents import EXAMPLES
+from records import dead_zone
 from undeadzone.errors import FileError
 from undeadzone.util.own_files import mark_toml, require_own_file, write_own_file
 from undeadzone_export.targets import MANIFEST, manifest_text, write_folder
 
-EXAMPLES = Path(__file__).parents[3] / "examples"
 MINE = "# mine\n"
 
 
@@ -62,7 +63,7 @@ def identified(folder: Path) -> list[str]:
     z = np.zeros(t.size)
     for k in range(1, t.size):
         z[k] = z[k - 1] + 0.01 * (2 * u[k - 1] - z[k - 1]) * 3
-    y = np.maximum(z - 0.5, 0) + np.minimum(z + 0.5, 0)
+    y = dead_zone(z, 0.5, 0.5)
     y += (y != 0) * 0.01 * np.random.default_rng(0).normal(size=t.size)
     rows = [f"{a:.2f},{b:.6f},{c:.6f}" for a, b, c in zip(t, u, y, strict=True)]
     (folder / "motor.csv").write_text("t,u,y\n" + "\n".join(rows) + "\n")

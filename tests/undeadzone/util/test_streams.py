@@ -15,11 +15,12 @@ from typing import Any
 
 import pytest
 
+import commands
 from undeadzone.cli.watch import SavedWatch
 from undeadzone.errors import FileError
 from undeadzone.util.streams import WaitingFile
 
-COMMAND = [sys.executable, "-c", "from undeadzone.cli import main; main()", "watch"]
+COMMAND = [*commands.COMMAND, "watch"]
 SCENARIO = """
 [plant]
 A = [[0.0, 1.0], [-1.0, -2.0]]

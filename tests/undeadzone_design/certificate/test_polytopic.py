@@ -11,7 +11,7 @@ from benchmarks.design.random_designs import random_design
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scenes import PAPER_PLANT, linear, random_plant, scene
+from scenes import PAPER_PLANT, linear, random_plant, scene, tables_of
 from undeadzone.analysis.certificate.passivity import Certificate, certify, passive_gain
 from undeadzone.analysis.error_dynamics import Dynamics
 from undeadzone.compile.interval import Interval, build_enclosure
@@ -384,7 +384,11 @@ def test_errors_of_regions_name_the_key() -> None:
         Region(x=[[-1, 1], [-2, 2]]), model._replace(limit=np.array([4.0]))
     ).low.tolist() == [-1, -2, -4]
     with pytest.raises(InputError, match="region: the model is linear"):
-        resolve_scenario(scene(region={"x": [[-1, 1], [-2, 2]], "u": [-3, 3]}))
+        resolve_scenario(
+            scene("""
+            region = { x = [[-1, 1], [-2, 2]], u = [-3, 3] }
+            """)
+        )
     with pytest.raises(InputError, match=r"region\.u: missing"):
         build_box(Region(x=[[-1, 1], [-2, 2]]), model)
     with pytest.raises(
@@ -400,18 +404,16 @@ def test_errors_of_regions_name_the_key() -> None:
 
 
 def test_check_judges_a_nonlinear_scenario_on_its_region() -> None:
-    table: dict[str, Any] = {
-        "plant": {
-            "f": ["v", "-9.81 * sin(q) - 1.5 * v + u"],
-            "h": ["q"],
-            "states": ["q", "v"],
-            "x0": [0.1, 0.0],
-        },
-        "sensor": {"right": 0.12, "left": 0.05},
-        "reference": {"kind": "sine", "amplitude": 0.5, "frequency": 0.5},
-        "observer": {"method": "certified", "L": [1.0, 0.0], "gamma": 5.0},
-        "controller": {"method": "state_feedback", "alpha": 10.0},
-    }
+    table: dict[str, Any] = tables_of("""
+        plant.f = ["v", "-9.81 * sin(q) - 1.5 * v + u"]
+        plant.h = ["q"]
+        plant.states = ["q", "v"]
+        plant.x0 = [0.1, 0.0]
+        sensor = { right = 0.12, left = 0.05 }
+        reference = { kind = "sine", amplitude = 0.5, frequency = 0.5 }
+        observer = { method = "certified", L = [1.0, 0.0], gamma = 5.0 }
+        controller = { method = "state_feedback", alpha = 10.0 }
+        """)
 
     def judged(region: Any) -> dict[str, Any]:
         return check(scene(**table, region=region)).summary()

@@ -15,7 +15,7 @@ from scipy.linalg import expm
 from scipy.optimize import minimize_scalar
 
 from certificates import project, sector
-from scenes import PAPER_PLANT, scene
+from scenes import PAPER_PLANT, scene, tables_of
 from undeadzone.analysis.certificate.passivity import certify, certify_dynamics, passive_gain
 from undeadzone.analysis.error_dynamics import (
     Dynamics,
@@ -370,24 +370,24 @@ def test_sector_is_sharper_than_a_lipschitz_bound() -> None:
 
 def test_v_falls_along_a_nonlinear_closed_loop() -> None:
     """The real loop with a hardening spring, slopes in [1, 1 + 0.9]: V of the sector falls."""
-    plant = {
-        "f": ["x2", "-2 * x2 - x1 - 0.9 * tanh(x1) + u"],
-        "h": ["x1"],
-        "states": ["x1", "x2"],
-        "x0": [3.0, -2.0],
-    }
+    plant = tables_of("""
+        f = ["x2", "-2 * x2 - x1 - 0.9 * tanh(x1) + u"]
+        h = ["x1"]
+        states = ["x1", "x2"]
+        x0 = [3.0, -2.0]
+        """)
     run = simulate(
         scene(
+            """
+            observer.method = "certified"
+            observer.L = [1.0, 1.5]
+            observer.gamma = 5.0
+            observer.widths0 = [0.2, 0.3]
+            observer.width_max = 3.0
+            controller = { method = "state_feedback", poles = [-2.0, -3.0] }
+            simulation = { duration = 6.0 }
+            """,
             plant=plant,
-            observer={
-                "method": "certified",
-                "L": [1.0, 1.5],
-                "gamma": 5.0,
-                "widths0": [0.2, 0.3],
-                "width_max": 3.0,
-            },
-            controller={"method": "state_feedback", "poles": [-2.0, -3.0]},
-            simulation={"duration": 6.0},
         )
     )
     errors = paper(gamma=5.0)
@@ -430,18 +430,18 @@ def test_v_falls_along_a_mismatched_closed_loop() -> None:
     corner = [[0.0, 1.0], [-1.2, -1.6]]
     run = simulate(
         scene(
+            """
+            reference = { kind = "sine", amplitude = 0.0, frequency = 1.0 }
+            observer.method = "certified"
+            observer.L = [1.0, 1.5]
+            observer.gamma = 5.0
+            observer.widths0 = [0.2, 0.2]
+            observer.width_max = 3.0
+            controller = { method = "state_feedback", K = [[1.0, 1.0]] }
+            simulation = { duration = 5.0 }
+            """,
             plant={"A": corner, "B": [[0.0], [1.2]], "C": [[1.0, 0.0]], "x0": [5.0, -3.0]},
             model={"A": PAPER.A.tolist(), "B": B.tolist()},
-            reference={"kind": "sine", "amplitude": 0.0, "frequency": 1.0},
-            observer={
-                "method": "certified",
-                "L": [1.0, 1.5],
-                "gamma": 5.0,
-                "widths0": [0.2, 0.2],
-                "width_max": 3.0,
-            },
-            controller={"method": "state_feedback", "K": [[1.0, 1.0]]},
-            simulation={"duration": 5.0},
         )
     )
     plants = []

@@ -21,7 +21,8 @@ from test_report import check_page
 
 import once
 import undeadzone
-from scenes import PAPER, scene
+from documents import EXAMPLES
+from scenes import PAPER, scene, tables_of
 from undeadzone.analysis.certificate.design_file import Design, format_gains
 from undeadzone.analysis.error_dynamics import branch_pattern
 from undeadzone.cli import group
@@ -40,7 +41,6 @@ from undeadzone_design.report.proof_figures import plot_courses as courses_figur
 from undeadzone_design.report.proof_figures import plot_positive_realness
 from undeadzone_design.synthesis.assessment import Assessment, assess_problem, attack_gains
 
-EXAMPLES = Path(__file__).parents[3] / "examples"
 POLES = {"method": "certified", "L": [12.0, 15.0], "gamma": 2.0}
 QUIET = ("--json", "--no-figures")
 
@@ -428,20 +428,18 @@ def test_gains_as_one_writes_them(gains: list[Any], text: str) -> None:
 # ---- courses and figures
 
 SAMPLED = {"simulation": {"time": "sampled", "step": 1e-2, "duration": 4.0}}
-COUPLED = {
-    "plant": {
-        "A": [[-1.0, 0.4], [0.3, -2.0]],
-        "B": [[1.0, 0.2], [0.0, 1.5]],
-        "C": [[1.0, 0.3], [0.0, 1.0]],
-    },
-    "sensor": {"right": [0.5, 0.2], "left": [0.3, 0.6]},
-    "reference": {"kind": "sine", "amplitude": [2.0, 1.5], "frequency": 0.5, "phase": [0.0, 1.0]},
-    "observer": {"method": "certified", "gamma": [2.0, 3.0], "L": [[0.2, 0.0], [0.1, 0.3]]},
-}
-RIGHT = {
-    "sensor": {"noise": 0.01},
-    "reference": {"kind": "sine", "amplitude": 1.0, "frequency": 1.0, "offset": 0.5},
-}
+COUPLED = tables_of("""
+plant.A = [[-1.0, 0.4], [0.3, -2.0]]
+plant.B = [[1.0, 0.2], [0.0, 1.5]]
+plant.C = [[1.0, 0.3], [0.0, 1.0]]
+sensor = { right = [0.5, 0.2], left = [0.3, 0.6] }
+reference = { kind = "sine", amplitude = [2.0, 1.5], frequency = 0.5, phase = [0.0, 1.0] }
+observer = { method = "certified", gamma = [2.0, 3.0], L = [[0.2, 0.0], [0.1, 0.3]] }
+""")
+RIGHT = tables_of("""
+sensor = { noise = 0.01 }
+reference = { kind = "sine", amplitude = 1.0, frequency = 1.0, offset = 0.5 }
+""")
 JUMP = {"sensor": {"kind": "jump"}}
 
 
@@ -566,10 +564,10 @@ def test_ellipse_or_strip() -> None:
         (COUPLED, ["nyquist", "root_locus", "lyapunov", "ellipse"]),
         (JUMP, ["nyquist", "root_locus", "lyapunov"]),
         (
-            {
-                "plant": {"integrators": 2},
-                "observer": {"method": "certified", "L": [4.0, 4.0], "gamma": 1.0},
-            },
+            tables_of("""
+                plant = { integrators = 2 }
+                observer = { method = "certified", L = [4.0, 4.0], gamma = 1.0 }
+                """),
             ["root_locus", "lyapunov", "ellipse"],
         ),
         ({"observer": {"method": "luenberger", "L": [1.0, 1.5]}}, ["ellipse"]),

@@ -13,9 +13,11 @@ from undeadzone_design.synthesis.check import check
 
 def looked_at(**sensor_options: float) -> Scenario:
     return scene(
+        """
+        observer = { method = "censored", right = [0.3, 2.0], levels = 1, tolerance = 0.0 }
+        simulation = { time = "sampled", step = 0.02, duration = 6.0 }
+        """,
         sensor={"right": 1.3, "left": 0.6, "noise": 0.02} | sensor_options,
-        observer={"method": "censored", "right": [0.3, 2.0], "levels": 1, "tolerance": 0.0},
-        simulation={"time": "sampled", "step": 0.02, "duration": 6.0},
     )
 
 

@@ -7,92 +7,21 @@ from __future__ import annotations
 
 import functools
 import http.server
-import logging
 import sys
 import threading
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from distributed import LocalCluster
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.jobs import sines
+from tests.jobs import local_cluster, sines
 
 from undeadzone.errors import ClusterError, InputError
-from undeadzone_studies.ensemble import dask_cluster, job, journal, run_blocks
+from undeadzone_studies.ensemble import dask_cluster, job, run_blocks
 
 pytestmark = pytest.mark.usefixtures("closed_stores")
-
-ROOT = Path(__file__).parents[3]
-
-
-def local(workers: int) -> LocalCluster:
-    return LocalCluster(
-        n_workers=workers,
-        threads_per_worker=2,
-        host="127.0.0.1",
-        dashboard_address="127.0.0.1:0",
-        silence_logs=logging.CRITICAL,
-    )
-
-
-@pytest.fixture(scope="module")
-def dask() -> Iterator[LocalCluster]:
-    with local(2) as found:
-        yield found
-
-
-@pytest.fixture
-def whole(tmp_path: Path) -> bytes:
-    store = run_blocks.compute_job(functools.partial(sines, 605), tmp_path / "whole.partial")
-    store.close()
-    return store.path.read_bytes()
-
-
-def test_a_cluster_continues_what_one_process_began(
-    tmp_path: Path, whole: bytes, dask: LocalCluster
-) -> None:
-    path = tmp_path / "runs.partial"
-    job = sines(605)
-    begun = journal.open_store(path, job.layout)
-    for block in (0, 7, 60):
-        begun.write_block(block, job.block(block))
-    begun.close()
-    trace = tmp_path / "trace"
-    trace.mkdir()
-    make = functools.partial(sines, 605, 0.0, trace)
-    run_blocks.compute_job(make, path, resume=True, cluster=dask.scheduler_address).close()
-    assert {int(block.name) for block in trace.iterdir()} == set(range(61)) - {0, 7, 60}
-    assert path.read_bytes() == whole
-
-
-def test_a_worker_that_is_killed_changes_no_bit(
-    tmp_path: Path, whole: bytes, dask: LocalCluster
-) -> None:
-    trace = tmp_path / "trace"
-    trace.mkdir()
-    make = functools.partial(sines, 605, 0.02, trace, deadly=30)
-    store = run_blocks.compute_job(make, tmp_path / "runs.partial", cluster=dask.scheduler_address)
-    assert (trace / "30").exists()
-    assert store.path.read_bytes() == whole
-
-
-def test_an_error_of_a_block_arrives_and_the_others_are_stored(
-    tmp_path: Path, whole: bytes, dask: LocalCluster
-) -> None:
-    path = tmp_path / "runs.partial"
-    with pytest.raises(ArithmeticError, match="a block that fails"):
-        run_blocks.compute_job(
-            functools.partial(sines, 605, wrong=40), path, cluster=dask.scheduler_address
-        )
-    store = journal.open_store(path, sines(605).layout, resume=True)
-    store.close()
-    assert 0 < store.runs_done < 605
-    make = functools.partial(sines, 605)
-    run_blocks.compute_job(make, path, resume=True, cluster=dask.scheduler_address).close()
-    assert path.read_bytes() == whole
 
 
 def test_no_more_is_computed_than_is_consumed(
@@ -156,7 +85,7 @@ def test_a_cluster_without_workers(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(job, "PATIENCE", 0.3)
     make, path = functools.partial(sines, 605), tmp_path / "runs.partial"
     words = r"no worker is there. Start some \(dask worker tcp://"
-    with local(0) as empty, pytest.raises(ClusterError, match=words):
+    with local_cluster(0) as empty, pytest.raises(ClusterError, match=words):
         run_blocks.compute_job(make, path, cluster=empty.scheduler_address)
     assert list(tmp_path.iterdir()) == []
 
@@ -167,7 +96,7 @@ def test_a_scheduler_that_goes_away_leaves_the_stored_runs(
     monkeypatch.setattr(dask_cluster, "REACH", 1.0)
     make, path = functools.partial(sines, 605, 0.05), tmp_path / "runs.partial"
     words = r"of 605 runs are kept in .*runs\.partial; continue with resume=True"
-    with local(1) as gone, pytest.raises(ClusterError, match=words):
+    with local_cluster(1) as gone, pytest.raises(ClusterError, match=words):
         run_blocks.compute_job(
             make, path, cluster=gone.scheduler_address, progress=lambda done: gone.close()
         )

@@ -19,13 +19,12 @@ import numpy as np
 import pytest
 from tests.jobs import Sines, layout, sines
 
+from documents import ROOT
 from undeadzone.errors import FileError, InputError, ShapeError
 from undeadzone_studies.ensemble import journal, run_blocks
 from undeadzone_studies.ensemble.journal import Store
 
 pytestmark = pytest.mark.usefixtures("closed_stores")
-
-ROOT = Path(__file__).parents[3]
 
 
 def stored(path: Path, runs: int = 95, blocks: range | None = None) -> Store:

@@ -9,21 +9,16 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 from tests.jobs import Sines, layout, say, sines
 
+from documents import ROOT
 from undeadzone.errors import ClusterError, InputError
 from undeadzone_studies.ensemble import journal, local_workers, run_blocks
 
-ROOT = Path(__file__).parents[3]
-
-
-@pytest.fixture
-def whole(tmp_path: Path) -> bytes:
-    store = run_blocks.compute_job(functools.partial(sines, 605), tmp_path / "whole.partial")
-    store.close()
-    return store.path.read_bytes()
+pytestmark = pytest.mark.usefixtures("closed_stores")
 
 
 def test_they_give_the_same_bits(tmp_path: Path, whole: bytes) -> None:
@@ -34,7 +29,9 @@ def test_they_give_the_same_bits(tmp_path: Path, whole: bytes) -> None:
     assert sum(progress) == 605
 
 
-def test_they_continue_what_one_process_began(tmp_path: Path, whole: bytes) -> None:
+def test_others_continue_what_one_process_began(
+    tmp_path: Path, whole: bytes, elsewhere: dict[str, Any]
+) -> None:
     path, trace = tmp_path / "runs.partial", tmp_path / "trace"
     job = sines(605)
     begun = journal.open_store(path, job.layout)
@@ -43,7 +40,7 @@ def test_they_continue_what_one_process_began(tmp_path: Path, whole: bytes) -> N
     begun.close()
     trace.mkdir()
     make = functools.partial(sines, 605, 0.0, trace)
-    run_blocks.compute_job(make, path, resume=True, workers=3).close()
+    run_blocks.compute_job(make, path, resume=True, **elsewhere).close()
     assert {int(block.name) for block in trace.iterdir()} == set(range(61)) - {0, 7, 60}
     assert path.read_bytes() == whole
 
@@ -93,25 +90,27 @@ def test_no_process_opens_a_socket(tmp_path: Path) -> None:
     assert set(children()) <= others
 
 
-def test_a_worker_that_is_killed_changes_no_bit(tmp_path: Path, whole: bytes) -> None:
+def test_a_worker_that_is_killed_changes_no_bit(
+    tmp_path: Path, whole: bytes, elsewhere: dict[str, Any]
+) -> None:
     path, trace = tmp_path / "runs.partial", tmp_path / "trace"
     trace.mkdir()
-    make = functools.partial(sines, 605, 0.0, trace, deadly=30)
-    run_blocks.compute_job(make, path, workers=2).close()
+    make = functools.partial(sines, 605, 0.02, trace, deadly=30)
+    run_blocks.compute_job(make, path, **elsewhere).close()
     assert (trace / "30").exists()
     assert path.read_bytes() == whole
 
 
 def test_an_error_of_a_block_arrives_and_the_others_are_stored(
-    tmp_path: Path, whole: bytes
+    tmp_path: Path, whole: bytes, elsewhere: dict[str, Any]
 ) -> None:
     path = tmp_path / "runs.partial"
     with pytest.raises(ArithmeticError, match="a block that fails"):
-        run_blocks.compute_job(functools.partial(sines, 605, wrong=40), path, workers=2)
+        run_blocks.compute_job(functools.partial(sines, 605, wrong=40), path, **elsewhere)
     store = journal.open_store(path, sines(605).layout, resume=True)
     store.close()
     assert 0 < store.runs_done < 605
-    run_blocks.compute_job(functools.partial(sines, 605), path, resume=True, workers=2).close()
+    run_blocks.compute_job(functools.partial(sines, 605), path, resume=True, **elsewhere).close()
     assert path.read_bytes() == whole
 
 

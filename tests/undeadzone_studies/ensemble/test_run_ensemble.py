@@ -21,6 +21,7 @@ import numpy as np
 import pytest
 from test_engines import OBSERVERS, PENDULUM, TWO_OUTPUTS, distance, identical, small
 
+from scenes import tables_of
 from undeadzone.cli import main
 from undeadzone.compile import interpret, lanes
 from undeadzone.errors import InputError
@@ -53,22 +54,18 @@ NOISE: dict[str, Any] = {
     "sensor.noise": {"log_normal": [0.01, 0.5]},
     "sensor.noise_before": {"uniform": [0.0, 0.02]},
 }
-SECOND: dict[str, Any] = {
-    "plant": {
-        "A": [[-0.3, 1.0], [-1.0, -2.0]],
-        "B": [[0.3], [1.0]],
-        "C": [[1.0, 0.7]],
-        "x0": [0.4, 0.2],
-    },
-    "observer": {"method": "certified", "L": [1.0, 0.5], "gamma": 5.0},
-}
+SECOND: dict[str, Any] = tables_of("""
+plant = { A = [[-0.3, 1.0], [-1.0, -2.0]], B = [[0.3], [1.0]], C = [[1.0, 0.7]], x0 = [0.4, 0.2] }
+observer = { method = "certified", L = [1.0, 0.5], gamma = 5.0 }
+""")
 GUST: dict[str, Any] = {"disturbance": {"kind": "random", "rms": 0.5, "correlation_time": 0.1}}
-SWINGING: dict[str, Any] = {
+SWINGING: dict[str, Any] = tables_of("""
+observer = { method = "certified", L = [1.0, 0.0] }
+reference = { kind = "sine", amplitude = 1.0, frequency = 0.5 }
+simulation = { duration = 3.0, step = 0.01, substeps = 1 }
+""") | {
     "plant": PENDULUM
-    | {"f": ["rate", "-g * sin(angle) - 1.5 * rate + torque"], "parameters": {"g": 9.81}},
-    "observer": {"method": "certified", "L": [1.0, 0.0]},
-    "reference": {"kind": "sine", "amplitude": 1.0, "frequency": 0.5},
-    "simulation": {"duration": 3.0, "step": 1e-2, "substeps": 1},
+    | {"f": ["rate", "-g * sin(angle) - 1.5 * rate + torque"], "parameters": {"g": 9.81}}
 }
 SCENES: dict[str, tuple[str, dict[str, Any], dict[str, Any]]] = {
     "continuous": (

@@ -14,16 +14,16 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from scenes import scene
+from documents import EXAMPLES
+from scenes import scene, tables_of
 from undeadzone.analysis.certificate.passivity import certify
 from undeadzone.cli import group
 from undeadzone.errors import InputError, StructureError
 from undeadzone.observers import HighGain
 from undeadzone.results.scales import LIMIT
 from undeadzone.scenario.address import find_option_numbers, with_numbers
-from undeadzone.scenario.ensemble_table import Distribution, Vary
 from undeadzone.scenario.problem import resolve_scenario
-from undeadzone.scenario.reader import convert, parse, read
+from undeadzone.scenario.reader import parse, read
 from undeadzone.scenario.schema import Scenario
 from undeadzone.scenario.tune_table import Range, Tune
 from undeadzone.simulation.exogenous import exogenous
@@ -57,7 +57,6 @@ from undeadzone_studies.tuning.tune import (
     tune,
 )
 
-EXAMPLES = Path(__file__).parents[3] / "examples"
 GAMMA = {"observer.gamma": Range(between=(0.1, 100.0), log=True)}
 GAINS = {"observer.L": Range(between=(0.01, 100.0), log=True), **GAMMA}
 
@@ -66,9 +65,11 @@ def gusts(**changes: Any) -> Scenario:
     """The paper's loop at 100 Hz, in gusts, with widths that vary."""
     widths = {"uniform": [0.3, 2.0]}
     scenario = scene(
-        sensor={"noise": 0.02},
-        simulation={"time": "sampled", "step": 1e-2, "duration": 4.0},
-        disturbance={"kind": "random", "rms": 5.0, "correlation_time": 0.3},
+        """
+        sensor = { noise = 0.02 }
+        simulation = { time = "sampled", step = 0.01, duration = 4.0 }
+        disturbance = { kind = "random", rms = 5.0, correlation_time = 0.3 }
+        """,
         ensemble={"entries": {"sensor.right": widths, "sensor.left": widths}},
     )
     return msgspec.structs.replace(scenario, **changes)
@@ -114,94 +115,16 @@ def test_an_address_names_entries(address: str, names: list[str]) -> None:
     ] == names
 
 
-@pytest.mark.parametrize(
-    ("bounds", "message"),
-    [
-        ({}, "nothing to tune"),
-        ({"observer.gama": (1, 20)}, "Did you mean 'observer.gamma'"),
-        (
-            {"plant.A[0,0]": (1, 20)},
-            "no number of that name in the options. There are controller.K",
-        ),
-        ({"observer.L[2]": (1, 20)}, r"there is observer.L\[0\] to observer.L\[1\]"),
-        ({"controller.K[0,1]": (1, 20)}, "the scenario gives no controller.K; write it there"),
-        ({"observer.gamma": (20, 1)}, r"expected \[low, high\] with low < high, found \[20, 1\]"),
-        (
-            {"observer.gamma": (20, 30)},
-            r"the scenario's observer.gamma = 10 lies outside \[20, 30\]",
-        ),
-        ({"observer.gamma": (1, 20), "observer.gamma[0]": (1, 20)}, "tuned twice"),
-    ],
-)
-def test_what_cannot_be_tuned(bounds: dict[str, tuple[float, float]], message: str) -> None:
-    entries = {address: Range(between=between) for address, between in bounds.items()}
-    with pytest.raises(InputError, match=message):
-        tune(gusts(), Tune(entries=entries))
-
-
-@pytest.mark.parametrize(
-    ("what", "scenario", "message"),
-    [
-        (
-            Tune(entries={"observer.gamma": Range(between=(0.0, 20.0), log=True)}),
-            {},
-            "a logarithmic scale needs positive bounds",
-        ),
-        (
-            Tune(entries=GAMMA, metric="rms"),
-            {},
-            "tune.metric: expected one of rms_tracking.*, found 'rms'",
-        ),
-        (Tune(entries=GAMMA, budget=1), {}, "tune.budget: expected 4 or more, found 1"),
-        (
-            Tune(entries={"observer.epsilon": Range(between=(0.1, 1.0))}, certified=True),
-            {"observer": HighGain()},
-            "no constant gains L and gamma to certify",
-        ),
-        (
-            Tune(entries={"controller.poles": Range(between=(-9.0, -1.0))}),
-            {},
-            "cannot start from controller.poles = -5: .*exactly one of K, poles, alpha",
-        ),
-        (
-            Tune(entries=GAMMA),
-            {"ensemble": Vary(entries={"observer.gamma": Distribution(uniform=(1.0, 2.0))})},
-            "Keep one of them",
-        ),
-        (Tune(entries=GAMMA, seed=-1), {}, "tune.seed"),
-    ],
-)
-def test_impossible_tuning_requests_are_refused(
-    what: Tune, scenario: dict[str, Any], message: str
-) -> None:
-    with pytest.raises(InputError, match=message):
-        tune(gusts(**scenario), what)
-
-
 def test_no_gains_of_an_unstable_plant_are_certified() -> None:
-    plant = {
-        "A": [[0.0, 1.0], [1.0, -2.0]],
-        "B": [[0.0], [1.0]],
-        "C": [[1.0, 0.0]],
-        "x0": [0.5, 0.0],
-    }
+    plant = tables_of("""
+        A = [[0.0, 1.0], [1.0, -2.0]]
+        B = [[0.0], [1.0]]
+        C = [[1.0, 0.0]]
+        x0 = [0.5, 0.0]
+        """)
     scenario = scene(plant=plant, observer={"method": "certified", "L": [5.0, 6.0]})
     with pytest.raises(StructureError, match="no gains can be certified: the model is unstable"):
         tune(scenario, Tune(entries={"observer.gamma": Range(between=(0.1, 10.0))}, certified=True))
-
-
-@pytest.mark.parametrize(
-    "table",
-    [
-        {"gamma": {"between": [1, 2]}},
-        {"observer.gamma": [1, 2]},
-        {"observer.gamma": {"betwen": [1, 2]}},
-    ],
-)
-def test_words_of_the_table(table: dict[str, Any]) -> None:
-    words = r"^tune\..*(stands in quotes|expected bounds such as|Did you mean 'between')"
-    with pytest.raises(InputError, match=words):
-        convert({"plant": {}, "tune": table})
 
 
 def test_a_candidate_is_the_run_of_its_own_scenario() -> None:
