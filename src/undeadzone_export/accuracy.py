@@ -156,11 +156,10 @@ def _compare_precisions(single: CompiledStep, code: Code, rows: Floats) -> Accur
     places = field_slices(code.step.outputs)
     gap = _precision_gap(exact, rounded)
     size = _signal_size(exact)
-    table = {}
-    for field, place in places.items():
-        error = float(gap[:, place].max())
-        most = float(size[:, place].max())
-        table[field] = {"error": error, "size": most}
+    table = {
+        field: {"error": float(gap[:, place].max()), "size": float(size[:, place].max())}
+        for field, place in places.items()
+    }
     least = np.min(np.array(pairs, float), axis=0)  # NaN without a covariance
     refusals = _width_refusals(places, gap, size)
     for eigenvalue, real, bar in zip(least, ("double", "float"), (SMALLEST, 0.0), strict=True):
@@ -243,6 +242,5 @@ def _from_triangle(column: Floats, size: int) -> Floats:
     entries = ca.triu(ca.kron(ca.DM.ones(blocks, blocks), ca.DM.eye(size // blocks))).sparsity()
     rows, columns = entries.get_triplet()
     matrix = np.zeros((size, size))
-    matrix[rows, columns] = column
-    matrix[columns, rows] = column
+    matrix[rows, columns] = matrix[columns, rows] = column
     return matrix

@@ -81,10 +81,10 @@ def record_inputs(problem: Problem, step: ExportedStep) -> Floats:
         rows = np.hstack([signals.y, *others])
         if problem.levels is not None:
             rows = rows + step.at_rest
-        missing = np.isnan(rows[:, step.readings :]).any(axis=1)
-        diverged = np.asarray((np.abs(rows) > DIVERGED).any(axis=1) | missing)
-        found.append(rows[: int(diverged.argmax())] if diverged.any() else rows)
-        if diverged.any():
+        is_absent = np.isnan(rows) & (np.arange(rows.shape[1]) >= step.readings)
+        diverged = np.flatnonzero((is_absent | (np.abs(rows) > DIVERGED)).any(axis=1))
+        found.append(rows[: diverged[0]] if diverged.size else rows)
+        if diverged.size:
             break
     if not found[0].size:
         raise InputError(

@@ -238,12 +238,14 @@ def _elementary_words(names: list[str], used: set[str], style: Style) -> dict[st
 
 def _header_words(code: Code, name: str, style: Style) -> dict[str, Any]:
     """Return the template words of the header: structs and prototypes with their meanings."""
-    structs = []
-    for struct, fields in code.structs.items():
-        structs.append(_struct_definition(f"{name}_{struct}", _STRUCTS[struct], fields, style))
-    prototypes = []
-    for function, text in function_signatures(code, name).items():
-        prototypes.append(f"/** {_MEANINGS[function]} */\n{text};\n")
+    structs = [
+        _struct_definition(f"{name}_{struct}", _STRUCTS[struct], fields, style)
+        for struct, fields in code.structs.items()
+    ]
+    prototypes = [
+        f"/** {_MEANINGS[function]} */\n{text};\n"
+        for function, text in function_signatures(code, name).items()
+    ]
     return {
         "structs": "\n".join(structs),
         "prototypes": "\n".join(prototypes),
@@ -287,19 +289,14 @@ def _struct_definition(name: str, meaning: str, fields: list[Field], style: Styl
 
 def function_signatures(code: Code, prefix: str) -> dict[str, str]:
     """Return the declarations of the functions of an export, without semicolons."""
-    params = f", const {prefix}_params *params" if code.step.params else ""
-    state = f"{prefix}_state *state"
-    sample = f"const {prefix}_in *in"
-    out = f"{prefix}_out *out"
-    texts = {}
-    if code.step.params:
-        texts["params_default"] = f"void {prefix}_params_default({prefix}_params *params)"
-    texts["init"] = f"void {prefix}_init({state})"
-    texts["step"] = f"void {prefix}_step({state}{params}, {sample}, {out})"
+    has_params = bool(code.step.params)
+    params = f"const {prefix}_params *params, " * has_params
+    given = f"{prefix}_state *state, {params}const {prefix}_in *in"
+    arguments = {"params_default": f"{prefix}_params *params"} if has_params else {}
+    arguments |= {"init": f"{prefix}_state *state", "step": f"{given}, {prefix}_out *out"}
     if code.phases is not None:
-        texts["estimate"] = f"void {prefix}_estimate({state}{params}, {sample}, {out})"
-        texts["advance"] = f"void {prefix}_advance({state}{params}, {sample})"
-    return texts
+        arguments |= {"estimate": arguments["step"], "advance": given}
+    return {key: f"void {prefix}_{key}({each})" for key, each in arguments.items()}
 
 
 _LIBRARY = ("NAN", "fabs", "sqrt", "fmod", "remainder", "copysign")
@@ -345,10 +342,10 @@ def _store_statements(
     target: str, fields: list[Field], values: list[float], style: Style
 ) -> list[str]:
     """Return statements that store numbers."""
-    lines = []
-    for (name, k), value in zip(member_entries(fields), values, strict=True):
-        lines.append(f"{INDENT}{target}->{name}[{k}] = {c_literal(value, style.kind)};")
-    return lines
+    return [
+        f"{INDENT}{target}->{name}[{k}] = {c_literal(value, style.kind)};"
+        for (name, k), value in zip(member_entries(fields), values, strict=True)
+    ]
 
 
 # --- Names for locals whose meaning shows in the nodes: is there a reading, which side it shows
