@@ -199,15 +199,12 @@ def _width_refusals(places: dict[str, slice], gap: Floats, size: Floats) -> list
     widest = max([float(size[:, places[name]].max()) for name in widths], default=0.0)
     texts = []
     for name in widths:
-        error = gap[:, places[name]]
         std = places.get(f"{name}_std")
-        bar = SHARE_OF_WIDTH * max(widest, 1e-30)
-        of = ""
+        scale, bar, of = 1.0, SHARE_OF_WIDTH * max(widest, 1e-30), ""
         if std is not None:
-            error = error / np.maximum(size[:, std], 1e-30)
-            bar = SHARE_OF_STD
+            scale, bar = np.maximum(size[:, std], 1e-30), SHARE_OF_STD
             of = " of its standard deviation"
-        worst = float(error.max())
+        worst = float((gap[:, places[name]] / scale).max())
         if not worst <= bar:
             texts.append(
                 f"float is not enough: {name} is wrong by {worst:.2g}{of}, above {bar:.2g}"

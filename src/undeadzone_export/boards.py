@@ -100,15 +100,13 @@ def _fit_board(
     flash = measured or estimate
     ram = round(sum(report["sizes"].values()) + wider * STACK * code)
     time = count * board.cycles[is_double] / board.clock
-    why = []
-    if is_double and not board.has_double:
-        why.append("its double is single")
-    if flash + LIBRARY > SPARED * board.flash:
-        why.append("flash")
-    if ram > SPARED * board.ram:
-        why.append("memory")
-    if time > report["step"] / 2:
-        why.append("time")
+    faults = {
+        "its double is single": is_double and not board.has_double,
+        "flash": flash + LIBRARY > SPARED * board.flash,
+        "memory": ram > SPARED * board.ram,
+        "time": time > report["step"] / 2,
+    }
+    why = [name for name, is_found in faults.items() if is_found]
     return BoardFit(board.name, flash, measured is not None, ram, time, not why, ", ".join(why))
 
 

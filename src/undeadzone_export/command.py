@@ -119,10 +119,9 @@ def export(
     else:
         words = _page_lines if to == "page" else _report_lines
         pairs = words(result.report, files)
-        if result.report["dropped"]:
-            pairs["dropped"] = [
-                f"{key}: {method} has no key of this meaning" for key in result.report["dropped"]
-            ]
+        pairs["dropped"] = [
+            f"{key}: {method} has no key of this meaning" for key in result.report["dropped"]
+        ]
         blocks: list[Block] = [pairs]
         if "boards" in result.report:
             blocks.append(board_table([BoardFit(**row) for row in result.report["boards"]]))
@@ -150,48 +149,47 @@ def _export_snippet(
 
 def _report_lines(report: dict[str, Any], files: list[str]) -> dict[str, Any]:
     """Return the printed form of a report, by title."""
+    from undeadzone_export.targets import operations_text
+
     sizes = report["sizes"]
-    pairs: dict[str, Any] = {
+    again = shell_command("undeadzone", *sys.argv[1:])
+    builds = [
+        shell_command("make", "-C", Path(name).parent)
+        for name in files
+        if name.endswith("Makefile")
+    ]
+    texts = [report["structured_text"]] if "structured_text" in report else []
+    return {
         "name": f"{report['name']} ({report['part']}, {report['precision']})",
         "hash": report["hash"],
         "sizes": f"state {sizes['state']}, in {sizes['in']}, out {sizes['out']} bytes",
-        "operations": _operations_text(report) or "none",
-    }
-    if "structured_text" in report:
-        size = report["structured_text"]
-        pairs["text"] = (
+        "operations": operations_text(report) or "none",
+        "text": [
             f"{count_noun(size['blocks'], 'block')}, {count_noun(size['lines'], 'line')}"
-        )
-    if "self_test" in report:
-        pairs["self-test"] = report["self_test"]
-    if report["float_refusals"]:
-        pairs["double"] = report["float_refusals"][0]
-    if report["refusals"]:
-        return pairs | {"REFUSED": report["refusals"], "written": "nothing"}
-    again = shell_command("undeadzone", *sys.argv[1:])
-    for method, boards in report.get("leaner", {}).items():
-        line = f"{again} --method {shlex.quote(method)}  # fits {', '.join(boards)}"
-        pairs.setdefault("leaner", []).append(line)
-    pairs["written"] = files or "nothing; --out DIR keeps the files"
-    if any(name.endswith("Makefile") for name in files):
-        build = shell_command("make", "-C", Path(files[0]).parent)
-        pairs["next"] = f"{build} builds the self-test; README.md has the rest"
-    return pairs
-
-
-def _operations_text(report: dict[str, Any]) -> str:
-    """Return the operations of a step in words."""
-    return ", ".join(f"{count} {word}" for word, count in report["operations"].items())
+            for size in texts
+        ],
+        "self-test": report.get("self_test", []),
+        "double": report["float_refusals"][:1],
+        "REFUSED": report["refusals"],
+        "leaner": [
+            f"{again} --method {shlex.quote(method)}  # fits {', '.join(boards)}"
+            for method, boards in report.get("leaner", {}).items()
+        ],
+        "written": files or "nothing" + "; --out DIR keeps the files" * (not report["refusals"]),
+        "next": [f"{build} builds the self-test; README.md has the rest" for build in builds],
+    }
 
 
 def _page_lines(report: dict[str, Any], files: list[str]) -> dict[str, Any]:
     """Return the printed form of a page's report, by title."""
+    from undeadzone_export.targets import operations_text
+
     sizes = report["sizes"]
     return {
         "page": f"{report['title']}: {report['steps']:,} steps at each move of a slider",
         "hash": report["hash"],
         "sizes": f"page {sizes['page']:,}, of which code {sizes['wasm']:,} bytes",
-        "operations": _operations_text(report),
+        "operations": operations_text(report),
         "sliders": ", ".join(report["sliders"]),
         "written": files,
     }

@@ -25,7 +25,6 @@ from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.util.arrays import Floats
 from undeadzone.util.text import count_noun
-from undeadzone.util.toml import to_tables
 from undeadzone_export import accuracy, compiler, exported_step, targets
 from undeadzone_export.boards import BoardFit, fit_boards
 from undeadzone_export.code import Code, build_code
@@ -263,24 +262,23 @@ def change_method(scenario: Scenario, method: str) -> tuple[Scenario, list[str]]
     Raises:
         InputError: there is no such observer, or it lacks a key that it needs.
     """
-    name, *settings = method.split() or [""]
+    name, _, settings = method.partition(" ")
     observer: Any = scenario.observer
     try:
-        changes = tomllib.loads("\n".join(settings))
+        changes = tomllib.loads(settings.replace(" ", "\n"))
     except tomllib.TOMLDecodeError:
         raise InputError(f"method: expected NAME or 'NAME KEY=VALUE', found {method!r}") from None
-    options = OBSERVERS.find_options(name)
-    known = set() if options is None else {*options.__struct_fields__}
+    known = {*getattr(OBSERVERS.find_options(name), "__struct_fields__", ())}
     if "correlation_time" in known ^ {*observer.__struct_fields__}:
         known.discard("disturbance")
-    kept = {key: value for key, value in to_tables(observer).items() if key in known}
-    dropped = []
+    given = {}
     for field in msgspec.structs.fields(observer):
         value = getattr(observer, field.name)
-        is_given = np.size(value) and not np.array_equal(value, field.default)
-        if is_given and field.name not in known:
-            dropped.append(f"observer.{field.name}")
-    return scenario | {"observer": {"method": name} | kept | changes}, dropped
+        if np.size(value) and not np.array_equal(value, field.default):
+            given[field.name] = value
+    table = {"method": name} | {key: given[key] for key in given.keys() & known} | changes
+    dropped = [f"observer.{key}" for key in given.keys() - known - changes.keys()]
+    return scenario | {"observer": table}, sorted(dropped)
 
 
 def _require_known_word(key: str, value: str, known: tuple[str, ...]) -> None:

@@ -212,7 +212,7 @@ class _BlockBuilder:
             *_if_statement("reset", start),
             *self._reading_statements(),
             *self.inner.lines,
-            *self._output_assignments(),
+            *_output_assignments(self.results[1], self.outputs, self._expressions),
         ]
         text += [f"{INDENT}{each} := {source};" for each, source in copied.items()]
         text += _if_statement("NOT hold", stored)
@@ -253,15 +253,6 @@ class _BlockBuilder:
         for missing, read, y in zip(self.missing, self.read, self.inputs, strict=False):
             lines += [f"{INDENT}{read} := {y};"]
             lines += _if_statement(missing, assign_number(read, np.inf, self.code.dtype_name))
-        return lines
-
-    def _output_assignments(self) -> list[str]:
-        """Return assignments to the outputs that no local of the same name fills."""
-        lines = []
-        for node, name in zip(self.results[1], self.outputs, strict=True):
-            text = self._expressions.write_node(node).text
-            if text != name:
-                lines += wrap_statement(f"{name} := {text};")
         return lines
 
     def _memory_assignments(self) -> tuple[dict[str, str], list[str]]:
@@ -383,10 +374,11 @@ class _Inner:
             shared: nodes that are read outside of the part that computes them.
         """
         node_names = self.expressions.names
-        names = [node_names.get(node) or self.entries[node.text] for node in given]
-        variables: dict[str, list[PlcVariable]] = {INPUTS: [], OUTPUTS: [], LOCALS: []}
-        for node, name in zip(given, names, strict=True):
-            variables[INPUTS].append(PlcVariable(name, TYPES[node.kind]))
+        read = [
+            PlcVariable(node_names.get(node) or self.entries[node.text], TYPES[node.kind])
+            for node in given
+        ]
+        variables: dict[str, list[PlcVariable]] = {INPUTS: read, OUTPUTS: [], LOCALS: []}
         for local in part:
             section = OUTPUTS if local.node in shared else LOCALS
             variables[section] += self._declare([local])
@@ -413,12 +405,12 @@ class _Repeat:
         inner = _Inner(name, [part.results], repeats, entries, style)
         outputs = {node: f"r{k}" for k, node in enumerate(part.results) if node.args}
         written, self.expressions = inner.write(outputs), inner.expressions
-        lines, output_variables = list(written.lines), []
-        for k, node in enumerate(part.results):
-            output_variables.append(PlcVariable(f"r{k}", TYPES[node.kind]))
-            text = self.expressions.write_node(node).text
-            lines += wrap_statement(f"r{k} := {text};") if text != f"r{k}" else []
-        names = {each.name for each in output_variables}
+        names = [f"r{k}" for k in range(len(part.results))]
+        lines = [*written.lines, *_output_assignments(part.results, names, self.expressions)]
+        output_variables = [
+            PlcVariable(text, TYPES[node.kind])
+            for text, node in zip(names, part.results, strict=True)
+        ]
         variables = {
             INPUTS: [PlcVariable(each.text, TYPES[each.kind]) for each in part.inputs],
             OUTPUTS: output_variables,
@@ -429,6 +421,17 @@ class _Repeat:
             *written.units,
             PlcUnit("FUNCTION_BLOCK", name, meaning, variables, lines),
         ]
+
+
+def _output_assignments(
+    nodes: Iterable[Node], names: list[str], expressions: Expressions
+) -> list[str]:
+    """Return assignments to the outputs that no local of the same name fills."""
+    lines = []
+    for node, name in zip(nodes, names, strict=True):
+        text = expressions.write_node(node).text
+        lines += wrap_statement(f"{name} := {text};") * (text != name)
+    return lines
 
 
 def _declare_local(local: Local) -> PlcVariable:
@@ -468,9 +471,7 @@ def _selftest_unit(code: Code, labels: Labels, vectors: Vectors, block: PlcUnit)
         arguments.append(f"{name} := given_{name}[sample]")
         if absent.any():
             truths = tuple(str(each).upper() for each in absent.tolist())
-            tables.append(
-                PlcVariable(f"no_{name}", f"ARRAY [0..{samples - 1}] OF BOOL", "", truths)
-            )
+            tables.append(_array(f"no_{name}", "BOOL", truths))
             arguments.append(f"missing_{k} := no_{name}[sample]")
     for k, each in enumerate(block.variables[OUTPUTS]):
         tables.append(_number_array(f"expected_{each.name}", expected[:, k], kind))
@@ -497,4 +498,9 @@ def _selftest_unit(code: Code, labels: Labels, vectors: Vectors, block: PlcUnit)
 def _number_array(name: str, values: Any, kind: str) -> PlcVariable:
     """Return an array variable of numbers."""
     texts = tuple(initial_literal(value, kind) for value in values.tolist())
-    return PlcVariable(name, f"ARRAY [0..{len(texts) - 1}] OF {TYPES[kind]}", "", texts)
+    return _array(name, TYPES[kind], texts)
+
+
+def _array(name: str, kind: str, texts: tuple[str, ...]) -> PlcVariable:
+    """Return an array variable."""
+    return PlcVariable(name, f"ARRAY [0..{len(texts) - 1}] OF {kind}", "", texts)

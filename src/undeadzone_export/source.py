@@ -333,9 +333,8 @@ def _code_words(code: Code, name: str, style: Style, bodies: _Bodies) -> dict[st
 def _void_casts(part: Body, params: bool) -> list[str]:
     """Return statements for arguments that a body does not read."""
     text = "\n".join(part.lines)
-    arguments = ["in->", "params->"] if params else ["in->"]
-    missing = [word.removesuffix("->") for word in arguments if word not in text]
-    return [f"{INDENT}(void){word};" for word in missing]
+    arguments = ["in", *["params"] * params]
+    return [f"{INDENT}(void){word};" for word in arguments if f"{word}->" not in text]
 
 
 def _store_statements(
@@ -396,11 +395,6 @@ def _presence_names(order: list[Node], step: ExportedStep) -> dict[Node, str]:
 
 def _input_in_comparison(node: Node) -> str:
     """Return the name of the input in w < huge or -huge < w, or an empty name."""
-    if node.op != "lt":
-        return ""
-    low, high = node.args
-    for bound, value, sign in ((low, high, -1.0), (high, low, 1.0)):
-        is_huge = sign * (bound.constant_value or 0.0) >= round_to_type(HUGE, bound.kind)
-        if is_huge and value.op == "input":
-            return value.text
-    return ""
+    bounds = [abs(arg.constant_value or 0.0) >= round_to_type(HUGE, arg.kind) for arg in node.args]
+    is_compared = node.op == "lt" and any(bounds)
+    return "".join(arg.text for arg in node.args if is_compared and arg.op == "input")
