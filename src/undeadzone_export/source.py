@@ -395,6 +395,7 @@ def _presence_names(order: list[Node], step: ExportedStep) -> dict[Node, str]:
 
 def _input_in_comparison(node: Node) -> str:
     """Return the name of the input in w < huge or -huge < w, or an empty name."""
+    if node.op != "lt":
+        return ""
     bounds = [abs(arg.constant_value or 0.0) >= round_to_type(HUGE, arg.kind) for arg in node.args]
-    is_compared = node.op == "lt" and any(bounds)
-    return "".join(arg.text for arg in node.args if is_compared and arg.op == "input")
+    return "".join(arg.text for arg in node.args if any(bounds) and arg.op == "input")
