@@ -106,14 +106,14 @@ def export(
 
     problem = read(scenario, confine)
     if to == "page":
-        out = Path("live.html") if out is None else out
+        out = out or Path("live.html")
     with tempfile.TemporaryDirectory() as scratch:
-        destination = out if out is not None or check else Path("firmware")
-        folder = Path(scratch) / "firmware" if destination is None else destination
+        destination = out or (None if check else Path("firmware"))
+        folder = destination or Path(scratch) / "firmware"
         with progress("exporting", None, of=problem.observer):
             options = (precision, part, tunable, name, check, force)
             result = run(problem, to, folder, *options, partial(print_line, err=True), method)
-    files = [] if destination is None else [str(path) for path in result.files]
+    files = [str(path) for path in result.files if destination]
     if as_json:
         print_json(result.report | {"written": files})
     else:

@@ -154,11 +154,14 @@ class _BlockBuilder:
         self.code, self.labels, self.style = code, labels, style
         step, real = code.step, style.real_type
         fields = (step.inputs, step.outputs, step.params)
-        names = [[f"{name}_{k}" for name, k in member_entries(field)] for field in fields]
-        names += [[f"{name}_was_{k}" for name, k in member_entries(step.state)]]
-        names += [[f"missing_{k}" for k in range(step.readings)]]
-        names += [[f"read_{k}" for k in range(step.readings)]]
-        names += [[f"next_{name}_{k}" for name, k in member_entries(step.state)]]
+        states, readings = member_entries(step.state), range(step.readings)
+        names = [
+            *([f"{name}_{k}" for name, k in member_entries(field)] for field in fields),
+            [f"{name}_was_{k}" for name, k in states],
+            [f"missing_{k}" for k in readings],
+            [f"read_{k}" for k in readings],
+            [f"next_{name}_{k}" for name, k in states],
+        ]
         # The language takes names that differ by capitals alone for one.
         flat = iter(make_distinct(list(itertools.chain(*names)), str.lower))
         named = [list(itertools.islice(flat, len(each))) for each in names]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import msgspec
 import numpy as np
 
 import undeadzone
@@ -50,9 +49,8 @@ def continue_scenario(scenario: Scenario, steps: int) -> Problem:
     """
     simulation = scenario.simulation
     duration = max(simulation.duration, steps * simulation.step)
-    longer = msgspec.structs.replace(simulation, duration=duration)
     try:
-        return resolve_scenario(msgspec.structs.replace(scenario, simulation=longer))
+        return resolve_scenario(scenario.replace("simulation.duration", duration))
     except InputError:
         return resolve_scenario(scenario)
 

@@ -320,13 +320,8 @@ def _python_module(printed: Code, report: dict[str, Any]) -> str:
         "real": f"c_{printed.c_type}",
     }
     for name in ("state", "in", "out", "params"):
-        words[f"fields_of_{name}"] = _field_sizes(structs.get(name, []))
+        words[f"fields_of_{name}"] = [field[:2] for field in structs.get(name, [])]
     return fill_template("templates/python_module.txt", words)
-
-
-def _field_sizes(fields: list[Field]) -> list[tuple[str, int]]:
-    """Return names and sizes of the arrays of a struct."""
-    return [(field.name, field.size) for field in fields]
 
 
 def _field_lines(fields: list[Field]) -> str:
