@@ -176,10 +176,10 @@ def export(
         passed, report["self_test"] = compiler.run_selftest(material.c_files)
         if not passed:
             report["refusals"].append(f"the self-test fails: {report['self_test']}")
-    if report["refusals"]:
-        return Exported([], report, draft.printed)
-    files = targets.export_files(to, material)
-    return Exported(targets.write_folder(files, Path(out), force), report, draft.printed)
+    written = []
+    if not report["refusals"]:
+        written = targets.write_folder(targets.export_files(to, material), Path(out), force)
+    return Exported(written, report, draft.printed)
 
 
 def _draft_code(

@@ -134,7 +134,8 @@ def function_unit(name: str, style: Style) -> PlcUnit:
     called = f"{style.prefix}_{name}"
     result = wrap_statement(f"{called} := {expressions.write_node(part.results[0]).text};")
     given = [PlcVariable(node.text, style.real_type) for node in part.inputs]
-    variables = {INPUTS: given, LOCALS: list(map(_declare_local, found))}
+    declared = [PlcVariable(local.name, TYPES[local.node.kind]) for local in found]
+    variables = {INPUTS: given, LOCALS: declared}
     meaning = str(portable_maths.OWN.functions[name].__doc__).strip()
     return PlcUnit(
         "FUNCTION", called, meaning, variables, [*local_statements(found), *result], style.real_type
@@ -196,17 +197,14 @@ class _BlockBuilder:
     def _main_block(self) -> PlcUnit:
         """Build the block that users call."""
         output_names, step = set(self.outputs), self.code.step
-        local_variables = [each for each in self.inner.variables if each.name not in output_names]
-        read = [PlcVariable(text, self.real) for text in self.read]
         copied, stored = self._memory_assignments()
-        local_variables += [PlcVariable(text, self.real) for text in copied]
         variables = {
             INPUTS: self._input_variables(),
             OUTPUTS: self._field_variables(self.outputs, step.outputs),
             LOCALS: [
                 *self._variables_with_start(self.states, step.state, step.start),
-                *read,
-                *local_variables,
+                *[PlcVariable(text, self.real) for text in [*self.read, *copied]],
+                *[each for each in self.inner.variables if each.name not in output_names],
             ],
         }
         states = zip(self.states, step.start.tolist(), strict=True)
@@ -352,12 +350,11 @@ class _Inner:
                 shared.update(given)
                 parts.append((part, given))
         units, lines = list[PlcUnit](), list[str]()
-        count = sum(part[0].node not in self._calls for part, _ in parts)
         for part, given in parts:
             if part[0].node in self._calls:
                 lines += part[0].lines
                 continue
-            meaning = f"Part {len(units) + 1} of {count}: the block calls it."
+            meaning = f"Part {len(units) + 1} of those that the block calls."
             unit = (f"{self.name}_part_{len(units) + 1}", meaning)
             variables = self._part_variables(part, given, shared)
             units.append(PlcUnit("FUNCTION_BLOCK", *unit, variables, local_statements(part)))
@@ -435,11 +432,6 @@ def _output_assignments(
         text = expressions.write_node(node).text
         lines += wrap_statement(f"{name} := {text};") * (text != name)
     return lines
-
-
-def _declare_local(local: Local) -> PlcVariable:
-    """Return the variable of a local."""
-    return PlcVariable(local.name, TYPES[local.node.kind])
 
 
 def _instance_name(part: PlcUnit) -> str:

@@ -144,10 +144,9 @@ def bit_words(values: Any, kind: str) -> Any:
 def bit_checksum(values: Any, kind: str) -> int:
     """Return the checksum of the bits of numbers, 32 bits at a time, lower bits first."""
     total = OFFSET
-    for word in bit_words(values, kind).tolist():
-        parts = (word,) if kind == "float32" else (word & 0xFFFFFFFF, word >> 32)
-        for part in parts:
-            total = ((total ^ part) * PRIME) & 0xFFFFFFFF
+    bits = bit_words(values, kind)
+    for word in bits.astype(bits.dtype.newbyteorder("<")).view("<u4").tolist():
+        total = ((total ^ word) * PRIME) & 0xFFFFFFFF
     return total
 
 
@@ -191,7 +190,5 @@ def _hex_lines(numbers: list[int], digits: int, ending: str) -> str:
     """Return words in lines of up to eight."""
     texts = [f"0x{number:0{digits}x}{ending}" for number in numbers]
     count = 64 // digits
-    lines = []
-    for start in range(0, len(texts), count):
-        lines.append("    " + ", ".join(texts[start : start + count]))
-    return ",\n".join(lines)
+    rows = [texts[start : start + count] for start in range(0, len(texts), count)]
+    return ",\n".join("    " + ", ".join(row) for row in rows)

@@ -270,8 +270,8 @@ def snippet_texts(lost: Lost, name: str) -> dict[str, str]:
     settings = [_SETTINGS["ahead" if lost.is_ahead else kind]]
     if kind == "backlash" and not lost.is_ahead and lost.unit in _SETTINGS_OF_GAPS:
         settings.insert(0, _SETTINGS_OF_GAPS[lost.unit])
-    head = [line.format(**words) for line in (*_HEADS[kind], *settings)]
-    head = [" ".join(line.split()) for line in head]
+    lines = (*_HEADS[kind], *settings)
+    head = [" ".join(line.format(**words).split()) for line in lines]
     c, python, st = (each[kind].format(**words) for each in (_C, _PYTHON, _ST))
     return {
         "snippet.h": "/* " + "\n   ".join(head) + " */\n" + c,
@@ -347,9 +347,8 @@ def lost_of_answer(found: dict[str, Any], path: str, name: str) -> Lost:
             f"{path}: the {absent[0]} edge of the actuator's dead zone is not known, and half a "
             "compensation pulls to one side. Record an input that passes both edges"
         )
-    gone = absent[0] if absent else ""
-    is_ahead = verdict == "input_play"
-    return Lost(kind, right, left, width, unit, name, silent, gone, is_ahead)
+    gone = "".join(absent)
+    return Lost(kind, right, left, width, unit, name, silent, gone, verdict == "input_play")
 
 
 def _edges(found: dict[str, Any]) -> tuple[Triple, Triple, Triple]:
@@ -416,6 +415,6 @@ def _single(values: list[float], path: Path) -> float:
 
 def _with_range(value: float, prior: Any) -> tuple[float, float, float]:
     """Return a width with the observer's assumed range, if the range contains the width."""
-    pair = [value, value] if prior is None else _numbers(prior)
+    pair = _numbers(prior)
     is_covered = len(pair) == 2 and pair[0] <= value <= pair[1] < math.inf
     return (value, pair[0], pair[1]) if is_covered else (value, value, value)

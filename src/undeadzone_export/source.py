@@ -257,10 +257,15 @@ def _assumption_macros(code: Code, upper: str) -> list[str]:
     """Return macros for the bits of `claims`, or none if `claims` is not an output."""
     if not any(field.name == "claims" for field in code.step.outputs):
         return []
-    lines = ["/* bits of out->claims[0], a whole number; suspect counts them from 1 */"]
-    for k, (name, check) in enumerate(ASSUMPTION_CHECKS.items()):
-        lines.append(f"#define {upper}_CLAIM_{name.upper()} {1 << k} /**< {check.words} */")
-    return [*lines, ""]
+    macros = [
+        f"#define {upper}_CLAIM_{name.upper()} {1 << k} /**< {check.words} */"
+        for k, (name, check) in enumerate(ASSUMPTION_CHECKS.items())
+    ]
+    return [
+        "/* bits of out->claims[0], a whole number; suspect counts them from 1 */",
+        *macros,
+        "",
+    ]
 
 
 _STRUCTS = {
@@ -279,12 +284,13 @@ def _to_comment_line(text: str) -> str:
 
 def _struct_definition(name: str, meaning: str, fields: list[Field], style: Style) -> str:
     """Return the definition of a struct, with a blank line after it."""
-    lines = [f"/** {meaning} */", "typedef struct", "{"]
-    for field in fields:
-        comment = _to_comment_line(field.meaning)
-        array = f"{style.real_type} {field.name}[{field.size}]"
-        lines.append(f"{INDENT}{array}; /**< {comment} */")
-    return "\n".join([*lines, f"}} {name};", ""])
+    members = [
+        f"{INDENT}{style.real_type} {field.name}[{field.size}];"
+        f" /**< {_to_comment_line(field.meaning)} */"
+        for field in fields
+    ]
+    head = [f"/** {meaning} */", "typedef struct", "{"]
+    return "\n".join([*head, *members, f"}} {name};", ""])
 
 
 def function_signatures(code: Code, prefix: str) -> dict[str, str]:

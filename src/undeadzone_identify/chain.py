@@ -166,19 +166,18 @@ def run_snippet_chain(lost: Lost, signal: Floats, folder: Path) -> FirmwareChain
         call.restype = ctypes.c_float
         call.argtypes = [ctypes.c_float]
         compiled = np.array([call(float(one)) for one in signal])
-    files = [Path(one) for one in report["written"]]
-    words = {"firmware": f"{name}() of snippet.h compiles. No plant is needed"}
     gap = np.array([lost.width[0]])
     without, reached = (
         levels(one[:, None], gap, 0 * gap, signal[:1])[:, 0] for one in (signal, compiled)
     )
     errors = [float(np.abs(one - signal)[1:].max()) for one in (without, reached)]
     texts = [append_unit(f"{one:.3g}", lost.unit) for one in errors]
-    words["axis off"] = (
-        f"up to {texts[0]} of an axis simulated with this gap, {texts[1]} with the C"
-    )
+    words = {
+        "firmware": f"{name}() of snippet.h compiles. No plant is needed",
+        "axis off": f"up to {texts[0]} of an axis simulated with this gap, {texts[1]} with the C",
+    }
     numbers = {"axis_off": errors[0], "axis_off_with_code": errors[1]}
-    return FirmwareChain(words, numbers, files, True)
+    return FirmwareChain(words, numbers, [Path(one) for one in report["written"]], True)
 
 
 def firmware_errors(scenario: Scenario, found: Estimation, code: Code) -> tuple[float, float]:

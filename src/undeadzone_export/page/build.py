@@ -86,9 +86,8 @@ def _fourier_data(problem: Problem) -> dict[str, Any]:
     gains = np.vstack([pairs.reshape(2 * waves.size, rows.shape[1]), spectrum[:1].real]).T
     omegas = 2 * np.pi * waves / length
     between = t + 0.5 * length / SAMPLES
-    angles = np.outer(between, omegas)
-    state = np.stack([np.sin(angles), np.cos(angles)], axis=2).reshape(SAMPLES, 2 * waves.size)
-    series = np.hstack([state, np.ones((SAMPLES, 1))]) @ gains.T
+    turning = np.exp(1j * np.outer(between, omegas)) @ spectrum[waves]
+    series = 2 * turning.real + spectrum[0].real
     if np.abs(series - np.hstack(targets(problem, between))).max() > SERIES * size:
         raise InputError(
             "reference: the state that belongs to it has corners, which the page does not draw "
@@ -357,9 +356,8 @@ def _output_sizes(problem: Problem) -> Floats:
 def _motion_label(problem: Problem) -> str:
     """Return the label of the axis that shows the motion."""
     unit = problem.scenario.units.output
-    if problem.levels is not None:
-        return f"the motion from its operating point [{escape_controls(unit)}]"
-    return "the motion" if unit == "1" else f"the motion [{escape_controls(unit)}]"
+    point = " from its operating point" * (problem.levels is not None)
+    return f"the motion{point}" + f" [{escape_controls(unit)}]" * (unit != "1")
 
 
 def _prior_information_note(problem: Problem) -> str:

@@ -59,10 +59,8 @@ def build_slider(slider: Slider, moves: list[tuple[int, float, float]]) -> Slide
 def round_up_nicely(value: float, factors: tuple[float, ...] = ROUND) -> float:
     """Return the nearest round number that is not smaller: a factor times a power of ten."""
     power = 10.0 ** np.floor(np.log10(value))
-    for factor in factors:
-        if factor * power >= value * (1 - 1e-9):
-            return float(f"{factor * power:.12g}")
-    return float(f"{10 * power:.12g}")
+    factor = next(one for one in (*factors, 10.0) if one * power >= value * (1 - 1e-9))
+    return float(f"{factor * power:.12g}")
 
 
 RESOLVED = 40  # steps of the run in a period, at least
@@ -148,11 +146,9 @@ def _fastest_factor(problem: Problem) -> float:
     """Return the factor by which the reference may become faster and stay resolved."""
     signal = problem.scenario.reference
     step = problem.scenario.simulation.step
-    if isinstance(signal, Sine):
-        return 1 / (RESOLVED * step * signal.frequency)
-    if isinstance(signal, Sines):
-        highest = max(tone.frequency for tone in signal.components)
-        return 1 / (RESOLVED * step * highest)
+    if isinstance(signal, Sine | Sines):
+        tones = signal.components if isinstance(signal, Sines) else [signal]
+        return 1 / (RESOLVED * step * max(tone.frequency for tone in tones))
     period = problem.reference.period
     return 1.0 if period is None else period / (4 * RESOLVED * step)
 
