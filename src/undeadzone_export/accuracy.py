@@ -148,8 +148,7 @@ def _compare_precisions(single: CompiledStep, code: Code, rows: Floats) -> Accur
     double = CompiledStepper(step.function, step.start, step.defaults, brief=True)
     runs = []
     pairs = []
-    for start in range(0, len(rows), CHUNK):
-        piece = rows[start : start + CHUNK]
+    for piece in np.split(rows, range(CHUNK, len(rows), CHUNK)):
         runs.append([double.run(piece), single(piece)])
         pairs.append([smallest_eigenvalue(step.state, one.state) for one in (double, single)])
     exact, rounded = np.concatenate(runs, axis=1)
@@ -200,7 +199,8 @@ def _width_refusals(places: dict[str, slice], gap: Floats, size: Floats) -> list
     texts = []
     for name in widths:
         std = places.get(f"{name}_std")
-        scale, bar, of = 1.0, SHARE_OF_WIDTH * max(widest, 1e-30), ""
+        scale: Floats | float = 1.0
+        bar, of = SHARE_OF_WIDTH * max(widest, 1e-30), ""
         if std is not None:
             scale, bar = np.maximum(size[:, std], 1e-30), SHARE_OF_STD
             of = " of its standard deviation"

@@ -105,14 +105,15 @@ def export(
     from undeadzone_export.exporting import export as run
 
     problem = read(scenario, confine)
-    if to == "page":
-        out = out or Path("live.html")
+    usual = "live.html" if to == "page" else "firmware"
     with tempfile.TemporaryDirectory() as scratch:
-        destination = out or (None if check else Path("firmware"))
+        destination = out or (None if check else Path(usual))
         folder = destination or Path(scratch) / "firmware"
         with progress("exporting", None, of=problem.observer):
-            options = (precision, part, tunable, name, check, force)
-            result = run(problem, to, folder, *options, partial(print_line, err=True), method)
+            notify = partial(print_line, err=True)
+            result = run(
+                problem, to, folder, precision, part, tunable, name, check, force, notify, method
+            )
     files = [str(path) for path in result.files if destination]
     if as_json:
         print_json(result.report | {"written": files})

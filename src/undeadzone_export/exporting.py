@@ -379,8 +379,8 @@ def constants_beyond_float(printed: Code) -> list[str]:
     printed_constants = {node.constant_value for node in order if node.is_real}
     function = printed.step.function
     for value in itertools.chain(*map(read_constants, [function, *function.find_functions()])):
-        is_beyond = abs(value) > float(limits.max) or 0 < abs(value) < float(limits.tiny)
-        if is_beyond and round_to_type(value, "float32") in printed_constants:
+        is_float = float(limits.tiny) <= abs(value) <= float(limits.max)
+        if value and not is_float and round_to_type(value, "float32") in printed_constants:
             texts.add(f"{value!r}: {c_literal(value, 'float32')}")
     return sorted(texts)
 
@@ -388,8 +388,9 @@ def constants_beyond_float(printed: Code) -> list[str]:
 def _accuracy_report(printed: Code, text: Source, rows: Floats) -> dict[str, Any]:
     """Return the accuracy and its refusals."""
     if compiler.find_compiler() is None:
-        message = "float was not measured: no C compiler (cc, gcc or clang in PATH, or $CC)"
-        refusals = [message] if printed.single else []
+        refusals = [
+            "float was not measured: no C compiler (cc, gcc or clang in PATH, or $CC)"
+        ] * printed.single
         return {"accuracy": None, "stack": None, "refusals": refusals}
     found = accuracy.measure_accuracy(printed, text, rows)._asdict()
     return {"accuracy": found, "stack": found.pop("stack"), "refusals": found.pop("refusals")}

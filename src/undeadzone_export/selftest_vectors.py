@@ -72,8 +72,7 @@ def record_inputs(problem: Problem, step: ExportedStep) -> Floats:
     stepper = CompiledStepper(loop.step, state, tree.pack_tree(loop.params), brief=True)
     places = tree.leaf_slices(loop.instant).target
     found = []
-    for start in range(0, len(exogenous), PIECE):
-        given = exogenous[start : start + PIECE]
+    for given in np.split(exogenous, range(PIECE, len(exogenous), PIECE)):
         signals = name_outputs(loop, stepper.run(given))
         others = [signals.u] if step.acting else [given[:, place] for place in places]
         rows = np.hstack([signals.y, *others])
@@ -100,8 +99,8 @@ def choose_samples(rows: Floats, readings: int) -> Floats:
         readings: number of columns that are readings. They come first.
     """
     picked = rows[np.linspace(0, len(rows) - 1, min(SAMPLES, len(rows))).astype(int)].copy()
-    for output in range(readings):
-        picked[(7 + 11 * output) % len(picked), output] = np.nan
+    outputs = np.arange(readings)
+    picked[(7 + 11 * outputs) % len(picked), outputs] = np.nan
     seen = np.abs(np.nan_to_num(rows[:, :readings]))
     size = np.maximum(seen.max(axis=0), 1.0)
     extremes = np.repeat(picked[-1:], 4, axis=0)

@@ -208,8 +208,10 @@ def write_snippet(
     Raises:
         InputError: there is nothing that a few lines can compensate, and why.
     """
-    is_answer = source.suffix.lower() == ".json"
-    lost = _of_answer(source) if is_answer else _of_scenario(read(source, confine), source)
+    if source.suffix.lower() == ".json":
+        lost = _of_answer(source)
+    else:
+        lost = _of_scenario(read(source, confine), source)
     return write_lost(lost, out, name, force)
 
 
@@ -390,8 +392,7 @@ def _of_scenario(scenario: Scenario, path: Path) -> Lost:
     if zone.kind == "play":
         kind = "backlash"
     is_ahead = kind == "backlash" and not is_sensor
-    both = [a + b for a, b in zip(right, left, strict=True)]
-    width = (both[0], both[1], both[2])
+    width = _triple([a + b for a, b in zip(right, left, strict=True)])
     if scenario.operating_point is not None and kind != "backlash":
         raise InputError(
             f"{path}: operating_point: the few lines act about 0. Export the observer with its"

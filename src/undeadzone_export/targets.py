@@ -42,9 +42,7 @@ def require_replaceable(out: Path, force: bool = False) -> None:
     if out.exists() and not out.is_dir():
         raise FileError(f"{out}: is a file. Give another folder")
     require_folder(out)
-    if not out.exists():
-        return
-    if force or all(path.name.startswith(".") for path in out.iterdir()):
+    if force or not out.exists() or all(path.name.startswith(".") for path in out.iterdir()):
         return
     written = _earlier_digests(out)
     if not written:

@@ -72,7 +72,7 @@ def run_firmware_chain(
     assert firmware.code is not None
     hidden, left = firmware_errors(scenario, found, firmware.code)
     report = firmware.report
-    reasons = [*report["float_refusals"][:1], *report["refusals"]]
+    reasons = report["float_refusals"][:1] + report["refusals"]
     numbers = {
         "identifiable": [one.right and one.left for one in known],
         "consistent": found.consistent,
