@@ -272,8 +272,7 @@ def snippet_texts(lost: Lost, name: str) -> dict[str, str]:
     settings = [_SETTINGS["ahead" if lost.is_ahead else kind]]
     if kind == "backlash" and not lost.is_ahead and lost.unit in _SETTINGS_OF_GAPS:
         settings.insert(0, _SETTINGS_OF_GAPS[lost.unit])
-    lines = (*_HEADS[kind], *settings)
-    head = [" ".join(line.format(**words).split()) for line in lines]
+    head = [" ".join(line.format(**words).split()) for line in (*_HEADS[kind], *settings)]
     c, python, st = (each[kind].format(**words) for each in (_C, _PYTHON, _ST))
     return {
         "snippet.h": "/* " + "\n   ".join(head) + " */\n" + c,

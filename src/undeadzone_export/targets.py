@@ -242,9 +242,9 @@ def _build_system_files(report: dict[str, Any], has_math: bool) -> dict[str, str
     """
     words = _template_words(report)
     words["math"] = f"{report['name']}_math.h " if has_math else ""
-    made = ("Makefile", "CMakeLists.txt")
-    texts = {name: fill_template(f"templates/{name}", words) for name in made}
-    return texts | {"README.md": _readme_text(report)}
+    return {
+        name: fill_template(f"templates/{name}", words) for name in ("Makefile", "CMakeLists.txt")
+    } | {"README.md": _readme_text(report)}
 
 
 def _arduino_files(report: dict[str, Any]) -> dict[str, str]:
