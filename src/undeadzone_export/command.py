@@ -121,7 +121,8 @@ def export(
         words = _page_lines if to == "page" else _report_lines
         pairs = words(result.report, files)
         pairs["dropped"] = [
-            f"{key}: {method} has no key of this meaning" for key in result.report["dropped"]
+            f"{key}: the other method has no key of this meaning"
+            for key in result.report["dropped"]
         ]
         blocks: list[Block] = [pairs]
         if "boards" in result.report:

@@ -112,7 +112,7 @@ def test_another_method_is_exported_with_a_line_for_each_key_it_lacks() -> None:
     code, result = called("--method", "kalman right=[0,2]", "--out", "fw")
     assert code == 0
     assert re.findall(r"observer\.\w+: .*", result.stdout) == [
-        f"observer.{key}: kalman right=[0,2] has no key of this meaning" for key in ("L", "gamma")
+        f"observer.{key}: the other method has no key of this meaning" for key in ("L", "gamma")
     ]
 
 
