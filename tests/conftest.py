@@ -32,7 +32,7 @@ from requirements import pytest_terminal_summary as pytest_terminal_summary
 from undeadzone.report import style
 from undeadzone.report.style import import_default_matplotlib
 from undeadzone.util import files
-from undeadzone_export import compiler
+from undeadzone_export import boards, compiler
 from undeadzone_studies.ensemble import journal
 
 gc.set_threshold(100_000)  # as the command line does
@@ -134,7 +134,8 @@ def figures_are_read() -> Iterator[None]:
 def code_of_no_effort(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """What an export compiles to look at its bits is not optimised: that takes ten times as long.
 
-    `test_exporting.py` and `test_emulator.py` show that effort changes no bit.
+    `test_exporting.py` and `test_emulator.py` show that effort changes no bit. Nor is it compiled
+    for boards, whose flash is estimated then.
     """
     script = tmp_path_factory.mktemp("compiler") / "cc"
     script.write_text('#!/bin/sh\nexec gcc "$@" -O0\n')
@@ -142,6 +143,7 @@ def code_of_no_effort(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path
     with pytest.MonkeyPatch.context() as patch:
         if shutil.which("gcc"):
             patch.setenv("CC", str(script))
+        patch.setattr(boards, "object_bytes", lambda command, files: None)
         yield script
 
 

@@ -270,7 +270,10 @@ def uno() -> str:
     if shutil.which("avr-gcc") is None:
         return f"{title}\nNot measured: avr-gcc is not installed; `make tools`.\n"
     board = BOARDS[0]
-    lines = [title, *head("observer of the template", "flash", "memory", "fits", "estimated flash")]
+    lines = [
+        title,
+        *head("observer of the template", "flash", "memory", "fits", "flash of the board table"),
+    ]
     for method in ON_UNO:
         with tempfile.TemporaryDirectory() as scratch:
             lines.append(_uno_row(method, Path(scratch)))

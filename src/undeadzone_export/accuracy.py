@@ -148,26 +148,24 @@ def _compare_precisions(single: CompiledStep, code: Code, rows: Floats) -> Accur
     double = CompiledStepper(step.function, step.start, step.defaults, brief=True)
     runs = []
     pairs = []
-    for start in range(0, len(rows), CHUNK):
-        piece = rows[start : start + CHUNK]
+    for piece in np.split(rows, range(CHUNK, len(rows), CHUNK)):
         runs.append([double.run(piece), single(piece)])
         pairs.append([smallest_eigenvalue(step.state, one.state) for one in (double, single)])
     exact, rounded = np.concatenate(runs, axis=1)
     places = field_slices(code.step.outputs)
     gap = _precision_gap(exact, rounded)
     size = _signal_size(exact)
-    table = {}
-    for field, place in places.items():
-        error = float(gap[:, place].max())
-        most = float(size[:, place].max())
-        table[field] = {"error": error, "size": most}
+    table = {
+        field: {"error": float(gap[:, place].max()), "size": float(size[:, place].max())}
+        for field, place in places.items()
+    }
     least = np.min(np.array(pairs, float), axis=0)  # NaN without a covariance
     refusals = _width_refusals(places, gap, size)
     for eigenvalue, real, bar in zip(least, ("double", "float"), (SMALLEST, 0.0), strict=True):
         if eigenvalue < bar:
             refusals.append(
                 f"float is not enough: a correlation matrix has an eigenvalue of {eigenvalue:.2g} "
-                f"in {real}, below {bar:g}; use --precision double"
+                f"in {real}, below {bar:g}"
             )
     in_double, in_float = to_json_value(least.tolist())
     differ = int((gap[:, places["side"]] != 0).any(axis=1).sum())
@@ -200,19 +198,16 @@ def _width_refusals(places: dict[str, slice], gap: Floats, size: Floats) -> list
     widest = max([float(size[:, places[name]].max()) for name in widths], default=0.0)
     texts = []
     for name in widths:
-        error = gap[:, places[name]]
         std = places.get(f"{name}_std")
-        bar = SHARE_OF_WIDTH * max(widest, 1e-30)
-        of = ""
+        scale: Floats | float = 1.0
+        bar, of = SHARE_OF_WIDTH * max(widest, 1e-30), ""
         if std is not None:
-            error = error / np.maximum(size[:, std], 1e-30)
-            bar = SHARE_OF_STD
+            scale, bar = np.maximum(size[:, std], 1e-30), SHARE_OF_STD
             of = " of its standard deviation"
-        worst = float(error.max())
+        worst = float((gap[:, places[name]] / scale).max())
         if not worst <= bar:
             texts.append(
-                f"float is not enough: {name} is wrong by {worst:.2g}{of}, above {bar:.2g}; "
-                "use --precision double"
+                f"float is not enough: {name} is wrong by {worst:.2g}{of}, above {bar:.2g}"
             )
     return texts
 
@@ -244,6 +239,5 @@ def _from_triangle(column: Floats, size: int) -> Floats:
     entries = ca.triu(ca.kron(ca.DM.ones(blocks, blocks), ca.DM.eye(size // blocks))).sparsity()
     rows, columns = entries.get_triplet()
     matrix = np.zeros((size, size))
-    matrix[rows, columns] = column
-    matrix[columns, rows] = column
+    matrix[rows, columns] = matrix[columns, rows] = column
     return matrix

@@ -1,9 +1,9 @@
-"""Flash, memory and time of an export on usual boards, estimated from its operations.
+"""Flash, memory and time of an export on usual boards.
 
-The shares an operation were measured with gcc 12 -Os on exports of 50 to 12,000 operations: of the
-written operations, repeated parts once, code for a Cortex-M4F takes 7.8 to 10.5 bytes, for an AVR
-30 to 33 (`python -m benchmarks code_size`). They only show if an export fits: the compiler
-measures the bytes, the board the time.
+Flash is that of the object which the board's own compiler makes, where it is installed. All else is
+estimated from the operations. The shares an operation were measured with gcc 12 -Os on exports of
+50 to 12,000 operations: of the written operations, repeated parts once, code for a Cortex-M4F takes
+7.8 to 10.5 bytes, for an AVR 30 to 33 (`python -m benchmarks code_size`).
 """
 
 from __future__ import annotations
@@ -11,9 +11,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
 
+from undeadzone_export.compiler import object_bytes
+
 SPARED: Final = 0.75  # share of a board that an observer may take
 STACK: Final = 0.3  # bytes of stack an operation that is written down, in single precision
-LIBRARY: Final = 4_000  # [bytes] of functions, and of arithmetic that the chip lacks
+LIBRARY: Final = 4_000  # [bytes] of arithmetic that the chip lacks, beside the object
+HOPELESS: Final = 2.0  # flash of a board, so often estimated, from which nothing is compiled
 WIDER: Final = 2.0  # bytes in double for one in single
 
 
@@ -27,6 +30,7 @@ class Board(NamedTuple):
         code: bytes an operation that is written down.
         cycles: of an operation in single and in double precision.
         has_double: whether its C computes in double at all.
+        compiler: command of its compiler, with the options of the processor.
     """
 
     name: str
@@ -36,23 +40,28 @@ class Board(NamedTuple):
     code: float
     cycles: tuple[float, float]
     has_double: bool = True
+    compiler: str = "unknown"
 
 
+AVR: Final = "avr-gcc -mmcu=atmega328p"
+M0: Final = "arm-none-eabi-gcc -mthumb -mcpu=cortex-m0plus"
+M4F: Final = "arm-none-eabi-gcc -mthumb -mcpu=cortex-m4 -mfloat-abi=hard -mfpu=fpv4-sp-d16"
 BOARDS: Final = (
-    Board("Arduino Uno", 32_256, 2_048, 16e6, 32.0, (150.0, 150.0), False),
-    Board("Nano Every", 48_640, 6_144, 16e6, 32.0, (150.0, 150.0), False),
-    Board("Cortex-M0+ (SAMD21)", 262_144, 32_768, 48e6, 12.0, (90.0, 180.0)),
-    Board("Cortex-M4F (STM32F4)", 524_288, 131_072, 168e6, 10.0, (4.0, 120.0)),
+    Board("Arduino Uno", 32_256, 2_048, 16e6, 32.0, (150.0, 150.0), False, AVR),
+    Board("Nano Every", 48_640, 6_144, 16e6, 32.0, (150.0, 150.0), False, AVR),
+    Board("Cortex-M0+ (SAMD21)", 262_144, 32_768, 48e6, 12.0, (90.0, 180.0), True, M0),
+    Board("Cortex-M4F (STM32F4)", 524_288, 131_072, 168e6, 10.0, (4.0, 120.0), True, M4F),
     Board("ESP32", 1_310_720, 327_680, 240e6, 12.0, (5.0, 100.0)),
 )
 
 
 class BoardFit(NamedTuple):
-    """Estimated cost of an export on a board.
+    """Cost of an export on a board.
 
     Attributes:
         board: its name.
         flash, ram: needs of the export [bytes], memory with stack.
+        measured: whether flash is the compiled object's. It is estimated else.
         time: of a step [s].
         fits: whether flash and memory leave room, and a step half of the sample time.
         why: reasons why it does not fit (empty if it fits).
@@ -60,48 +69,56 @@ class BoardFit(NamedTuple):
 
     board: str
     flash: int
+    measured: bool
     ram: int
     time: float
     fits: bool
     why: str
 
 
-def fit_boards(report: Mapping[str, Any]) -> list[BoardFit]:
-    """Estimate the cost of an export on usual boards.
+def fit_boards(report: Mapping[str, Any], files: tuple[tuple[str, str], ...]) -> list[BoardFit]:
+    """Return the cost of an export on usual boards.
 
     Args:
         report: of the export: sizes, operations, code_operations, precision, step.
+        files: name and text of each file of its C.
     """
-    return [_fit_board(board, report) for board in BOARDS]
+    return [_fit_board(board, report, files) for board in BOARDS]
 
 
-def _fit_board(board: Board, report: Mapping[str, Any]) -> BoardFit:
-    """Estimate the cost of an export on one board."""
+def _fit_board(
+    board: Board, report: Mapping[str, Any], files: tuple[tuple[str, str], ...]
+) -> BoardFit:
+    """Return the cost of an export on one board."""
     is_double = report["precision"] == "double"
     wider = WIDER if is_double and board.has_double else 1.0
     count = sum(report["operations"].values())
     code = report["code_operations"]
-    flash = round(LIBRARY + wider * board.code * code)
+    estimate = round(wider * board.code * code)
+    is_near = estimate < HOPELESS * board.flash
+    measured = object_bytes(board.compiler, files) if is_near else None
+    flash = measured or estimate
     ram = round(sum(report["sizes"].values()) + wider * STACK * code)
     time = count * board.cycles[is_double] / board.clock
-    why = []
-    if is_double and not board.has_double:
-        why.append("its double is single")
-    if flash > SPARED * board.flash:
-        why.append("flash")
-    if ram > SPARED * board.ram:
-        why.append("memory")
-    if time > report["step"] / 2:
-        why.append("time")
-    return BoardFit(board.name, flash, ram, time, not why, ", ".join(why))
+    faults = {
+        "its double is single": is_double and not board.has_double,
+        "flash": flash + LIBRARY > SPARED * board.flash,
+        "memory": ram > SPARED * board.ram,
+        "time": time > report["step"] / 2,
+    }
+    why = [name for name, is_found in faults.items() if is_found]
+    return BoardFit(board.name, flash, measured is not None, ram, time, not why, ", ".join(why))
 
 
 def board_table(found: list[BoardFit]) -> list[tuple[str, ...]]:
     """Return the boards as rows of text."""
-    rows: list[tuple[str, ...]] = [("board, estimated", "flash", "memory", "step", "fits")]
+    rows: list[tuple[str, ...]] = [
+        ("board", "flash", "memory, estimated", "step, estimated", "fits")
+    ]
     for fit in found:
-        sizes = (f"{fit.flash / 1e3:.3g} kB", f"{fit.ram / 1e3:.2g} kB", _time_text(fit.time))
-        rows.append((fit.board, *sizes, "yes" if fit.fits else f"NO: {fit.why}"))
+        flash = f"{fit.flash / 1e3:.3g} kB" + ", estimated" * (not fit.measured)
+        costs = (flash, f"{fit.ram / 1e3:.2g} kB", _time_text(fit.time))
+        rows.append((fit.board, *costs, "yes" if fit.fits else f"NO: {fit.why}"))
     return rows
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shlex
+import sys
 import tempfile
 from functools import partial
 from pathlib import Path
@@ -51,6 +53,12 @@ if TYPE_CHECKING:
     multiple=True,
 )
 @value_option("--name", "NAME", "Prefix of every symbol.")
+@value_option(
+    "--method",
+    "NAME",
+    "Another observer for this export, such as kalman or certified. Keys of [observer] that it "
+    "does not have are dropped. 'contact starts=1' sets a key as well.",
+)
 @flag_option(
     "--check",
     "Build the self-test with this computer's compiler, run it, print the accuracy table.",
@@ -66,6 +74,7 @@ def export(
     part: str,
     tunable: tuple[str, ...],
     name: str | None,
+    method: str | None,
     check: bool,
     force: bool,
     as_json: bool,
@@ -83,11 +92,12 @@ def export(
     or a gap. It takes identify.json as well, and its default folder is snippet.
 
     Files of an earlier export in the folder are replaced, other files stay. An edited file, or a
-    folder without an export, is refused without --force. Exit code 1: the self-test or the accuracy
-    fails, but the files are written.
+    folder without an export, is refused without --force. Without --precision the code is in double
+    where float is not accurate enough. Exit code 1: the self-test or the accuracy fails, and
+    nothing is written.
     """
     if to == "snippet":
-        if check or tunable or precision or part != "observer":
+        if check or tunable or precision or method or part != "observer":
             raise click.UsageError("--to snippet takes --out, --name, --force and --json only")
         return _export_snippet(scenario, out or Path("snippet"), name, force, as_json, confine)
     from undeadzone.scenario.reader import read
@@ -95,20 +105,26 @@ def export(
     from undeadzone_export.exporting import export as run
 
     problem = read(scenario, confine)
-    if to == "page":
-        out = Path("live.html") if out is None else out
+    usual = "live.html" if to == "page" else "firmware"
     with tempfile.TemporaryDirectory() as scratch:
-        destination = out if out is not None or check else Path("firmware")
-        folder = Path(scratch) / "firmware" if destination is None else destination
+        destination = out or (None if check else Path(usual))
+        folder = destination or Path(scratch) / "firmware"
         with progress("exporting", None, of=problem.observer):
-            options = (precision, part, tunable, name, check, force)
-            result = run(problem, to, folder, *options, notify=partial(print_line, err=True))
-    files = [] if destination is None else [str(path) for path in result.files]
+            notify = partial(print_line, err=True)
+            result = run(
+                problem, to, folder, precision, part, tunable, name, check, force, notify, method
+            )
+    files = [str(path) for path in result.files if destination]
     if as_json:
         print_json(result.report | {"written": files})
     else:
         words = _page_lines if to == "page" else _report_lines
-        blocks: list[Block] = [words(result.report, files)]
+        pairs = words(result.report, files)
+        pairs["dropped"] = [
+            f"{key}: the other method has no key of this meaning"
+            for key in result.report["dropped"]
+        ]
+        blocks: list[Block] = [pairs]
         if "boards" in result.report:
             blocks.append(board_table([BoardFit(**row) for row in result.report["boards"]]))
         if check and result.report["accuracy"] is not None:
@@ -135,51 +151,47 @@ def _export_snippet(
 
 def _report_lines(report: dict[str, Any], files: list[str]) -> dict[str, Any]:
     """Return the printed form of a report, by title."""
+    from undeadzone_export.targets import operations_text
+
     sizes = report["sizes"]
-    pairs: dict[str, Any] = {
+    again = shell_command("undeadzone", *sys.argv[1:])
+    builds = [
+        shell_command("make", "-C", Path(name).parent)
+        for name in files
+        if name.endswith("Makefile")
+    ]
+    texts = [report["structured_text"]] if "structured_text" in report else []
+    return {
         "name": f"{report['name']} ({report['part']}, {report['precision']})",
         "hash": report["hash"],
         "sizes": f"state {sizes['state']}, in {sizes['in']}, out {sizes['out']} bytes",
-        "operations": _operations_text(report) or "none",
-    }
-    if "structured_text" in report:
-        size = report["structured_text"]
-        pairs["text"] = (
+        "operations": operations_text(report) or "none",
+        "text": [
             f"{count_noun(size['blocks'], 'block')}, {count_noun(size['lines'], 'line')}"
-        )
-    if "self_test" in report:
-        pairs["self-test"] = report["self_test"]
-    if report["refusals"]:
-        pairs["REFUSED"] = report["refusals"]
-    if report.get("leaner"):
-        pairs["leaner"] = [_leaner_text(*each) for each in report["leaner"].items()]
-    pairs["written"] = files or "nothing; --out DIR keeps the files"
-    if any(name.endswith("Makefile") for name in files):
-        build = shell_command("make", "-C", Path(files[0]).parent)
-        pairs["next"] = f"{build} builds the self-test; README.md has the rest"
-    return pairs
-
-
-def _operations_text(report: dict[str, Any]) -> str:
-    """Return the operations of a step in words."""
-    return ", ".join(f"{count} {word}" for word, count in report["operations"].items())
-
-
-def _leaner_text(name: str, boards: list[str]) -> str:
-    """Return a sentence on an observer of lower cost and the boards that it fits."""
-    from undeadzone_export.exporting import leaner_setting
-
-    return f"{leaner_setting(name)} fits {', '.join(boards) or 'none of these boards'}"
+            for size in texts
+        ],
+        "self-test": report.get("self_test", []),
+        "double": report["float_refusals"][:1],
+        "REFUSED": report["refusals"],
+        "leaner": [
+            f"{again} --method {shlex.quote(method)}  # fits {', '.join(boards)}"
+            for method, boards in report.get("leaner", {}).items()
+        ],
+        "written": files or "nothing" + "; --out DIR keeps the files" * (not report["refusals"]),
+        "next": [f"{build} builds the self-test; README.md has the rest" for build in builds],
+    }
 
 
 def _page_lines(report: dict[str, Any], files: list[str]) -> dict[str, Any]:
     """Return the printed form of a page's report, by title."""
+    from undeadzone_export.targets import operations_text
+
     sizes = report["sizes"]
     return {
         "page": f"{report['title']}: {report['steps']:,} steps at each move of a slider",
         "hash": report["hash"],
         "sizes": f"page {sizes['page']:,}, of which code {sizes['wasm']:,} bytes",
-        "operations": _operations_text(report),
+        "operations": operations_text(report),
         "sliders": ", ".join(report["sliders"]),
         "written": files,
     }

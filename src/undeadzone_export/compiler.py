@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import re
 import shutil
@@ -15,6 +16,7 @@ from undeadzone.errors import InputError
 from undeadzone.util.files import failure_reason
 
 FLAGS = ("-std=c99", "-ffp-contract=off", "-fno-math-errno")
+SMALL = ("-Os", "-ffunction-sections", "-c")
 NAMES = ("cc", "gcc", "clang")
 
 
@@ -107,6 +109,26 @@ def _run_compiler(line: list[str], folder: Path) -> subprocess.CompletedProcess[
     return subprocess.CompletedProcess(line, process.returncode, out, errors)
 
 
+@functools.lru_cache(1)
+def object_bytes(command: str, files: tuple[tuple[str, str], ...]) -> int | None:
+    """Return the flash of compiled C, code with constants [bytes]. None without that compiler.
+
+    Args:
+        command: a gcc for another processor, with its options.
+        files: name and text of each file of the C.
+    """
+    name, *options = command.split()
+    if shutil.which(name) is None:
+        return None
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        sources = [path.name for path in write_sources(dict(files), folder)]
+        _run_compiler([name, *options, *FLAGS, *SMALL, "-o", "flash.o", *sources], folder)
+        listed = _run_compiler([name.removesuffix("gcc") + "size", "flash.o"], folder).stdout
+    sizes = re.findall(r"\d+", listed)
+    return int(sizes[0]) + int(sizes[1]) if sizes else None
+
+
 def stack_bytes(folder: Path, prefix: str) -> int | None:
     """Return the stack of a step as the compiler reports it [bytes], or None.
 
@@ -142,10 +164,11 @@ def run_selftest(files: dict[str, str]) -> tuple[bool, str]:
 
     Args:
         files: the C of the export and of its self-test, by name.
+
+    Raises:
+        InputError: there is no compiler.
     """
-    command = find_compiler()
-    if command is None:
-        return False, "no C compiler: expected cc, gcc or clang in PATH, or the variable CC"
+    command = require_compiler()
     with tempfile.TemporaryDirectory() as name:
         sources = [path.name for path in write_sources(files, Path(name))]
         make = [command, *FLAGS, "-O2", "-o", "tested", *sources, "-lm"]

@@ -337,11 +337,7 @@ def _trace_observer(problem: Problem, observer: Observer, params: _StepNumbers) 
     u = ca.SX.sym("u", model.m)
     used = ca.if_else(present(u), u, s.held)
     levels = problem.levels
-    acting = used
-    counted = y
-    if levels is not None:
-        acting = used - levels.u
-        counted = y - levels.y
+    acting, counted = (used, y) if levels is None else (used - levels.u, y - levels.y)
     reading = to_reading(counted, *params.sensor)
     after, estimate = observer.step(params.observer, s.observer, acting, reading)
     following = _ObserverMemory(after, used)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import itertools
 import re
 import time
-from collections.abc import Callable
+import tomllib
+from collections.abc import Callable, Sequence
 from contextlib import suppress
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,14 +21,14 @@ from undeadzone.compile.print_c import c_literal
 from undeadzone.compile.simplify import round_to_type
 from undeadzone.errors import InputError
 from undeadzone.registry import OBSERVERS
-from undeadzone.scenario.problem import resolve_scenario
+from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.util.arrays import Floats
 from undeadzone.util.text import count_noun
 from undeadzone_export import accuracy, compiler, exported_step, targets
-from undeadzone_export.boards import fit_boards
+from undeadzone_export.boards import BoardFit, fit_boards
 from undeadzone_export.code import Code, build_code
-from undeadzone_export.exported_step import Field, to_identifier, total_size
+from undeadzone_export.exported_step import ExportedStep, Field, to_identifier, total_size
 from undeadzone_export.fmu.package import require_buildable
 from undeadzone_export.page.build import write_live_page
 from undeadzone_export.selftest_vectors import (
@@ -53,10 +53,10 @@ class Exported(NamedTuple):
     """Files and report of an export.
 
     Attributes:
-        files: the files written.
+        files: the files written (none if the export is refused).
         report: name, hash, sizes and the stack on this computer [bytes], operations of a step,
-            accuracy, and `refusals`: why the code should not be used, with the number (empty if all
-            is well).
+            accuracy, why float was not taken, and `refusals`: why nothing is written, with the
+            number (empty if all is well).
         code: the printed nodes (None for a page).
     """
 
@@ -70,6 +70,26 @@ class Exported(NamedTuple):
         return not self.report["refusals"]
 
 
+class _Draft(NamedTuple):
+    """Code of a scenario in a precision, before it is written.
+
+    Attributes:
+        problem: the checked parts of the scenario.
+        step: of the observer.
+        printed: the nodes.
+        text: the C.
+        rows: inputs of the step along the scenario's own run, continued.
+        report: on cost and accuracy.
+    """
+
+    problem: Problem
+    step: ExportedStep
+    printed: Code
+    text: Source
+    rows: Floats
+    report: dict[str, Any]
+
+
 def export(
     scenario: Scenario,
     to: str = "c",
@@ -81,6 +101,7 @@ def export(
     check: bool = False,
     force: bool = False,
     notify: Callable[[str], object] | None = None,
+    method: str | None = None,
 ) -> Exported:
     """Write a scenario's observer as C99 that runs without a library.
 
@@ -91,8 +112,8 @@ def export(
             no undeadzone, or "page" for one HTML file in which the scenario's loop runs.
         out: folder for the files, or the HTML file (replaced if it is an earlier export). Other
             files in the folder stay.
-        precision: "single" for float, or "double" (default: double but for "c", "arduino" and
-            "st").
+        precision: "single" for float, or "double" (default: double, but for "c", "arduino" and
+            "st" float where it is accurate enough).
         part: "observer", or "observer+controller".
         tunable: numbers that stay parameters of the code, such as "observer.gamma".
         name: first part of every symbol (default: made of the scenario's title).
@@ -101,10 +122,12 @@ def export(
         force: replace files that someone else wrote or edited, if they are in the way (other files
             stay).
         notify: called with a sentence before something that takes minutes begins.
+        method: another observer for this export, such as "kalman", or with values of its keys
+            "contact starts=1". Keys that it does not have are dropped.
 
     Returns:
         The files, and a report. Accuracy is measured if there is a C compiler. Single precision
-        that was not measured counts as refused.
+        that was asked for and was not measured counts as refused.
 
     Raises:
         InputError: a scenario that cannot be exported, or an unknown option.
@@ -126,46 +149,77 @@ def export(
         Online, simulate
     """
     _require_known_word("to", to, tuple(targets.PRECISION))
-    precision = targets.PRECISION[to] if precision is None else precision
-    _require_known_word("precision", precision, PRECISIONS)
+    least = PRECISIONS.index(targets.PRECISION[to])
+    precisions = PRECISIONS[least:] if precision is None else (precision,)
+    _require_known_word("precision", precisions[0], PRECISIONS)
     tunable = tuple(dict.fromkeys(tunable))
+    scenario, dropped = (scenario, []) if method is None else change_method(scenario, method)
     if to == "page":
-        _require_page_options(precision, part, tunable, name, check)
-        return Exported([Path(out)], write_live_page(scenario, Path(out), force))
-    prefix = _symbol_prefix(name, scenario.title)
+        _require_page_options(precisions[0], part, tunable, name, check)
+        report = write_live_page(scenario, Path(out), force)
+        return Exported([Path(out)], report | {"dropped": dropped})
+    labels = Labels(_symbol_prefix(name, scenario.title), scenario.title, part)
     targets.require_replaceable(Path(out), force)
     if to in targets.VERSIONS:
-        require_buildable(prefix, targets.VERSIONS[to])
+        require_buildable(labels.prefix, targets.VERSIONS[to])
+    draft = _draft_code(scenario, labels, precisions, tunable, notify)
+    report = draft.report | {"dropped": dropped}
+    if to in FIRMWARE and not report["refusals"]:
+        found = _boards_of(draft)
+        report["boards"] = [fit._asdict() for fit in found]
+        if not all(fit.fits for fit in found):
+            report["leaner"] = _fit_leaner(scenario, labels, precisions, found)
+    samples = choose_samples(draft.rows[: draft.problem.steps + 1], draft.step.readings)
+    vectors = reference_vectors(draft.printed, samples)
+    material = Material(draft.printed, labels, draft.text, vectors, scenario.units, report)
+    if check and to not in ELSEWHERE:
+        passed, report["self_test"] = compiler.run_selftest(material.c_files)
+        if not passed:
+            report["refusals"].append(f"the self-test fails: {report['self_test']}")
+    written = []
+    if not report["refusals"]:
+        written = targets.write_folder(targets.export_files(to, material), Path(out), force)
+    return Exported(written, report, draft.printed)
+
+
+def _draft_code(
+    scenario: Scenario,
+    labels: Labels,
+    precisions: Sequence[str],
+    tunable: tuple[str, ...] = (),
+    notify: Callable[[str], object] | None = None,
+) -> _Draft:
+    """Build the code of a scenario in the first precision that is accurate enough.
+
+    Args:
+        scenario: the scenario.
+        labels: the words that the files share.
+        precisions: from which the first is taken that is not refused, or else the last.
+        tunable: numbers that stay parameters.
+        notify: called with a sentence before something that takes minutes begins.
+    """
     problem = resolve_scenario(scenario)
     began, spent = time.monotonic(), time.process_time()
-    step = exported_step.build_step(problem, part, tunable)
+    step = exported_step.build_step(problem, labels.part, tunable)
     if notify is not None and (instructions := count_instructions(step.function)) > MANY:
         waiting = (time.monotonic() - began) / (time.process_time() - spent)  # for the processor
         seconds = EACH * instructions * max(1.0, waiting)
         notify(_slow_export_warning(instructions, seconds, scenario.observer))
-    printed = build_code(step, single=precision == "single")
-    labels = Labels(prefix, scenario.title, part)
-    text = build_source(printed, labels)
-    steps = STEPS if printed.single else accuracy.MACHINE_STEPS
+    steps = STEPS if "single" in precisions else accuracy.MACHINE_STEPS
     rows = record_inputs(continue_scenario(scenario, steps), step)
-    report = _initial_report(printed, text, labels, tunable)
-    report["replaced_constants"] = constants_beyond_float(printed) if printed.single else []
-    report |= _accuracy_report(printed, text, rows)
-    if to in FIRMWARE:
-        found = fit_boards(report)
-        report["boards"] = [fit._asdict() for fit in found]
-        if not all(fit.fits for fit in found):
-            report["leaner"] = _fit_leaner(scenario, part, printed.single)
-    vectors = reference_vectors(printed, choose_samples(rows[: problem.steps + 1], step.readings))
-    material = Material(printed, labels, text, vectors, scenario.units, report)
-    files = targets.export_files(to, material)
-    written = targets.write_folder(files, Path(out), force)
-    if check and to not in ELSEWHERE:
-        passed, message = compiler.run_selftest(material.c_files)
-        report["self_test"] = message
-        if not passed:
-            report["refusals"] = [*report["refusals"], f"the self-test fails: {message}"]
-    return Exported(written, report, printed)
+    too_coarse: list[str] = []
+    for precision in precisions:
+        printed = build_code(step, single=precision == "single")
+        text = build_source(printed, labels)
+        report = _initial_report(printed, text, labels, tunable)
+        report["replaced_constants"] = constants_beyond_float(printed) if printed.single else []
+        report |= _accuracy_report(printed, text, rows) | {"float_refusals": too_coarse}
+        if not report["refusals"]:
+            break
+        too_coarse = report["refusals"]
+    if printed.single:
+        report["refusals"] = [f"{one}; use --precision double" for one in report["refusals"]]
+    return _Draft(problem, step, printed, text, rows, report)
 
 
 def _slow_export_warning(instructions: int, seconds: float, observer: Any) -> str:
@@ -180,32 +234,51 @@ def _slow_export_warning(instructions: int, seconds: float, observer: Any) -> st
     message = (
         f"{instructions:,} instructions, which take about {minutes} to write, compile and compare"
     )
-    less = " or ".join(map(leaner_setting, _leaner_choices(observer)))
+    less = " or ".join(f"--method {name!r}" for name in _leaner_methods(observer))
     return message + f"; {less} takes less" * bool(less)
 
 
-def leaner_setting(name: str) -> str:
-    """Return the setting of an observer in `report["leaner"]`: an option, or else the method."""
-    return f"observer.{name}" if "=" in name else f'observer.method = "{name}"'
+def _leaner_methods(observer: Any) -> list[str]:
+    """Return observers with fewer operations, as `change_method` takes them.
 
-
-def _leaner_choices(observer: Any) -> dict[str, Callable[[], Any]]:
-    """Return builders of observers with fewer operations, by name.
-
-    Some scenarios refuse some of the observers.
+    Some scenarios refuse some of them.
     """
-    if hasattr(observer, "starts"):
-        fewer = partial(msgspec.structs.replace, observer, starts=1)
-        return {} if observer.starts == 1 else {"starts = 1": fewer}
     own = observer.__struct_config__.tag
-    leaner: dict[str, Callable[[], Any]] = {}
-    if own not in ("kalman", "certified"):
-        sides = ("right", "left")
-        ranges = {name: getattr(observer, name) for name in sides if hasattr(observer, name)}
-        leaner["kalman"] = partial(OBSERVERS.create_options, "kalman", **ranges)
-    if own != "certified":
-        leaner["certified"] = partial(OBSERVERS.create_options, "certified")
-    return leaner
+    if hasattr(observer, "starts"):
+        return [f"{own} starts=1"] * (observer.starts > 1)
+    ordered = ["kalman", "certified"]
+    return ordered[ordered.index(own) + 1 :] if own in ordered else ordered
+
+
+def change_method(scenario: Scenario, method: str) -> tuple[Scenario, list[str]]:
+    """Return a scenario with another observer, and the given keys that this does not have.
+
+    An rms of a coloured disturbance is none of a white one, so it is not handed on either.
+
+    Args:
+        scenario: the scenario.
+        method: name of the observer, and values of its keys, such as "contact starts=1".
+
+    Raises:
+        InputError: there is no such observer, or it lacks a key that it needs.
+    """
+    name, _, settings = method.partition(" ")
+    observer: Any = scenario.observer
+    try:
+        changes = tomllib.loads(settings.replace(" ", "\n"))
+    except tomllib.TOMLDecodeError:
+        raise InputError(f"method: expected NAME or 'NAME KEY=VALUE', found {method!r}") from None
+    known = {*getattr(OBSERVERS.find_options(name), "__struct_fields__", ())}
+    if "correlation_time" in known ^ {*observer.__struct_fields__}:
+        known.discard("disturbance")
+    given = {}
+    for field in msgspec.structs.fields(observer):
+        value = getattr(observer, field.name)
+        if np.size(value) and not np.array_equal(value, field.default):
+            given[field.name] = value
+    table = {"method": name} | {key: given[key] for key in given.keys() & known} | changes
+    dropped = [f"observer.{key}" for key in given.keys() - known - changes.keys()]
+    return scenario | {"observer": table}, sorted(dropped)
 
 
 def _require_known_word(key: str, value: str, known: tuple[str, ...]) -> None:
@@ -265,18 +338,28 @@ def _initial_report(
     }
 
 
-def _fit_leaner(scenario: Scenario, part: str, is_single: bool) -> dict[str, list[str]]:
-    """Return the boards that cheaper observers fit, by tag."""
+def _boards_of(draft: _Draft) -> list[BoardFit]:
+    """Return the cost of code on usual boards."""
+    return fit_boards(draft.report, tuple(draft.text.texts_by_name().items()))
+
+
+def _fit_leaner(
+    scenario: Scenario, labels: Labels, precisions: Sequence[str], own: list[BoardFit]
+) -> dict[str, list[str]]:
+    """Return the boards that cheaper observers fit, by `change_method`'s name of each.
+
+    Each is compiled and compared as in an export of its own. One that fits no board more than the
+    code itself (`own`) is left out.
+    """
     found = {}
-    for name, build_options in _leaner_choices(scenario.observer).items():
-        with suppress(InputError, TypeError):  # the scenario cannot have it
-            other = msgspec.structs.replace(scenario, observer=build_options())
-            printed = build_code(
-                exported_step.build_step(resolve_scenario(other), part, ()), single=is_single
-            )
-            labels = Labels("leaner", "", part)
-            costs = _initial_report(printed, build_source(printed, labels), labels, ())
-            found[name] = [fit.board for fit in fit_boards(costs) if fit.fits]
+    for method in _leaner_methods(scenario.observer):
+        with suppress(InputError):  # the scenario cannot have it
+            draft = _draft_code(change_method(scenario, method)[0], labels, precisions)
+            fits = [after.board for after in _boards_of(draft) if after.fits]
+            if not draft.report["refusals"] and not {*fits} <= {
+                one.board for one in own if one.fits
+            }:
+                found[method] = fits
     return found
 
 
@@ -296,8 +379,8 @@ def constants_beyond_float(printed: Code) -> list[str]:
     printed_constants = {node.constant_value for node in order if node.is_real}
     function = printed.step.function
     for value in itertools.chain(*map(read_constants, [function, *function.find_functions()])):
-        is_beyond = abs(value) > float(limits.max) or 0 < abs(value) < float(limits.tiny)
-        if is_beyond and round_to_type(value, "float32") in printed_constants:
+        is_float = float(limits.tiny) <= abs(value) <= float(limits.max)
+        if value and not is_float and round_to_type(value, "float32") in printed_constants:
             texts.add(f"{value!r}: {c_literal(value, 'float32')}")
     return sorted(texts)
 
@@ -305,8 +388,9 @@ def constants_beyond_float(printed: Code) -> list[str]:
 def _accuracy_report(printed: Code, text: Source, rows: Floats) -> dict[str, Any]:
     """Return the accuracy and its refusals."""
     if compiler.find_compiler() is None:
-        message = "accuracy was not measured: no C compiler (cc, gcc or clang in PATH, or $CC)"
-        refusals = [message] if printed.single else []
+        refusals = [
+            "float was not measured: no C compiler (cc, gcc or clang in PATH, or $CC)"
+        ] * printed.single
         return {"accuracy": None, "stack": None, "refusals": refusals}
     found = accuracy.measure_accuracy(printed, text, rows)._asdict()
     return {"accuracy": found, "stack": found.pop("stack"), "refusals": found.pop("refusals")}

@@ -134,7 +134,8 @@ def function_unit(name: str, style: Style) -> PlcUnit:
     called = f"{style.prefix}_{name}"
     result = wrap_statement(f"{called} := {expressions.write_node(part.results[0]).text};")
     given = [PlcVariable(node.text, style.real_type) for node in part.inputs]
-    variables = {INPUTS: given, LOCALS: list(map(_declare_local, found))}
+    declared = [PlcVariable(local.name, TYPES[local.node.kind]) for local in found]
+    variables = {INPUTS: given, LOCALS: declared}
     meaning = str(portable_maths.OWN.functions[name].__doc__).strip()
     return PlcUnit(
         "FUNCTION", called, meaning, variables, [*local_statements(found), *result], style.real_type
@@ -154,11 +155,14 @@ class _BlockBuilder:
         self.code, self.labels, self.style = code, labels, style
         step, real = code.step, style.real_type
         fields = (step.inputs, step.outputs, step.params)
-        names = [[f"{name}_{k}" for name, k in member_entries(field)] for field in fields]
-        names += [[f"{name}_was_{k}" for name, k in member_entries(step.state)]]
-        names += [[f"missing_{k}" for k in range(step.readings)]]
-        names += [[f"read_{k}" for k in range(step.readings)]]
-        names += [[f"next_{name}_{k}" for name, k in member_entries(step.state)]]
+        states, readings = member_entries(step.state), range(step.readings)
+        names = [
+            *([f"{name}_{k}" for name, k in member_entries(field)] for field in fields),
+            [f"{name}_was_{k}" for name, k in states],
+            [f"missing_{k}" for k in readings],
+            [f"read_{k}" for k in readings],
+            [f"next_{name}_{k}" for name, k in states],
+        ]
         # The language takes names that differ by capitals alone for one.
         flat = iter(make_distinct(list(itertools.chain(*names)), str.lower))
         named = [list(itertools.islice(flat, len(each))) for each in names]
@@ -193,17 +197,14 @@ class _BlockBuilder:
     def _main_block(self) -> PlcUnit:
         """Build the block that users call."""
         output_names, step = set(self.outputs), self.code.step
-        local_variables = [each for each in self.inner.variables if each.name not in output_names]
-        read = [PlcVariable(text, self.real) for text in self.read]
         copied, stored = self._memory_assignments()
-        local_variables += [PlcVariable(text, self.real) for text in copied]
         variables = {
             INPUTS: self._input_variables(),
             OUTPUTS: self._field_variables(self.outputs, step.outputs),
             LOCALS: [
                 *self._variables_with_start(self.states, step.state, step.start),
-                *read,
-                *local_variables,
+                *[PlcVariable(text, self.real) for text in [*self.read, *copied]],
+                *[each for each in self.inner.variables if each.name not in output_names],
             ],
         }
         states = zip(self.states, step.start.tolist(), strict=True)
@@ -212,7 +213,7 @@ class _BlockBuilder:
             *_if_statement("reset", start),
             *self._reading_statements(),
             *self.inner.lines,
-            *self._output_assignments(),
+            *_output_assignments(self.results[1], self.outputs, self._expressions),
         ]
         text += [f"{INDENT}{each} := {source};" for each, source in copied.items()]
         text += _if_statement("NOT hold", stored)
@@ -253,15 +254,6 @@ class _BlockBuilder:
         for missing, read, y in zip(self.missing, self.read, self.inputs, strict=False):
             lines += [f"{INDENT}{read} := {y};"]
             lines += _if_statement(missing, assign_number(read, np.inf, self.code.dtype_name))
-        return lines
-
-    def _output_assignments(self) -> list[str]:
-        """Return assignments to the outputs that no local of the same name fills."""
-        lines = []
-        for node, name in zip(self.results[1], self.outputs, strict=True):
-            text = self._expressions.write_node(node).text
-            if text != name:
-                lines += wrap_statement(f"{name} := {text};")
         return lines
 
     def _memory_assignments(self) -> tuple[dict[str, str], list[str]]:
@@ -358,12 +350,11 @@ class _Inner:
                 shared.update(given)
                 parts.append((part, given))
         units, lines = list[PlcUnit](), list[str]()
-        count = sum(part[0].node not in self._calls for part, _ in parts)
         for part, given in parts:
             if part[0].node in self._calls:
                 lines += part[0].lines
                 continue
-            meaning = f"Part {len(units) + 1} of {count}: the block calls it."
+            meaning = f"Part {len(units) + 1} of those that the block calls."
             unit = (f"{self.name}_part_{len(units) + 1}", meaning)
             variables = self._part_variables(part, given, shared)
             units.append(PlcUnit("FUNCTION_BLOCK", *unit, variables, local_statements(part)))
@@ -383,10 +374,11 @@ class _Inner:
             shared: nodes that are read outside of the part that computes them.
         """
         node_names = self.expressions.names
-        names = [node_names.get(node) or self.entries[node.text] for node in given]
-        variables: dict[str, list[PlcVariable]] = {INPUTS: [], OUTPUTS: [], LOCALS: []}
-        for node, name in zip(given, names, strict=True):
-            variables[INPUTS].append(PlcVariable(name, TYPES[node.kind]))
+        read = [
+            PlcVariable(node_names.get(node) or self.entries[node.text], TYPES[node.kind])
+            for node in given
+        ]
+        variables: dict[str, list[PlcVariable]] = {INPUTS: read, OUTPUTS: [], LOCALS: []}
         for local in part:
             section = OUTPUTS if local.node in shared else LOCALS
             variables[section] += self._declare([local])
@@ -413,12 +405,12 @@ class _Repeat:
         inner = _Inner(name, [part.results], repeats, entries, style)
         outputs = {node: f"r{k}" for k, node in enumerate(part.results) if node.args}
         written, self.expressions = inner.write(outputs), inner.expressions
-        lines, output_variables = list(written.lines), []
-        for k, node in enumerate(part.results):
-            output_variables.append(PlcVariable(f"r{k}", TYPES[node.kind]))
-            text = self.expressions.write_node(node).text
-            lines += wrap_statement(f"r{k} := {text};") if text != f"r{k}" else []
-        names = {each.name for each in output_variables}
+        names = [f"r{k}" for k in range(len(part.results))]
+        lines = [*written.lines, *_output_assignments(part.results, names, self.expressions)]
+        output_variables = [
+            PlcVariable(text, TYPES[node.kind])
+            for text, node in zip(names, part.results, strict=True)
+        ]
         variables = {
             INPUTS: [PlcVariable(each.text, TYPES[each.kind]) for each in part.inputs],
             OUTPUTS: output_variables,
@@ -431,9 +423,15 @@ class _Repeat:
         ]
 
 
-def _declare_local(local: Local) -> PlcVariable:
-    """Return the variable of a local."""
-    return PlcVariable(local.name, TYPES[local.node.kind])
+def _output_assignments(
+    nodes: Iterable[Node], names: list[str], expressions: Expressions
+) -> list[str]:
+    """Return assignments to the outputs that no local of the same name fills."""
+    lines = []
+    for node, name in zip(nodes, names, strict=True):
+        text = expressions.write_node(node).text
+        lines += wrap_statement(f"{name} := {text};") * (text != name)
+    return lines
 
 
 def _instance_name(part: PlcUnit) -> str:
@@ -468,9 +466,7 @@ def _selftest_unit(code: Code, labels: Labels, vectors: Vectors, block: PlcUnit)
         arguments.append(f"{name} := given_{name}[sample]")
         if absent.any():
             truths = tuple(str(each).upper() for each in absent.tolist())
-            tables.append(
-                PlcVariable(f"no_{name}", f"ARRAY [0..{samples - 1}] OF BOOL", "", truths)
-            )
+            tables.append(_array(f"no_{name}", "BOOL", truths))
             arguments.append(f"missing_{k} := no_{name}[sample]")
     for k, each in enumerate(block.variables[OUTPUTS]):
         tables.append(_number_array(f"expected_{each.name}", expected[:, k], kind))
@@ -497,4 +493,9 @@ def _selftest_unit(code: Code, labels: Labels, vectors: Vectors, block: PlcUnit)
 def _number_array(name: str, values: Any, kind: str) -> PlcVariable:
     """Return an array variable of numbers."""
     texts = tuple(initial_literal(value, kind) for value in values.tolist())
-    return PlcVariable(name, f"ARRAY [0..{len(texts) - 1}] OF {TYPES[kind]}", "", texts)
+    return _array(name, TYPES[kind], texts)
+
+
+def _array(name: str, kind: str, texts: tuple[str, ...]) -> PlcVariable:
+    """Return an array variable."""
+    return PlcVariable(name, f"ARRAY [0..{len(texts) - 1}] OF {kind}", "", texts)

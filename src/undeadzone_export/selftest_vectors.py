@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import msgspec
 import numpy as np
 
 import undeadzone
@@ -50,9 +49,8 @@ def continue_scenario(scenario: Scenario, steps: int) -> Problem:
     """
     simulation = scenario.simulation
     duration = max(simulation.duration, steps * simulation.step)
-    longer = msgspec.structs.replace(simulation, duration=duration)
     try:
-        return resolve_scenario(msgspec.structs.replace(scenario, simulation=longer))
+        return resolve_scenario(scenario.replace("simulation.duration", duration))
     except InputError:
         return resolve_scenario(scenario)
 
@@ -74,17 +72,16 @@ def record_inputs(problem: Problem, step: ExportedStep) -> Floats:
     stepper = CompiledStepper(loop.step, state, tree.pack_tree(loop.params), brief=True)
     places = tree.leaf_slices(loop.instant).target
     found = []
-    for start in range(0, len(exogenous), PIECE):
-        given = exogenous[start : start + PIECE]
+    for given in np.split(exogenous, range(PIECE, len(exogenous), PIECE)):
         signals = name_outputs(loop, stepper.run(given))
         others = [signals.u] if step.acting else [given[:, place] for place in places]
         rows = np.hstack([signals.y, *others])
         if problem.levels is not None:
             rows = rows + step.at_rest
-        missing = np.isnan(rows[:, step.readings :]).any(axis=1)
-        diverged = np.asarray((np.abs(rows) > DIVERGED).any(axis=1) | missing)
-        found.append(rows[: int(diverged.argmax())] if diverged.any() else rows)
-        if diverged.any():
+        is_absent = np.isnan(rows) & (np.arange(rows.shape[1]) >= step.readings)
+        diverged = np.flatnonzero((is_absent | (np.abs(rows) > DIVERGED)).any(axis=1))
+        found.append(rows[: diverged[0]] if diverged.size else rows)
+        if diverged.size:
             break
     if not found[0].size:
         raise InputError(
@@ -102,8 +99,8 @@ def choose_samples(rows: Floats, readings: int) -> Floats:
         readings: number of columns that are readings. They come first.
     """
     picked = rows[np.linspace(0, len(rows) - 1, min(SAMPLES, len(rows))).astype(int)].copy()
-    for output in range(readings):
-        picked[(7 + 11 * output) % len(picked), output] = np.nan
+    outputs = np.arange(readings)
+    picked[(7 + 11 * outputs) % len(picked), outputs] = np.nan
     seen = np.abs(np.nan_to_num(rows[:, :readings]))
     size = np.maximum(seen.max(axis=0), 1.0)
     extremes = np.repeat(picked[-1:], 4, axis=0)
@@ -146,10 +143,9 @@ def bit_words(values: Any, kind: str) -> Any:
 def bit_checksum(values: Any, kind: str) -> int:
     """Return the checksum of the bits of numbers, 32 bits at a time, lower bits first."""
     total = OFFSET
-    for word in bit_words(values, kind).tolist():
-        parts = (word,) if kind == "float32" else (word & 0xFFFFFFFF, word >> 32)
-        for part in parts:
-            total = ((total ^ part) * PRIME) & 0xFFFFFFFF
+    bits = bit_words(values, kind)
+    for word in bits.astype(bits.dtype.newbyteorder("<")).view("<u4").tolist():
+        total = ((total ^ word) * PRIME) & 0xFFFFFFFF
     return total
 
 
@@ -193,7 +189,5 @@ def _hex_lines(numbers: list[int], digits: int, ending: str) -> str:
     """Return words in lines of up to eight."""
     texts = [f"0x{number:0{digits}x}{ending}" for number in numbers]
     count = 64 // digits
-    lines = []
-    for start in range(0, len(texts), count):
-        lines.append("    " + ", ".join(texts[start : start + count]))
-    return ",\n".join(lines)
+    rows = [texts[start : start + count] for start in range(0, len(texts), count)]
+    return ",\n".join("    " + ", ".join(row) for row in rows)

@@ -208,8 +208,10 @@ def write_snippet(
     Raises:
         InputError: there is nothing that a few lines can compensate, and why.
     """
-    is_answer = source.suffix.lower() == ".json"
-    lost = _of_answer(source) if is_answer else _of_scenario(read(source, confine), source)
+    if source.suffix.lower() == ".json":
+        lost = _of_answer(source)
+    else:
+        lost = _of_scenario(read(source, confine), source)
     return write_lost(lost, out, name, force)
 
 
@@ -270,8 +272,7 @@ def snippet_texts(lost: Lost, name: str) -> dict[str, str]:
     settings = [_SETTINGS["ahead" if lost.is_ahead else kind]]
     if kind == "backlash" and not lost.is_ahead and lost.unit in _SETTINGS_OF_GAPS:
         settings.insert(0, _SETTINGS_OF_GAPS[lost.unit])
-    head = [line.format(**words) for line in (*_HEADS[kind], *settings)]
-    head = [" ".join(line.split()) for line in head]
+    head = [" ".join(line.format(**words).split()) for line in (*_HEADS[kind], *settings)]
     c, python, st = (each[kind].format(**words) for each in (_C, _PYTHON, _ST))
     return {
         "snippet.h": "/* " + "\n   ".join(head) + " */\n" + c,
@@ -282,11 +283,8 @@ def snippet_texts(lost: Lost, name: str) -> dict[str, str]:
 
 def _literal(value: float) -> str:
     """Return a number that C, Python and Structured Text read alike."""
-    text = f"{value:.7g}"
-    if "e" in text:
-        mantissa, _, exponent = text.partition("e")
-        return f"{mantissa if '.' in mantissa else mantissa + '.0'}e{int(exponent)}"
-    return text if "." in text else text + ".0"
+    mantissa, mark, exponent = f"{value:.7g}".partition("e")
+    return mantissa + ".0" * ("." not in mantissa) + (mark and f"e{int(exponent)}")
 
 
 def _of_answer(path: Path) -> Lost:
@@ -350,24 +348,19 @@ def lost_of_answer(found: dict[str, Any], path: str, name: str) -> Lost:
             f"{path}: the {absent[0]} edge of the actuator's dead zone is not known, and half a "
             "compensation pulls to one side. Record an input that passes both edges"
         )
-    gone = absent[0] if absent else ""
-    is_ahead = verdict == "input_play"
-    return Lost(kind, right, left, width, unit, name, silent, gone, is_ahead)
+    gone = "".join(absent)
+    return Lost(kind, right, left, width, unit, name, silent, gone, verdict == "input_play")
 
 
 def _edges(found: dict[str, Any]) -> tuple[Triple, Triple, Triple]:
     """Return right, left and width of a zone; an edge that does not exist is of no width.
 
-    Raises ValueError if neither is known, or a width is missing beside two edges.
+    Raises TypeError if neither is known, or a width is missing beside two edges.
     """
-    values = [found["right"], found["left"]]
+    right, left = found["right"], found["left"]
+    width = found["width"] if right and left else right or left
     none = (0.0, 0.0, 0.0)
-    right, left = (_triple(one or none) for one in values)
-    if None not in values:
-        return right, left, _triple(found["width"])
-    if values == [None, None]:
-        raise ValueError
-    return right, left, left if values[0] is None else right
+    return _triple(right or none), _triple(left or none), _triple(width)
 
 
 def _triple(values: Any) -> Triple:
@@ -380,36 +373,31 @@ def _triple(values: Any) -> Triple:
 
 def _of_scenario(scenario: Scenario, path: Path) -> Lost:
     """Return the zone or gap of a scenario: the sensor's, else the actuator's."""
-    units = scenario.units
-    sensor = scenario.sensor
-    actuator = scenario.actuator
-    observer = scenario.observer
-    at_sensor = [_numbers(sensor.right), _numbers(sensor.left)]
-    is_ahead = False
-    if any(at_sensor[0] + at_sensor[1]):
-        if sensor.kind == "jump":
-            raise InputError(f"{path}: a jump sensor's readings are not shifted: nothing to add")
-        sides = [_single(side, path) for side in at_sensor]
-        ranges = [getattr(observer, name, None) for name in ("right", "left")]
-        right, left = (_with_range(*pair) for pair in zip(sides, ranges, strict=True))
-        kind = "backlash" if sensor.kind == "play" else "sensor"
-        unit = units.output
-    elif actuator is not None and any(_numbers(actuator.right) + _numbers(actuator.left)):
-        sides = [_single(_numbers(side), path) for side in (actuator.right, actuator.left)]
-        right, left = (_with_range(side, None) for side in sides)
-        is_ahead = actuator.kind == "play"
-        unit = units.input
-        kind = "backlash" if is_ahead else "actuator"
-    else:
+    places = [one for one in (scenario.sensor, scenario.actuator) if one is not None]
+    zones = [one for one in places if any(_numbers(one.right) + _numbers(one.left))]
+    if not zones:
         raise InputError(f"{path}: no zone in sensor or actuator: nothing to compensate")
-    both = [a + b for a, b in zip(right, left, strict=True)]
-    width = (both[0], both[1], both[2])
+    zone = zones[0]
+    if zone.kind == "jump":
+        raise InputError(f"{path}: a jump sensor's readings are not shifted: nothing to add")
+    is_sensor = zone is scenario.sensor
+    known = scenario.observer if is_sensor else None
+    right, left = (
+        _with_range(_single(_numbers(getattr(zone, name)), path), getattr(known, name, None))
+        for name in ("right", "left")
+    )
+    kind = "sensor" if is_sensor else "actuator"
+    unit = scenario.units.output if is_sensor else scenario.units.input
+    if zone.kind == "play":
+        kind = "backlash"
+    is_ahead = kind == "backlash" and not is_sensor
+    width = _triple([a + b for a, b in zip(right, left, strict=True)])
     if scenario.operating_point is not None and kind != "backlash":
         raise InputError(
             f"{path}: operating_point: the few lines act about 0. Export the observer with its"
             " controller by --to c or --to st, which count from the point"
         )
-    silent = 0.5 * max(_numbers(sensor.quantum), default=0.0)
+    silent = 0.5 * max(_numbers(scenario.sensor.quantum), default=0.0)
     return Lost(kind, right, left, width, unit, path.name, silent, is_ahead=is_ahead)
 
 
@@ -427,6 +415,6 @@ def _single(values: list[float], path: Path) -> float:
 
 def _with_range(value: float, prior: Any) -> tuple[float, float, float]:
     """Return a width with the observer's assumed range, if the range contains the width."""
-    pair = [value, value] if prior is None else _numbers(prior)
+    pair = _numbers(prior)
     is_covered = len(pair) == 2 and pair[0] <= value <= pair[1] < math.inf
     return (value, pair[0], pair[1]) if is_covered else (value, value, value)

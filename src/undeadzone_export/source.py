@@ -238,12 +238,14 @@ def _elementary_words(names: list[str], used: set[str], style: Style) -> dict[st
 
 def _header_words(code: Code, name: str, style: Style) -> dict[str, Any]:
     """Return the template words of the header: structs and prototypes with their meanings."""
-    structs = []
-    for struct, fields in code.structs.items():
-        structs.append(_struct_definition(f"{name}_{struct}", _STRUCTS[struct], fields, style))
-    prototypes = []
-    for function, text in function_signatures(code, name).items():
-        prototypes.append(f"/** {_MEANINGS[function]} */\n{text};\n")
+    structs = [
+        _struct_definition(f"{name}_{struct}", _STRUCTS[struct], fields, style)
+        for struct, fields in code.structs.items()
+    ]
+    prototypes = [
+        f"/** {_MEANINGS[function]} */\n{text};\n"
+        for function, text in function_signatures(code, name).items()
+    ]
     return {
         "structs": "\n".join(structs),
         "prototypes": "\n".join(prototypes),
@@ -255,10 +257,15 @@ def _assumption_macros(code: Code, upper: str) -> list[str]:
     """Return macros for the bits of `claims`, or none if `claims` is not an output."""
     if not any(field.name == "claims" for field in code.step.outputs):
         return []
-    lines = ["/* bits of out->claims[0], a whole number; suspect counts them from 1 */"]
-    for k, (name, check) in enumerate(ASSUMPTION_CHECKS.items()):
-        lines.append(f"#define {upper}_CLAIM_{name.upper()} {1 << k} /**< {check.words} */")
-    return [*lines, ""]
+    macros = [
+        f"#define {upper}_CLAIM_{name.upper()} {1 << k} /**< {check.words} */"
+        for k, (name, check) in enumerate(ASSUMPTION_CHECKS.items())
+    ]
+    return [
+        "/* bits of out->claims[0], a whole number; suspect counts them from 1 */",
+        *macros,
+        "",
+    ]
 
 
 _STRUCTS = {
@@ -277,29 +284,25 @@ def _to_comment_line(text: str) -> str:
 
 def _struct_definition(name: str, meaning: str, fields: list[Field], style: Style) -> str:
     """Return the definition of a struct, with a blank line after it."""
-    lines = [f"/** {meaning} */", "typedef struct", "{"]
-    for field in fields:
-        comment = _to_comment_line(field.meaning)
-        array = f"{style.real_type} {field.name}[{field.size}]"
-        lines.append(f"{INDENT}{array}; /**< {comment} */")
-    return "\n".join([*lines, f"}} {name};", ""])
+    members = [
+        f"{INDENT}{style.real_type} {field.name}[{field.size}];"
+        f" /**< {_to_comment_line(field.meaning)} */"
+        for field in fields
+    ]
+    head = [f"/** {meaning} */", "typedef struct", "{"]
+    return "\n".join([*head, *members, f"}} {name};", ""])
 
 
 def function_signatures(code: Code, prefix: str) -> dict[str, str]:
     """Return the declarations of the functions of an export, without semicolons."""
-    params = f", const {prefix}_params *params" if code.step.params else ""
-    state = f"{prefix}_state *state"
-    sample = f"const {prefix}_in *in"
-    out = f"{prefix}_out *out"
-    texts = {}
-    if code.step.params:
-        texts["params_default"] = f"void {prefix}_params_default({prefix}_params *params)"
-    texts["init"] = f"void {prefix}_init({state})"
-    texts["step"] = f"void {prefix}_step({state}{params}, {sample}, {out})"
+    has_params = bool(code.step.params)
+    params = f"const {prefix}_params *params, " * has_params
+    given = f"{prefix}_state *state, {params}const {prefix}_in *in"
+    arguments = {"params_default": f"{prefix}_params *params"} if has_params else {}
+    arguments |= {"init": f"{prefix}_state *state", "step": f"{given}, {prefix}_out *out"}
     if code.phases is not None:
-        texts["estimate"] = f"void {prefix}_estimate({state}{params}, {sample}, {out})"
-        texts["advance"] = f"void {prefix}_advance({state}{params}, {sample})"
-    return texts
+        arguments |= {"estimate": arguments["step"], "advance": given}
+    return {key: f"void {prefix}_{key}({each})" for key, each in arguments.items()}
 
 
 _LIBRARY = ("NAN", "fabs", "sqrt", "fmod", "remainder", "copysign")
@@ -336,19 +339,18 @@ def _code_words(code: Code, name: str, style: Style, bodies: _Bodies) -> dict[st
 def _void_casts(part: Body, params: bool) -> list[str]:
     """Return statements for arguments that a body does not read."""
     text = "\n".join(part.lines)
-    arguments = ["in->", "params->"] if params else ["in->"]
-    missing = [word.removesuffix("->") for word in arguments if word not in text]
-    return [f"{INDENT}(void){word};" for word in missing]
+    arguments = ["in", *["params"] * params]
+    return [f"{INDENT}(void){word};" for word in arguments if f"{word}->" not in text]
 
 
 def _store_statements(
     target: str, fields: list[Field], values: list[float], style: Style
 ) -> list[str]:
     """Return statements that store numbers."""
-    lines = []
-    for (name, k), value in zip(member_entries(fields), values, strict=True):
-        lines.append(f"{INDENT}{target}->{name}[{k}] = {c_literal(value, style.kind)};")
-    return lines
+    return [
+        f"{INDENT}{target}->{name}[{k}] = {c_literal(value, style.kind)};"
+        for (name, k), value in zip(member_entries(fields), values, strict=True)
+    ]
 
 
 # --- Names for locals whose meaning shows in the nodes: is there a reading, which side it shows
@@ -401,9 +403,5 @@ def _input_in_comparison(node: Node) -> str:
     """Return the name of the input in w < huge or -huge < w, or an empty name."""
     if node.op != "lt":
         return ""
-    low, high = node.args
-    for bound, value, sign in ((low, high, -1.0), (high, low, 1.0)):
-        is_huge = sign * (bound.constant_value or 0.0) >= round_to_type(HUGE, bound.kind)
-        if is_huge and value.op == "input":
-            return value.text
-    return ""
+    bounds = [abs(arg.constant_value or 0.0) >= round_to_type(HUGE, arg.kind) for arg in node.args]
+    return "".join(arg.text for arg in node.args if any(bounds) and arg.op == "input")

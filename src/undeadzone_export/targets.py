@@ -42,9 +42,7 @@ def require_replaceable(out: Path, force: bool = False) -> None:
     if out.exists() and not out.is_dir():
         raise FileError(f"{out}: is a file. Give another folder")
     require_folder(out)
-    if not out.exists():
-        return
-    if force or all(path.name.startswith(".") for path in out.iterdir()):
+    if force or not out.exists() or all(path.name.startswith(".") for path in out.iterdir()):
         return
     written = _earlier_digests(out)
     if not written:
@@ -186,7 +184,7 @@ def export_files(to: str, material: Material) -> Files:
         InputError: the C compiler refuses an FMU, or Structured Text lacks an operation.
     """
     report = material.report
-    name = material.report["name"]
+    name = report["name"]
     code = material.text.texts_by_name()
     content: Files = dict(code)
     if to == "arduino":
@@ -218,11 +216,19 @@ def _readme_text(report: dict[str, Any], build: str = "") -> str:
     return fill_template("templates/README.md", _template_words(report) | words)
 
 
+def operations_text(report: dict[str, Any]) -> str:
+    """Return the operations of a step in words.
+
+    Args:
+        report: of an export or a page.
+    """
+    return ", ".join(f"{count} {word}" for word, count in report["operations"].items())
+
+
 def _template_words(report: dict[str, Any]) -> dict[str, Any]:
     """Return the values of the words in the templates."""
-    counts = ", ".join(f"{count} {word}" for word, count in report["operations"].items())
     words = {"shown_title": escape_controls(report["title"]), "seconds": f"{report['step']:g}"}
-    words |= {"counts": counts, "upper": report["name"].upper()}
+    words |= {"counts": operations_text(report), "upper": report["name"].upper()}
     words |= {f"{struct}_bytes": size for struct, size in report["sizes"].items()}
     return report | call_words(report["name"], bool(report["tunable"])) | words
 
@@ -237,10 +243,8 @@ def _build_system_files(report: dict[str, Any], has_math: bool) -> dict[str, str
     words = _template_words(report)
     words["math"] = f"{report['name']}_math.h " if has_math else ""
     return {
-        "Makefile": fill_template("templates/Makefile", words),
-        "CMakeLists.txt": fill_template("templates/CMakeLists.txt", words),
-        "README.md": _readme_text(report),
-    }
+        name: fill_template(f"templates/{name}", words) for name in ("Makefile", "CMakeLists.txt")
+    } | {"README.md": _readme_text(report)}
 
 
 def _arduino_files(report: dict[str, Any]) -> dict[str, str]:
@@ -314,13 +318,8 @@ def _python_module(printed: Code, report: dict[str, Any]) -> str:
         "real": f"c_{printed.c_type}",
     }
     for name in ("state", "in", "out", "params"):
-        words[f"fields_of_{name}"] = _field_sizes(structs.get(name, []))
+        words[f"fields_of_{name}"] = [field[:2] for field in structs.get(name, [])]
     return fill_template("templates/python_module.txt", words)
-
-
-def _field_sizes(fields: list[Field]) -> list[tuple[str, int]]:
-    """Return names and sizes of the arrays of a struct."""
-    return [(field.name, field.size) for field in fields]
 
 
 def _field_lines(fields: list[Field]) -> str:

@@ -45,8 +45,6 @@ def run_firmware_chain(
 ) -> FirmwareChain:
     """Check a scenario, estimate along its log, export it to C and run the C along the log.
 
-    The C is in float, or in double if float is refused.
-
     Args:
         path: of the scenario.
         log: it was made from.
@@ -64,24 +62,23 @@ def run_firmware_chain(
     from undeadzone.scenario.reader import read
     from undeadzone.simulation.estimate import estimate
     from undeadzone_design.synthesis.assessment import assess_problem
-    from undeadzone_export.exporting import PRECISIONS, export
+    from undeadzone_export.exporting import export
 
     scenario = read(path)
     known = assess_problem(resolve_scenario(scenario)).known
     found = estimate(scenario, log, columns=columns, strict=strict, delay=delay)
     kept = found.save(require_writable(folder) / "estimate.npz")
-    for precision in PRECISIONS:
-        firmware = export(scenario, "c", folder / "firmware", precision, check=True)
-        if firmware.has_passed:
-            break
+    firmware = export(scenario, "c", folder / "firmware", check=True)
     assert firmware.code is not None
     hidden, left = firmware_errors(scenario, found, firmware.code)
+    report = firmware.report
+    reasons = report["float_refusals"][:1] + report["refusals"]
     numbers = {
         "identifiable": [one.right and one.left for one in known],
         "consistent": found.consistent,
-        "precision": precision,
-        "self_test": firmware.report["self_test"],
-        "refusals": firmware.report["refusals"],
+        "precision": report["precision"],
+        "self_test": report["self_test"],
+        "refusals": report["refusals"],
         "hidden": hidden,
         "left": left,
     }
@@ -90,7 +87,7 @@ def run_firmware_chain(
     words = {
         "check": [format_yes_no(msgspec.structs.asdict(one)) for one in known],
         "consistent": {None: "not tested", True: "yes", False: "NO"}[found.consistent],
-        "firmware": [f"{precision}: {numbers['self_test']}", *firmware.report["refusals"]],
+        "firmware": [f"{report['precision']}: {report['self_test']}", *reasons],
         "reading off": f"rms y - z {append_unit(f'{hidden:.3g}', unit)} along the log",
         "firmware off": f"rms z^ - z {append_unit(f'{left:.3g}', unit)}, z^ by the C there{own}",
     }
@@ -169,19 +166,18 @@ def run_snippet_chain(lost: Lost, signal: Floats, folder: Path) -> FirmwareChain
         call.restype = ctypes.c_float
         call.argtypes = [ctypes.c_float]
         compiled = np.array([call(float(one)) for one in signal])
-    files = [Path(one) for one in report["written"]]
-    words = {"firmware": f"{name}() of snippet.h compiles. No plant is needed"}
     gap = np.array([lost.width[0]])
     without, reached = (
         levels(one[:, None], gap, 0 * gap, signal[:1])[:, 0] for one in (signal, compiled)
     )
     errors = [float(np.abs(one - signal)[1:].max()) for one in (without, reached)]
     texts = [append_unit(f"{one:.3g}", lost.unit) for one in errors]
-    words["axis off"] = (
-        f"up to {texts[0]} of an axis simulated with this gap, {texts[1]} with the C"
-    )
+    words = {
+        "firmware": f"{name}() of snippet.h compiles. No plant is needed",
+        "axis off": f"up to {texts[0]} of an axis simulated with this gap, {texts[1]} with the C",
+    }
     numbers = {"axis_off": errors[0], "axis_off_with_code": errors[1]}
-    return FirmwareChain(words, numbers, files, True)
+    return FirmwareChain(words, numbers, [Path(one) for one in report["written"]], True)
 
 
 def firmware_errors(scenario: Scenario, found: Estimation, code: Code) -> tuple[float, float]:

@@ -62,8 +62,8 @@ FLOORS = {
         ("commands",),
     ),
     undeadzone_export: (
-        ("boards", "compiler", "exported_step", "template"),
-        ("code",),
+        ("compiler", "exported_step", "template"),
+        ("boards", "code"),
         ("fmu", "page", "source", "selftest_vectors"),
         ("accuracy", "plc"),
         ("plcopen",),

@@ -17,7 +17,7 @@ import undeadzone as uz
 from requirements import require
 from scenes import scene
 from undeadzone.scenario.schema import Scenario
-from undeadzone_export import compiler, exporting
+from undeadzone_export import boards, compiler, exporting
 
 HERE = Path(__file__).parents[1] / "emulator"
 TOOLS = {
@@ -34,7 +34,8 @@ CASES = ("certified", "censored", "extended")
 def tools(monkeypatch: pytest.MonkeyPatch) -> None:
     """Skip by the names of Debian's packages; fail where UNDEADZONE_REQUIRE names the emulator."""
     monkeypatch.setattr(exporting, "STEPS", 600)
-    monkeypatch.setattr(compiler, "find_compiler", lambda: None)  # accuracy is measured elsewhere
+    unmeasured = {"accuracy": None, "stack": None, "refusals": []}  # it is measured elsewhere
+    monkeypatch.setattr(exporting, "_accuracy_report", lambda *_: dict(unmeasured))
     require("emulator", [package for tool, package in TOOLS.items() if shutil.which(tool) is None])
 
 
@@ -150,32 +151,53 @@ def test_instructions_stack_warnings_and_libraries(
     assert stack <= bytes_of_stack, (mean, most, stack)
 
 
-def test_make_size_tells_the_flash_of_a_cortex_m4f(tmp_path: Path) -> None:
-    exporting.export(case("certified"), "c", tmp_path / "fw", "single", name="joint")
+def test_make_size_tells_the_flash_of_a_cortex_m4f(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And the report has the same."""
+    monkeypatch.setattr(boards, "object_bytes", compiler.object_bytes)
+    exported = exporting.export(case("certified"), "c", tmp_path / "fw", "single", name="joint")
+    (fit,) = [each for each in exported.report["boards"] if "M4F" in each["board"]]
     done = subprocess.run(
         ["make", "-s", "size"], cwd=tmp_path / "fw", capture_output=True, text=True, check=True
     )
     heads, values = done.stdout.strip().split("\n")
     sizes = dict(zip(heads.split(), values.split(), strict=True))
     assert 100 < int(sizes["text"]) < 5000
+    assert fit["measured"]
+    assert int(sizes["text"]) == fit["flash"]
     assert sizes["data"] == sizes["bss"] == "0"
     assert sizes["filename"] == "joint_target.o"
     assert "make size" in (tmp_path / "fw" / "README.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_the_flash_that_is_estimated_is_near_what_the_compiler_makes(
-    name: str, exported: Callable[[str, str], Path], tmp_path: Path
+def test_the_flash_of_a_board_is_that_of_its_object(
+    name: str, exported: Callable[[str, str], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Within 10 % of what its compiler makes at -Os, wherever that is installed."""
+    monkeypatch.setattr(boards, "object_bytes", compiler.object_bytes)
     folder = exported(name, "single")
     report = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
-    (estimated,) = [each["flash"] for each in report["boards"] if "M4F" in each["board"]]
-    options = [*CORE, "-std=c99", "-Os", "-ffp-contract=off", "-ffunction-sections"]
-    command = ["arm-none-eabi-gcc", *options, "-c", "-o", "o.o", str(folder / "o.c")]
-    subprocess.run(command, cwd=tmp_path, check=True)
-    sizes = ["arm-none-eabi-size", "o.o"]
-    size_text = subprocess.run(
-        sizes, cwd=tmp_path, capture_output=True, text=True, check=True
-    ).stdout
-    text_size = int(size_text.splitlines()[1].split()[0])
-    assert 0.7 * text_size <= estimated <= 1.5 * text_size + 4_000
+    sources = [folder / each for each in report["files"] if re.fullmatch(r"o(_math)?\.[ch]", each)]
+    files = tuple((path.name, path.read_text(encoding="utf-8")) for path in sources)
+    measured = set()
+    for board, fit in zip(boards.BOARDS, boards.fit_boards(report, files), strict=True):
+        gcc, *chip = board.compiler.split()
+        if not fit.measured:
+            assert shutil.which(gcc) is None or fit.flash >= boards.HOPELESS * board.flash
+            continue
+        options = [*chip, "-std=c99", "-Os", "-ffp-contract=off", "-ffunction-sections"]
+        subprocess.run([gcc, *options, "-c", "-o", "o.o", folder / "o.c"], cwd=tmp_path, check=True)
+        sizes = subprocess.run(
+            [gcc.replace("gcc", "size"), "o.o"],
+            cwd=tmp_path, capture_output=True, text=True, check=True,
+        ).stdout  # fmt: skip
+        text, data = map(int, sizes.splitlines()[1].split()[:2])
+        assert fit.flash == pytest.approx(text + data, rel=0.1)
+        measured.add(board.name)
+    assert {"Cortex-M0+ (SAMD21)", "Cortex-M4F (STM32F4)"} <= measured
+    rows = boards.board_table(boards.fit_boards(report, files))
+    assert [row[0] for row in rows if row[1].endswith("kB")] == sorted(
+        measured, key=[board.name for board in boards.BOARDS].index
+    )

@@ -89,13 +89,31 @@ def test_json_is_the_report(tmp_path: Path) -> None:
     assert "fw/knee.c" in report["written"]
 
 
-def test_exit_code_1_where_float_is_not_enough(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_exit_code_1_writes_nothing_and_double_is_the_way_out(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(accuracy, "SHARE_OF_WIDTH", 0.0)
-    code, result = called("--out", "fw")
+    code, result = called("--out", "fw", "--precision", "single")
     assert code == 1
-    assert "REFUSED" in result.stdout
-    assert Path("fw/arm_joint.c").exists()
+    assert re.search(
+        r"^REFUSED +float is not enough: .*; use --precision double$", result.stdout, re.M
+    )
+    assert re.search(r"^written +nothing$", result.stdout, re.M)
+    assert not re.search(r"^(next|leaner) |board", result.stdout, re.M)
+    assert not Path("fw").exists()
     assert called("--out", "fw", "--precision", "double")[0] == 0
+    code, result = called("--out", "own")
+    assert code == 0
+    assert re.search(r"^double +float is not enough: left is wrong by ", result.stdout, re.M)
+    assert "arm_joint (observer, double)" in result.stdout
+
+
+def test_another_method_is_exported_with_a_line_for_each_key_it_lacks() -> None:
+    code, result = called("--method", "kalman right=[0,2]", "--out", "fw")
+    assert code == 0
+    assert re.findall(r"observer\.\w+: .*", result.stdout) == [
+        f"observer.{key}: the other method has no key of this meaning" for key in ("L", "gamma")
+    ]
 
 
 @pytest.mark.parametrize(

@@ -77,6 +77,9 @@ def assert_near_the_graph(report: dict[str, Any]) -> None:
         assert report["machine"] <= report["machine_bar"]
 
 
+SLOW = {"time": "sampled", "step": 0.01, "duration": 2.0}
+
+
 def certified(**changes: Any) -> Scenario:
     """The paper's example, sampled."""
     return scene(simulation={"time": "sampled"}, **changes)
@@ -384,25 +387,95 @@ def test_float_that_is_not_enough_is_refused_with_its_number(tmp_path: Path) -> 
     assert re.match(r"float is not enough: right is wrong by 0\.00\d+", result.refusals[0])
 
 
-def test_a_refusal_keeps_the_files_and_exits_with_1(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(accuracy, "SHARE_OF_WIDTH", 0.0)
-    done = uz.export(certified(), out=tmp_path / "fw", name="joint")
-    assert not done.has_passed
-    assert "float is not enough: right" in done.report["refusals"][0]
-    assert (tmp_path / "fw" / "joint.c").exists()
+# What makes float no choice, and the reason that the report has.
+NO_FLOAT = [
+    (accuracy, "SHARE_OF_WIDTH", 0.0, "float is not enough: right"),
+    (compiler, "find_compiler", lambda: None, "float was not measured: no C compiler"),
+]
 
 
-def test_without_a_compiler_float_counts_as_unmeasured(
+@pytest.mark.parametrize(("module", "name", "value", "reason"), NO_FLOAT)
+def test_double_is_taken_where_float_is_no_choice(
+    module: Any, name: str, value: Any, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Float that is asked for is refused, and a refusal writes nothing."""
+    monkeypatch.setattr(module, name, value)
+    done = uz.export(certified(), out=tmp_path / "fw", name="joint")
+    assert done.has_passed
+    assert done.report["precision"] == "double"
+    assert done.report["float_refusals"][0].startswith(reason)
+    assert "const double" in (tmp_path / "fw" / "joint.c").read_text(encoding="utf-8")
+    refused = uz.export(certified(), out=tmp_path / "no", precision="single", name="joint")
+    assert refused.report["refusals"][0].startswith(reason)
+    assert refused.report["refusals"][0].endswith("; use --precision double")
+    assert refused.files == []
+    assert not (tmp_path / "no").exists()
+
+
+def test_a_self_test_that_fails_is_not_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(compiler, "find_compiler", lambda: None)
-    done = uz.export(certified(), out=tmp_path / "fw", name="joint")
-    assert not done.has_passed
-    assert "was not measured" in done.report["refusals"][0]
-    assert (tmp_path / "fw" / "joint_test.c").exists()
-    assert uz.export(certified(), out=tmp_path / "fw", name="joint", precision="double").has_passed
+    """And what an earlier export wrote stays."""
+    before = uz.export(certified(), out=tmp_path / "fw", name="joint").files
+    texts = [path.read_bytes() for path in before]
+    monkeypatch.setattr(compiler, "run_selftest", lambda files: (False, "x differs"))
+    done = uz.export(certified(), out=tmp_path / "fw", name="other", check=True)
+    assert done.report["refusals"] == ["the self-test fails: x differs"]
+    assert done.files == []
+    assert [path.read_bytes() for path in before] == texts
+    assert sorted((tmp_path / "fw").iterdir()) == sorted(before)
+
+
+CENSORED = {"method": "censored", "right": [0.0, 2.0], "disturbance": 0.1, "correlation_time": 0.02}
+COLOURED = ["observer.correlation_time", "observer.disturbance", "observer.tolerance"]
+# An observer, another one that is named, the keys that the other lacks, and one that it keeps.
+OTHER_METHODS = [
+    (CENSORED | {"tolerance": 0.1}, "kalman", COLOURED, ("right", [0.0, 2.0])),
+    (
+        CENSORED | {"tolerance": 0.1},
+        "certified",
+        sorted([*COLOURED, "observer.right"]),
+        ("gamma", None),
+    ),
+    (CENSORED, "censored levels=1 glitches=0.0", [], ("levels", 1)),
+    (
+        {"method": "certified", "gamma": 9.0},
+        "kalman right=[0,2]",
+        ["observer.gamma"],
+        ("left", None),
+    ),
+]
+
+
+@pytest.mark.parametrize(("observer", "method", "dropped", "kept"), OTHER_METHODS)
+def test_another_method_rewrites_the_table_of_the_observer(
+    observer: dict[str, Any], method: str, dropped: list[str], kept: tuple[str, Any], tmp_path: Path
+) -> None:
+    """With a line for each key that it drops."""
+    scenario = scene(simulation=SLOW, observer=observer)
+    changed, keys = exporting.change_method(scenario, method)
+    assert changed.observer.__struct_config__.tag == method.split()[0]
+    assert keys == dropped
+    value = getattr(changed.observer, kept[0])
+    assert value is None if kept[1] is None else np.array_equal(value, kept[1])
+    done = uz.export(scenario, out=tmp_path / "fw", method=method)
+    assert done.has_passed
+    assert done.report["dropped"] == dropped
+
+
+@pytest.mark.parametrize(
+    ("method", "words"),
+    [
+        ("kalmann", r"observer\.method: unknown choice 'kalmann'. Did you mean 'kalman'"),
+        ("", r"observer\.method"),
+        ("kalman right=[", "expected NAME or 'NAME KEY=VALUE'"),
+        ("kalman rigth=1", r"observer\.rigth: unknown key"),
+    ],
+)
+def test_a_method_that_does_not_exist_is_refused(method: str, words: str, tmp_path: Path) -> None:
+    with pytest.raises(uz.InputError, match=words):
+        uz.export(certified(), out=tmp_path / "fw", method=method)
+    assert not (tmp_path / "fw").exists()
 
 
 def test_two_uncoupled_groups_have_a_smaller_triangle() -> None:
@@ -597,9 +670,6 @@ def test_exported_C_has_the_bits_of_lanes_and_of_a_live_step(observer: str, tmp_
     if not elementary.called_functions(printed.results) & OWN:
         stepper = scalar_step.CompiledStepper(function, step.start, step.defaults)
         np.testing.assert_array_equal(stepper.run(rows), in_c)
-
-
-SLOW = {"time": "sampled", "step": 0.01, "duration": 2.0}
 
 
 def test_boards_say_what_fits_and_what_would(tmp_path: Path) -> None:

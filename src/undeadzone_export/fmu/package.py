@@ -123,11 +123,16 @@ def model_description(
         version: of FMI, 2 or 3.
     """
     name = report["name"]
-    root = Element("fmiModelDescription", {"fmiVersion": f"{version}.0", "modelName": name})
-    root.set("guid" if version == 2 else "instantiationToken", instantiation_token(report, version))
-    root.set("description", _to_xml_line(str(report["title"])))
-    root.set("generationTool", f"undeadzone {report['version']}")
-    root.set("variableNamingConvention", "flat")
+    token = "guid" if version == 2 else "instantiationToken"
+    head = {
+        "fmiVersion": f"{version}.0",
+        "modelName": name,
+        token: instantiation_token(report, version),
+        "description": _to_xml_line(str(report["title"])),
+        "generationTool": f"undeadzone {report['version']}",
+        "variableNamingConvention": "flat",
+    }
+    root = Element("fmiModelDescription", head)
     kind = SubElement(root, "CoSimulation", {"modelIdentifier": name})
     for word in ("canHandleVariableCommunicationStepSize", *_CAN[version]):
         kind.set(word, "true")

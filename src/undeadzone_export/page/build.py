@@ -86,9 +86,8 @@ def _fourier_data(problem: Problem) -> dict[str, Any]:
     gains = np.vstack([pairs.reshape(2 * waves.size, rows.shape[1]), spectrum[:1].real]).T
     omegas = 2 * np.pi * waves / length
     between = t + 0.5 * length / SAMPLES
-    angles = np.outer(between, omegas)
-    state = np.stack([np.sin(angles), np.cos(angles)], axis=2).reshape(SAMPLES, 2 * waves.size)
-    series = np.hstack([state, np.ones((SAMPLES, 1))]) @ gains.T
+    turning = np.exp(1j * np.outer(between, omegas)) @ spectrum[waves]
+    series = 2 * turning.real + spectrum[0].real
     if np.abs(series - np.hstack(targets(problem, between))).max() > SERIES * size:
         raise InputError(
             "reference: the state that belongs to it has corners, which the page does not draw "
@@ -121,20 +120,20 @@ def _signal_data(key: str, signal: Any, exo: Exosystem, gains: Floats) -> dict[s
     if isinstance(signal, Sine | Sines):
         count = exo.S.shape[0] // 2
         waves = 2 * np.arange(count)
-        data["omegas"] = exo.S[waves, waves + 1].tolist()
-        data["offset"] = exo.S.shape[0] % 2 == 1
-        return data
+        omegas = exo.S[waves, waves + 1].tolist()
+        return data | {"omegas": omegas, "offset": exo.S.shape[0] % 2 == 1}
     if not isinstance(signal, Step | Trapezoid):
         kind = type(signal).__struct_config__.tag
         raise InputError(
             f"{key}.kind: the page draws sine, sines, step and trapezoid, found {kind!r}"
         )
     starts = _piece_starts(exo)
-    data["starts"] = starts.tolist()
-    data["values"] = exo.state(starts).tolist()
-    data["order"] = exo.S.shape[0] // exo.Q.shape[0]
-    data["period"] = exo.period
-    return data
+    return data | {
+        "starts": starts.tolist(),
+        "values": exo.state(starts).tolist(),
+        "order": exo.S.shape[0] // exo.Q.shape[0],
+        "period": exo.period,
+    }
 
 
 def _piece_starts(exo: Exosystem) -> Floats:
@@ -221,29 +220,24 @@ def build_live_page(scenario: Scenario) -> LivePage:
 
 def _require_drawable(problem: Problem) -> None:
     """Raise InputError if the scenario contains a feature that the page does not compute."""
-    scenario, sensor = problem.scenario, problem.sensor
-    if problem.plant.gears is not None:
-        raise InputError(
-            "plant.arm.gears: the page draws a band in which a sensor reads 0. Encoders have none"
-        )
-    if problem.controller.plan is not None:
-        raise InputError(
-            "controller.method: this one computes its gains ahead of a run, which the page does "
-            "not. Use state_feedback"
-        )
-    if scenario.simulation.order > RUNGE_KUTTA:
-        raise InputError(
-            f"simulation.order: the page takes RK4 steps, found {scenario.simulation.order}. "
-            "Leave the key out"
-        )
-    if sensor.play is not None:
-        raise InputError(
-            "sensor.play: the page draws one band, a dead zone's or a play's, not both. Leave one "
-            "of them out"
-        )
-    for key in ("drift", "dropout"):
-        if getattr(sensor, key).any():
-            raise InputError(f"sensor.{key}: the page's sensor has none. Leave the key out")
+    sensor, order = problem.sensor, problem.scenario.simulation.order
+    refusals = {
+        "plant.arm.gears: the page draws a band in which a sensor reads 0. Encoders have none": (
+            problem.plant.gears is not None
+        ),
+        "controller.method: this one computes its gains ahead of a run, which the page does not. "
+        "Use state_feedback": problem.controller.plan is not None,
+        f"simulation.order: the page takes RK4 steps, found {order}. Leave the key out": (
+            order > RUNGE_KUTTA
+        ),
+        "sensor.play: the page draws one band, a dead zone's or a play's, not both. Leave one of "
+        "them out": sensor.play is not None,
+        "sensor.drift: the page's sensor has none. Leave the key out": sensor.drift.any(),
+        "sensor.dropout: the page's sensor has none. Leave the key out": sensor.dropout.any(),
+    }
+    for words, is_refused in refusals.items():
+        if is_refused:
+            raise InputError(words)
 
 
 def _require_quick_run(problem: Problem, size: int) -> None:
@@ -362,9 +356,8 @@ def _output_sizes(problem: Problem) -> Floats:
 def _motion_label(problem: Problem) -> str:
     """Return the label of the axis that shows the motion."""
     unit = problem.scenario.units.output
-    if problem.levels is not None:
-        return f"the motion from its operating point [{escape_controls(unit)}]"
-    return "the motion" if unit == "1" else f"the motion [{escape_controls(unit)}]"
+    point = " from its operating point" * (problem.levels is not None)
+    return f"the motion{point}" + f" [{escape_controls(unit)}]" * (unit != "1")
 
 
 def _prior_information_note(problem: Problem) -> str:

@@ -10,7 +10,6 @@ import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import msgspec
 import numpy as np
 
 from undeadzone.errors import UndeadzoneError
@@ -60,10 +59,8 @@ def build_slider(slider: Slider, moves: list[tuple[int, float, float]]) -> Slide
 def round_up_nicely(value: float, factors: tuple[float, ...] = ROUND) -> float:
     """Return the nearest round number that is not smaller: a factor times a power of ten."""
     power = 10.0 ** np.floor(np.log10(value))
-    for factor in factors:
-        if factor * power >= value * (1 - 1e-9):
-            return float(f"{factor * power:.12g}")
-    return float(f"{10 * power:.12g}")
+    factor = next(one for one in (*factors, 10.0) if one * power >= value * (1 - 1e-9))
+    return float(f"{factor * power:.12g}")
 
 
 RESOLVED = 40  # steps of the run in a period, at least
@@ -128,16 +125,11 @@ def _reference_sliders(problem: Problem, loop: Loop) -> list[Slider]:
         return []
     signal = problem.scenario.reference
     unit = _unit_label(problem.scenario)
-    size = 1.0
-    size_unit = "×"
-    speed = 1.0
-    speed_unit = "×"
+    size, size_unit = speed, speed_unit = 1.0, "×"
     if isinstance(signal, Sine):
-        speed = signal.frequency
-        speed_unit = "Hz"
+        speed, speed_unit = signal.frequency, "Hz"
         if np.size(signal.amplitude) == 1 and not np.any(signal.offset):
-            size = abs(float(np.ravel(signal.amplitude)[0]))
-            size_unit = unit
+            size, size_unit = abs(float(np.ravel(signal.amplitude)[0])), unit
     place = _param_index(loop, "scale.reference")
     slider = Slider("size", "size of the motion", size_unit, size, 0.0, round_up_nicely(2 * size))
     sliders = [build_slider(slider, [(place, 1.0 / size, 0.0)])] if size > 0 else []
@@ -146,21 +138,17 @@ def _reference_sliders(problem: Problem, loop: Loop) -> list[Slider]:
     fastest = speed * _fastest_factor(problem)
     least = speed / 4
     most = min(round_up_nicely(2.5 * speed), fastest)
-    if most > speed:
-        slider = Slider("speed", "speed of the motion", speed_unit, speed, least, most)
-        sliders.append(build_slider(slider, []))
-    return sliders
+    slider = Slider("speed", "speed of the motion", speed_unit, speed, least, most)
+    return [*sliders, build_slider(slider, [])] if most > speed else sliders
 
 
 def _fastest_factor(problem: Problem) -> float:
     """Return the factor by which the reference may become faster and stay resolved."""
     signal = problem.scenario.reference
     step = problem.scenario.simulation.step
-    if isinstance(signal, Sine):
-        return 1 / (RESOLVED * step * signal.frequency)
-    if isinstance(signal, Sines):
-        highest = max(tone.frequency for tone in signal.components)
-        return 1 / (RESOLVED * step * highest)
+    if isinstance(signal, Sine | Sines):
+        tones = signal.components if isinstance(signal, Sines) else [signal]
+        return 1 / (RESOLVED * step * max(tone.frequency for tone in tones))
     period = problem.reference.period
     return 1.0 if period is None else period / (4 * RESOLVED * step)
 
@@ -175,16 +163,11 @@ def _adaptation_sliders(problem: Problem, loop: Loop) -> list[Slider]:
     if gamma is None or not np.any(gamma) or getattr(options, "design", None) is not None:
         return []
     base = np.asarray(gamma, float)
-    own = 1.0
-    unit = "×"
-    if np.ptp(base) == 0:
-        own = float(base.flat[0])
-        unit = "1/s"
+    own, unit = (float(base.flat[0]), "1/s") if np.ptp(base) == 0 else (1.0, "×")
 
     def change(value: float) -> Scenario:
         """Return the scenario with another adaptation gain."""
-        observer = msgspec.structs.replace(options, gamma=base * (value / own))
-        return msgspec.structs.replace(problem.scenario, observer=observer)
+        return problem.scenario.replace("observer.gamma", base * (value / own))
 
     slider = Slider("gamma", "learning gain", unit, own, 0.0, round_up_nicely(4 * own))
     return _key_sliders(problem, loop, slider, change)
@@ -192,12 +175,12 @@ def _adaptation_sliders(problem: Problem, loop: Loop) -> list[Slider]:
 
 def _mismatch_sliders(problem: Problem, loop: Loop) -> list[Slider]:
     """Return the slider that makes the plant's input act more strongly than in the model."""
-    moves = []
-    names = tree.number_addresses(loop.params)
-    values = tree.pack_tree(loop.params)
-    for place, name in enumerate(names):
-        if name.startswith("plant.B[") and values[place]:
-            moves.append((place, float(values[place]) / 100, 0.0))
+    values = zip(tree.number_addresses(loop.params), tree.pack_tree(loop.params), strict=True)
+    moves = [
+        (place, float(value) / 100, 0.0)
+        for place, (name, value) in enumerate(values)
+        if name.startswith("plant.B[") and value
+    ]
     slider = Slider("drive", "drive stronger than modelled", "%", 0.0, -30.0, 30.0)
     return [build_slider(slider, moves)] if moves else []
 
@@ -242,28 +225,23 @@ def _fit_moves(problem: Problem, loop: Loop, slider: Slider, change: Change) -> 
     """Return the changes of the loop's numbers with a key within a range.
 
     Return None if the key does more than move numbers by polynomials of degree two.
-
-    None if it does more than move them by polynomials of degree two.
     """
     between = 0.37 * slider.least + 0.63 * slider.most
     points = np.array([slider.least, slider.most, between])
     possible = [_try_value(change, float(value)) for value in points]
-    others = [other for other in possible if other is not None]
-    same = all(graph(other) == graph(problem) for other in others)
-    if not same or len(others) < len(points) or slider.most <= slider.value:
+    others = [other for other in possible if other and graph(other) == graph(problem)]
+    if len(others) < len(points) or slider.most <= slider.value:
         return None
-    own = tree.pack_tree(loop.params)
     known = np.stack([pack_problem(other, loop)[1] for other in others])
-    moves = []
-    matrix = np.vander(points, 3, increasing=True)
-    for place in changed_params(loop, known).tolist():
-        a, b, c = np.linalg.solve(matrix, known[:, place])
-        size = float(np.abs(known[:, place]).max())
-        if abs(a + b * slider.value + c * slider.value**2 - own[place]) > EXACT * size:
-            return None
-        square = 0.0 if abs(c) * points.max() ** 2 < 1e-12 * size else float(c)
-        moves.append((place, float(b), square))
-    return moves
+    places = changed_params(loop, known)
+    size = np.abs(known[:, places]).max(axis=0)
+    factors = np.linalg.solve(np.vander(points, 3, increasing=True), known[:, places])
+    error = slider.value ** np.arange(3) @ factors - tree.pack_tree(loop.params)[places]
+    if (np.abs(error) > EXACT * size).any():
+        return None
+    _, slopes, squares = factors
+    squares[np.abs(squares) * points.max() ** 2 < 1e-12 * size] = 0.0
+    return list(zip(places.tolist(), slopes.tolist(), squares.tolist(), strict=True))
 
 
 def _param_index(loop: Loop, name: str) -> int:

@@ -472,8 +472,10 @@ def test_exported_C_has_every_bit_and_fits_a_microcontroller(
     messages: list[str] = []
     three = servo(simulation={"duration": 0.01})
     report = exporting.export(three, out=tmp_path / "three", notify=messages.append).report
-    assert messages[0].endswith(" to write, compile and compare; observer.starts = 1 takes less")
-    assert "Cortex-M4F (STM32F4)" in report["leaner"]["starts = 1"]
+    assert messages[0].endswith(
+        " to write, compile and compare; --method 'contact starts=1' takes less"
+    )
+    assert "Cortex-M4F (STM32F4)" in report["leaner"]["contact starts=1"]
     one = servo(simulation={"duration": 0.2}, observer={"starts": 1})
     done = uz.export(one, out=tmp_path / "fw")
     board = next(one for one in done.report["boards"] if "M4F" in one["board"])
