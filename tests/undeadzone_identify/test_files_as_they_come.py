@@ -15,7 +15,7 @@ from undeadzone_identify.logs.log import read_log
 from undeadzone_identify.logs.prepare import select_readings
 
 RNG = np.random.default_rng(5)
-SIZE = 120
+SIZE = 200
 HELD = np.repeat(RNG.integers(-9, 10, SIZE // 10), 10).astype(float)  # a command
 FOLLOWS = np.convolve(HELD, [0, 0.4, 0.3, 0.2, 0.1])[:SIZE] + 0.05 * RNG.standard_normal(SIZE)
 # Columns by a letter: time, command, reading, other noise, constant, count, drift.

@@ -45,6 +45,7 @@ _WITH_UNIT: Final = re.compile(
 )
 _WORDS: Final = re.compile(r"[A-Z]+(?![a-zµμ])|[A-ZÀ-Þ]?[^\W\d_A-Z]+|[A-Z]+|\d+|[°%]")
 
+TABLE: Final = 160  # rows that someone has written down, at most
 EXACT: Final = 20.0  # rank of names without doubt
 REFERENCE: Final = 10.0  # rank of what a loop follows, which drives no plant by itself
 # Rows of a pattern, the kind that it shows ("" if it shows none) and a rank: the largest drives,
@@ -54,19 +55,24 @@ _TABLE: Final = tuple(
     for pattern, kind, rank in (
         (r"^(u|input|in|control)( \d+)?$", "", EXACT),
         (r"^(y|output|out)( \d+)?$", "", -EXACT),
-        (r"^(op|co|mv|controller output|stellgr(ö|oe)(ß|ss)e)$|\w op$", "op", 19.0),
-        (r"\bpv$|^process (value|variable)$", "pv", -19.0),
+        (
+            r"^(op|co|mv|controller output|stellgr(ö|oe)(ß|ss)e)$|\w op$|\bpid\b.*\bout\b",
+            *("op", 19.0),
+        ),
+        (r"\bpv\b|^process (value|variable)$", "pv", -19.0),
+        (r"^u \w+$", "", 17.0),
+        (r"^y \w+$", "", -17.0),
         (r"^(command|cmd)$", "goal", 18.0),
         (r"^(reading|measured|measurement|istwert|mesure)$", "", -18.0),
         (
             r"battery|supply|mass\b|\bsnr\b|delta|\bdt\b|^stat(e|us) \d|moving|\bpin\b|\bbus\b"
-            r"|\bvcc\b|\berror\b|\bwanted time\b",
+            r"|\bvcc\b|\berror\b|\bwanted time\b|\bindex\b|\bid\b|^(n|no|nr)$",
             *("other", 0.0),
         ),
-        (r"\bsp$", "sp", REFERENCE),
+        (r"\bsp\b", "sp", REFERENCE),
         (r"^(r|ref|reference|set ?point|sollwert|consigne|consigna)$", "goal", REFERENCE),
         (r"\bdec ?(guide|pulse)", "drive", 16.5),
-        (r"^(esc|servo)( signal)?( \d+)?$", "drive", 13.0),
+        (r"^(esc|servo)( signal)?( \d+)?$", "drive", 15.0),
         (
             r"\b(motor|control|pwm|volt\w*|torque|force|valve|duty|throttle) (command|cmd)\b",
             "drive",
@@ -100,7 +106,7 @@ _TABLE: Final = tuple(
             *("speed", -8.1),
         ),
         (
-            r"accel|beschl|flow|level|pressure|\btemp|durchfl|druck|stand\b|niveau|débit|pression|"
+            r"accel|beschl|thrust|flow|level|pressure|\btemp|durchfl|druck|stand\b|niveau|débit|pression|"
             r"volume|power|leistung|weight|gewicht|poids",
             "",
             -8.0,

@@ -18,6 +18,7 @@ from undeadzone.logs.kinds import (
     EXACT,
     REFERENCE,
     SECONDS,
+    TABLE,
     Title,
     add_unit,
     increases_evenly,
@@ -36,6 +37,7 @@ PAIRS: Final = {("goal", "position"): 0.3, ("drive", "speed"): 0.2, ("position",
 # What a pair of columns adds to the difference of their ranks: common words, what one explains of
 # the other, values that last in the input, changes that come first, its place in the file.
 ALIKE, EXPLAINED, LASTING, EARLIER, AHEAD = 1.0, 0.5, 0.4, 0.3, 0.1
+COPY: Final = 1 - 1e-9  # correlation of a column with its copy
 LAGS: Final = range(1, 4)  # samples, by which a reading may follow its input
 USUAL: Final = {"y": ("y", "output", "measured"), "u": ("u", "input", "command")}
 INDEXED: Final = re.compile(r"(?s)^(.*?)[\[_(]?(\d*)[\])]?$")
@@ -294,7 +296,7 @@ class _Header(NamedTuple):
         if self.values is not None:
             rising = np.mean(np.diff(self.values, axis=0) >= 0, axis=0) > 0.9
             best = best[rising[best]] if rising[best].any() else best[:1]
-            unknown = [k for k, title in enumerate(self.titles) if not rank_of(title)]
+            unknown = [k for k, one in enumerate(self.titles) if not (rank_of(one) or one.unit)]
             if not best.size and len(self.titles) > 2:
                 best = np.array([k for k in unknown if is_regular_time(self.values[:, k])], int)
         if best.size > 1 and not self.is_open:
@@ -320,7 +322,7 @@ class _Header(NamedTuple):
             for out in (np.ptp(np.nan_to_num(self.values), axis=0) == 0, counts):
                 fewer = free & (~out | (np.abs(ranks) >= EXACT))
                 free = fewer if fewer.sum() + len(y + u) > 1 else free
-        scores = ranks[:, None] - ranks + self.likeness() + self.behaviour()
+        scores = ranks[:, None] - ranks + self.likeness() + self.behaviour(bool(time))
         every = np.arange(ranks.size)
         rows = np.isin(every, u[:1]) if u else free
         columns = np.isin(every, y[:1]) if y else free
@@ -355,19 +357,28 @@ class _Header(NamedTuple):
         pairs = [[PAIRS.get((one, other), 0.0) for other in self.kinds] for one in self.kinds]
         return ALIKE * np.array(common) + np.array(pairs)
 
-    def behaviour(self) -> Floats:
-        """Return how well what the columns do fits an input (row) and a reading (K x K)."""
+    def behaviour(self, has_times: bool) -> Floats:
+        """Return how well what the columns do fits an input (row) and a reading (K x K).
+
+        No change has a cause before it in a table of rests, and no column is caused by its copy.
+
+        Args:
+            has_times: whether there are times.
+        """
         if self.values is None or not self.is_open:
             return np.zeros((len(self.titles), len(self.titles)))
         levels = np.nan_to_num(self.values - np.nanmean(self.values, axis=0))
         changes = np.diff(levels, axis=0, prepend=levels[:1])
         lasting = np.mean(changes == 0, axis=0)
-        x, dx = (part / np.fmax(part.std(axis=0), 1e-300) for part in (levels, changes))
+        x, dx = (part / np.fmax(part.std(axis=0), 1e-150) for part in (levels, changes))
         after = np.mean([(dx[:-k].T @ dx[k:] / len(x)) ** 2 for k in LAGS], axis=0)
+        moves = LASTING * np.subtract.outer(lasting, lasting)
+        moves += EARLIER * (after - after.T) / (after + after.T + 1e-3)
+        alike = np.abs(x.T @ x) / len(x)
+        is_log = has_times or len(x) >= TABLE
         return (
-            EXPLAINED * np.abs(x.T @ x) / len(x)
-            + LASTING * np.subtract.outer(lasting, lasting)
-            + EARLIER * (after - after.T) / (after + after.T + 1e-3)
+            EXPLAINED * alike * (alike < COPY)
+            + is_log * moves
             + AHEAD * np.triu(np.ones_like(after))
         )
 

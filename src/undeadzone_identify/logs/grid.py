@@ -227,6 +227,7 @@ def _put_on_grid(log: Log, step: float, is_regular: bool, remarks: list[str]) ->
         usual = step
         counts = np.maximum(np.rint(spacing / step), 1.0)
         odd = np.abs(spacing - counts * step) > MOST_SWAY * step + _print_error(log.t, step)
+        odd &= spacing > BRIDGED * step  # below, a neighbour is early or late
         spacing = step * np.where(odd, 2.0 * LONG, counts)
     t = np.append(0.0, np.cumsum(spacing))
     first = np.append(0, np.flatnonzero(spacing > (LONG + 0.5) * usual) + 1)

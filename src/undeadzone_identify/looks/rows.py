@@ -8,13 +8,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from undeadzone.logs.kinds import TABLE
 from undeadzone.util.arrays import Floats, Integers
 from undeadzone_identify.logs.grid import find_quantum
 from undeadzone_identify.models.motion import white_noise_rms
 
 LEVELS = 6  # least number of different commands
 HOLD = 6  # samples in a row at one command, from which it is held
-TABLE = 160  # rows of a table that someone has written down, at most
 SLOW = 0.03  # of the reading's range: its median spread at one command, in a slow sweep
 SETTLED = 0.004  # of the reading's spread, by which the last quarter of a hold may still move
 FASTER = 0.7  # of the quarter before, by which the last quarter of a hold moves at most

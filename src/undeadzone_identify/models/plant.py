@@ -238,7 +238,8 @@ class PlantSimulator:
         lagged = np.zeros((len(u), n * u.shape[1]))
         for part in self.records:
             for j in range(n):
-                lagged[part.start + 1 + j : part.stop, j::n] = u[part.start : part.stop - 1 - j]
+                end = max(part.stop - 1 - j, part.start)  # of a record that is shorter
+                lagged[part.start + 1 + j : part.stop, j::n] = u[part.start : end]
         return lagged
 
     def simulator_along(self, data: RecordData) -> PlantSimulator:
