@@ -74,7 +74,7 @@ def rubbing(u: Floats) -> Floats:
     pole = float(np.exp(-(TIME[1] - TIME[0]) / 0.25))
     level = 0.5 * (1 - pole)
     exogenous = np.column_stack([np.append(0.0, u[:-1]), np.eye(u.size, 1)])
-    numbers = np.array([[-pole, 1 - pole, 0.0, 0.0, level, level, 0.3, 0.0, 0.0]])
+    numbers = np.array([[-pole, 1 - pole, 0.0, 0.0, level, level, 0.0, 0.0]])
     return np.asarray(simulate_friction(1, 1, False, exogenous, numbers)[0])
 
 

@@ -22,8 +22,9 @@ from undeadzone_identify.models.estimates import (
     sandwich_covariance,
     student_quantile,
 )
+from undeadzone_identify.models.kalman_fit import KalmanFit, fit_kalman
 from undeadzone_identify.models.plant import PlantSimulator, delay_inputs
-from undeadzone_identify.models.zone_fit import ZoneFit, fit_zone, polish_fit, refit_likelihood
+from undeadzone_identify.models.zone_fit import ZoneFit, fit_zone
 from undeadzone_studies.statistics.intervals import proportion
 
 FAMILIES = ("white", "coloured", "strong", "sines", "one", "drift", "heavy", "late")
@@ -48,11 +49,11 @@ def stages(family: str, seed: int) -> tuple[list[Coverage], Floats]:
     data = prepared.data
     if family == "late":
         data = delay_inputs(data, lateness(seed))
-    singles = fit_zone(PlantSimulator(data, log.n), "singles", prepared.limits)
-    pairs = refit_likelihood(singles, "pairs")
+    samples = fit_zone(PlantSimulator(data, log.n), prepared.limits)
+    filtered = fit_kalman(samples)[0]
     truth = np.array([log.right, log.left, log.right + log.left]) / data.y_scale
-    coverages = [of_fit(polish_fit(fit), truth) for fit in (singles, pairs)]
-    error = np.array([pairs.right, pairs.left]) - truth[:2]
+    coverages = [of_fit(fit, truth) for fit in (samples, filtered)]
+    error = np.array([filtered.right, filtered.left]) - truth[:2]
     return coverages, np.abs(error) * data.y_scale
 
 
@@ -64,7 +65,7 @@ def lateness(seed: int) -> int:
     return int(rng.integers(1, 9))
 
 
-def of_fit(fit: ZoneFit, truth: Floats) -> Coverage:
+def of_fit(fit: ZoneFit | KalmanFit, truth: Floats) -> Coverage:
     """Whether the truth (3) lies in the intervals of a fit."""
     spread = fit.objective.robust_covariance(fit.theta)
     values = np.array([fit.right, fit.left, fit.right + fit.left])
@@ -128,7 +129,7 @@ def table(count: int = 60) -> str:
         "",
         "Share of edges whose 95 % interval holds, by stage of the fit: of independent samples, of"
         " (I1) as published, and as `identify` takes it, corrected for few passages; of the width;"
-        " the median error of an edge. `identify` prints the widest of three stages.",
+        " the median error of an edge. `identify` prints the widest of both stages.",
         "",
         *head("family", "logs", *names, "L2, width", "error"),
         *[family_row(family, count) for family in FAMILIES],

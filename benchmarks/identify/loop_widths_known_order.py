@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 import os
-from operator import itemgetter
+from functools import partial
 
 import numpy as np
 
@@ -18,8 +18,7 @@ from undeadzone_identify.logs.grid import to_grid
 from undeadzone_identify.logs.log import Options, log_from_arrays
 from undeadzone_identify.logs.prepare import prepare_log
 from undeadzone_identify.models.estimates import Interval
-from undeadzone_identify.models.measured import measure_levels
-from undeadzone_identify.models.place import fit_input_and_sensor, fit_input_zone
+from undeadzone_identify.models.measured import measure_fit
 from undeadzone_identify.models.plant import PlantSimulator
 from undeadzone_identify.models.zone_fit import fit_zone
 from undeadzone_identify.selection.location import find_zone_locations
@@ -30,23 +29,20 @@ def errors(log: LoopLog) -> list[tuple[float, float]]:
     grid = to_grid([log_from_arrays(log.step, log.u, log.y)])
     prepared = prepare_log(grid, Options(order=str(log.order)))
     data = prepared.data
-    kind = "singles" if data.silent_zeros else "behind"
-    fit = fit_zone(PlantSimulator(data, log.order), kind, prepared.limits)
-    truth = log.input / data.u_scale[0]
+    fit = fit_zone(PlantSimulator(data, log.order), prepared.limits)
+    truth = {"input": log.input / data.u_scale[0]}
     if log.sensor.any():
-        places = find_zone_locations(fit, prepared.quantum)
-        truth = np.append(truth, log.sensor / data.y_scale)
-        zoned = fit_input_and_sensor([fit], places["two_zones"]) if "two_zones" in places else None
-    else:
-        zoned = fit_input_zone([fit])
+        truth["sensor"] = log.sensor / data.y_scale
+    places = find_zone_locations(fit, prepared.quantum)
+    zoned = places.get("two_zones" if log.sensor.any() else "input_zone")
     if zoned is None:
         return []
-    first, measured = zoned.fit.model.simulator.layout.input_widths.start, list[Interval]()
-    for place in range(first, first + truth.size, 2):
-        levels = itemgetter(slice(place, place + 2))
-        intervals = measure_levels(levels, zoned.stages).intervals
+    measured = list[Interval]()
+    for part in truth:
+        levels = partial(zoned.model.part_numbers, name=part)
+        intervals = measure_fit(zoned, levels=levels).intervals
         measured += [intervals["right"], intervals["left"]]
-    pairs = zip(measured, truth, strict=True)
+    pairs = zip(measured, np.concatenate([*truth.values()]), strict=True)
     return [((one.value - width) / width, one.half_width / width) for one, width in pairs]
 
 

@@ -28,8 +28,9 @@ from benchmarks.identify.logs.random_plants import (
     make,
     mapped,
 )
-from undeadzone_identify.models.estimates import Interval
-from undeadzone_identify.models.zone_fit import refit_likelihood
+from undeadzone_identify.models.estimates import Interval, maximise_likelihood
+from undeadzone_identify.models.zone import ZoneObjective
+from undeadzone_identify.models.zone_fit import ZoneFit
 from undeadzone_studies.statistics.intervals import proportion
 
 STORED = Path("build/identify.jsonl")
@@ -86,7 +87,9 @@ def triple(interval: Interval | None) -> list[float] | None:
 
 def least_squares(answer: uz.Identified, log: Log) -> list[float]:
     """The edges by least squares through the zone, from where the likelihood ended."""
-    fit = refit_likelihood(answer.answer.fit, "behind")
+    old = answer.answer.fit
+    objective = ZoneObjective(old.objective.simulator, "behind", old.objective.limits)
+    fit = ZoneFit(objective, *maximise_likelihood(objective, old.theta, 60))
     scale = answer.answer.scale
     return [fit.right * scale, fit.left * scale]
 

@@ -84,14 +84,14 @@ def _build_answer_figures(found_log: Identified) -> dict[str, Figure]:
     element = found_log.answer.element
     if element is not None:
         figures = {
-            "overview": _plot_element_over_time(found_log, element),
-            "element": _plot_element_by_output(found_log, element),
+            "overview": overview(found_log),
+            "element": _plot_by_output(found_log),
         }
         columns = crossing_columns(found_log.answer)
         return figures | ({"crossings": _plot_crossings(found_log, columns)} if columns else {})
     drawn = {
         "overview": overview(found_log),
-        "residual_map": _plot_residual_map(found_log),
+        "residual_map": _plot_by_output(found_log),
         "residual": _plot_residual_correlation(found_log),
     }
     if found_log.right is not None:
@@ -119,22 +119,31 @@ def _time_label(found_log: Identified) -> str:
 
 
 def overview(found_log: Identified) -> Figure:
-    """Plot z^, y and the zone over time, the held-out parts shaded, with the sides below."""
-    data = found_log.answer.fit.objective.data
-    part = _time_window(found_log)
+    """Plot z^, y and the part between both over time, the held-out parts shaded, with the sides
+    below.
+    """
+    part = _time_window(found_log, MOST if found_log.answer.element is None else MOST_AT_END)
     figure, panels = create_panels(
         [["signals"], ["signals"], ["sides"]], "The log and its fit", height=1.9
     )
-    signals(panels["signals"], found_log)
-    _shade_held_out(panels["sides"], found_log)
-    fit = found_log.answer.fit
-    t = found_log.answer.case.grid.t[part]
-    behind = fit.objective.kind == "behind"  # readings inside the zone are noise
-    whose = "Side of ẑ" if behind else "Side of the readings"
-    side = np.where(data.ok, fit.objective.branch_sides(fit.theta), np.nan)[part]
-    _plot_sides(panels["sides"], t, side, "silent")
-    finish_panel(panels["sides"], whose, "", _time_label(found_log), legend=0)
+    signals(panels["signals"], found_log, part)
+    _shade_held_out(panels["sides"], found_log, part)
+    title, side, middle = _sides_of(found_log)
+    _plot_sides(panels["sides"], found_log.answer.case.grid.t[part], side[part], middle)
+    finish_panel(panels["sides"], title, "", _time_label(found_log), legend=0)
     return figure
+
+
+def _sides_of(found_log: Identified) -> tuple[str, Floats, str]:
+    """Return the title of the sides of a log, the sides (N), and the word for 0."""
+    fit = found_log.answer.fit
+    element = found_log.answer.element
+    if element is not None:
+        title = SIDES.get(element.kind, "Sign of the reading")
+        return title, 1.0 * element.side, MIDDLES.get(element.kind, "silent")
+    behind = fit.objective.kind == "behind"  # readings inside the zone are noise
+    side = np.where(fit.objective.data.ok, fit.objective.branch_sides(fit.theta), np.nan)
+    return "Side of ẑ" if behind else "Side of the readings", side, "silent"
 
 
 def _plot_sides(axes: Axes, t: Floats, side: Floats | Integers, middle: str) -> None:
@@ -144,22 +153,28 @@ def _plot_sides(axes: Axes, t: Floats, side: Floats | Integers, middle: str) -> 
     axes.set_ylim(-1.3, 1.3)
 
 
-def signals(axes: Axes, found_log: Identified, of: str = "") -> None:
-    """Plot z^, y and the zone over time, the held-out parts shaded; `of` names the output."""
-    if found_log.answer.element is None:
+def signals(axes: Axes, found_log: Identified, part: slice, of: str = "") -> None:
+    """Plot z^, y and the part between both over time, the held-out parts shaded.
+
+    Args:
+        axes: where.
+        found_log: the answer.
+        part: samples that are shown.
+        of: name of the output.
+    """
+    answer = found_log.answer
+    t = answer.case.grid.t[part]
+    element = answer.element
+    if element is None:
         _plot_zone_bands(axes, found_log)
-    _plot_output(axes, found_log, _time_window(found_log))
-    _plot_readings(axes, found_log, _time_window(found_log))
-    _shade_held_out(axes, found_log)
+    axes.plot(t, (answer.z * answer.scale)[part], color=ink.ESTIMATE, label="plant's ẑ")
+    _plot_readings(axes, found_log, part)
+    if element is not None and element.kind in NAMES:
+        expected = (element.readings * answer.scale)[part]
+        axes.plot(t, expected, color=ink.OTHER, linewidth=1.0, label=f"{_name_of(element)} of it")
+    _shade_held_out(axes, found_log, part)
     title = f"Output{of} and reading; shaded: held out"
     finish_panel(axes, title, label_with_unit("z, y", _unit_of_output(found_log)), "")
-
-
-def _plot_output(axes: Axes, found_log: Identified, part: slice) -> None:
-    """Plot the output of the fitted plant over time."""
-    answer = found_log.answer
-    z = (answer.z * answer.scale)[part]
-    axes.plot(answer.case.grid.t[part], z, color=ink.ESTIMATE, label="plant's ẑ")
 
 
 def _plot_readings(axes: Axes, found_log: Identified, part: slice) -> None:
@@ -173,13 +188,14 @@ def of_outputs(result: IdentifiedOutputs) -> Figure:
     """Plot the log and the fit of each output in separate panels."""
     figure, panels = create_panels([[name] for name in result.names], "The log and its fits")
     for name, one in zip(result.names, result.outputs, strict=True):
-        signals(panels[name], one, f" {escape_formulas(name)}")
+        signals(panels[name], one, _time_window(one), f" {escape_formulas(name)}")
     return figure
 
 
 def plot_first_fit(axes: Axes, result: IdentifiedOutputs) -> None:
     """Plot the log and the fit of the first output."""
-    signals(axes, result.outputs[0])
+    first = result.outputs[0]
+    signals(axes, first, _time_window(first))
 
 
 def lost_motion(result: IdentifiedMotion) -> Figure:
@@ -211,10 +227,9 @@ def both_flanks(axes: Axes, result: IdentifiedMotion) -> None:
     finish_panel(axes, "Both flanks", left, label_with_unit("u", one.log.input_unit))
 
 
-def _shade_held_out(axes: Axes, found_log: Identified) -> None:
+def _shade_held_out(axes: Axes, found_log: Identified, part: slice) -> None:
     """Mark the held-out samples by a shaded background."""
     answer = found_log.answer
-    part = _time_window(found_log)
     held_out = ~training_samples(answer.fit.objective.data, answer.case.options.held_out)
     axes.fill_between(
         answer.case.grid.t[part], 0, 1, where=held_out[part], color=ink.ZONE, alpha=0.12,
@@ -255,32 +270,46 @@ def _plot_hidden_output(found_log: Identified) -> Figure:
     return figure
 
 
-def _plot_residual_map(found_log: Identified) -> Figure:
-    """Plot the residual and the readings by z^."""
+def _plot_by_output(found_log: Identified) -> Figure:
+    """Plot readings by z^ with their expected values, and the rest, perhaps by u."""
     answer = found_log.answer
-    scale = answer.scale
-    fit = answer.chosen.singles
-    figure, panels = create_panels([["map", "static"]], "What the zone leaves", height=3.4)
-    axes = panels["map"]
-    ok = fit.objective.readings.ok
-    left = (fit.objective.readings.y - mean_reading(fit)) * scale
-    _plot_dots(axes, (fit.z * scale)[ok], left[ok], ink.ZONE)
+    grid = answer.case.grid
+    element = answer.element
     unit = _unit_of_output(found_log)
+    figure, panels = create_panels([["map", "left"]], "What was found", height=3.4)
     by_z = label_with_unit("ẑ", unit)
-    y_label = label_with_unit("y - E[y | ẑ]", unit)
-    finish_panel(axes, "Residual by ẑ", y_label, by_z, legend=0)
-    axes = panels["static"]
-    _plot_dots(axes, (fit.z * scale)[ok], answer.case.grid.y[ok], ink.READING, "readings")
-    z, expected = _sensor_characteristic(found_log)
-    axes.plot(z, expected, color=ink.ESTIMATE, label=MAPS.get(found_log.verdict, "dead zone"))
-    finish_panel(axes, "Reading by ẑ", label_with_unit("y", unit), by_z)
+    ok = grid.ok
+    if element is None:
+        fit = answer.fit
+        ok = fit.objective.readings.ok
+        expected = mean_reading(fit)
+        label = MAPS.get(found_log.verdict, "dead zone")
+        curve = _sensor_characteristic(found_log)
+    else:
+        expected = element.readings
+        label = f"path of {_name_of(element)}"
+        part = _time_window(found_log, MOST_AT_END)
+        curve = (answer.z * answer.scale)[part], (expected * answer.scale)[part]
+    z = (answer.z * answer.scale)[ok]
+    _plot_dots(panels["map"], z, grid.y[ok], ink.READING, "readings")
+    of_input = element is not None and element.kind not in NAMES
+    if not of_input:
+        panels["map"].plot(*curve, color=ink.ESTIMATE, linewidth=1.0, label=label)
+    finish_panel(panels["map"], "Reading by ẑ", label_with_unit("y", unit), by_z)
+    x, x_label, title = z, by_z, "What is left"
+    if of_input:
+        x, x_label = grid.u[:, 0][ok], label_with_unit("u", grid.input_unit)
+        title = f"{title}, by the input"
+    residual = (answer.fit.objective.data.y - expected) * answer.scale
+    _plot_dots(panels["left"], x, residual[ok], ink.ZONE)
+    finish_panel(panels["left"], title, label_with_unit("y - E[y]", unit), x_label, legend=0)
     return figure
 
 
 def _sensor_characteristic(found_log: Identified) -> tuple[Floats, Floats]:
     """Return z in ascending order, and the mean reading of the fitted sensor there [y] (N each)."""
     answer = found_log.answer
-    fit = answer.chosen.singles
+    fit = answer.fit
     jumps = answer.case.jump_edges
     z = np.sort(fit.z) * answer.scale
     if jumps is None:
@@ -346,63 +375,9 @@ def _plot_profiles(found_log: Identified) -> Figure:
     return figure
 
 
-def _plot_element_over_time(found_log: Identified, element: Element) -> Figure:
-    """Plot z^, its noise-free reading and the readings over time, contacts or sides below."""
-    grid = found_log.answer.case.grid
-    part = _time_window(found_log, MOST_AT_END)
-    figure, panels = create_panels(
-        [["signals"], ["signals"], ["sides"]], "The log and its fit", height=1.9
-    )
-    axes = panels["signals"]
-    t = grid.t[part]
-    _plot_output(axes, found_log, part)
-    _plot_readings(axes, found_log, part)
-    if element.kind in NAMES:
-        expected = (element.readings * found_log.answer.scale)[part]
-        axes.plot(t, expected, color=ink.OTHER, linewidth=1.0, label=f"{_name_of(element)} of it")
-    finish_panel(axes, "The end of the log", label_with_unit("z, y", grid.output_unit), "")
-    _plot_sides(panels["sides"], t, element.side[part], MIDDLES.get(element.kind, "silent"))
-    title = SIDES.get(element.kind, "Sign of the reading")
-    finish_panel(panels["sides"], title, "", _time_label(found_log), legend=0)
-    return figure
-
-
 def _name_of(element: Element) -> str:
     """Return the name of an element in a legend."""
     return NAMES.get(element.kind, MODELS[element.kind])
-
-
-def _plot_element_by_output(found_log: Identified, element: Element) -> Figure:
-    """Plot readings by z^ with the expected path, and the residual (by u for an input zone)."""
-    answer = found_log.answer
-    grid = answer.case.grid
-    scale = answer.scale
-    unit = _unit_of_output(found_log)
-    figure, panels = create_panels([["map", "left"]], "What was found", height=3.4)
-    axes = panels["map"]
-    z = element.z * scale
-    title = "Reading by z^"
-    x = z
-    x_label = label_with_unit("ẑ", unit)
-    of_input = element.kind not in NAMES
-    _plot_dots(axes, z[grid.ok], grid.y[grid.ok], ink.READING, "readings")
-    if not of_input:
-        part = _time_window(found_log, MOST_AT_END)
-        title = f"{title}, and its path"
-        path = (element.readings * scale)[part]
-        name = f"path of {_name_of(element)}"
-        axes.plot(z[part], path, color=ink.ESTIMATE, linewidth=1.0, label=name)
-    finish_panel(axes, title, label_with_unit("y", unit), x_label)
-    axes = panels["left"]
-    title = "What is left"
-    if of_input:
-        x = grid.u[:, 0]
-        x_label = label_with_unit("u", grid.input_unit)
-        title = f"{title}, by the input"
-    residual = (answer.fit.objective.data.y - element.readings) * scale
-    _plot_dots(axes, x[grid.ok], residual[grid.ok], ink.READING, "readings")
-    finish_panel(axes, title, label_with_unit("y - E[y]", unit), x_label)
-    return figure
 
 
 def _plot_crossings(found_log: Identified, columns: dict[str, Floats]) -> Figure:

@@ -35,7 +35,7 @@ CAPTIONS = {
     " nonlinearity.",
     "residual": "Correlation of the one-step residual, and of it with past inputs, with 95 % bands"
     " for white residuals: what stands out is not in the model.",
-    "profiles": "How much the log likelihood of pairs falls as one width is held elsewhere; the"
+    "profiles": "How much the log likelihood falls as one width is held elsewhere; the"
     " printed interval is shaded. Under a coloured disturbance it is wider than the curve alone.",
     "next": "The input that would tell most of what is known least, from rest.",
     "hidden": "z^ with its 95 % band against the reading: inside the zone it is the product.",
@@ -265,8 +265,7 @@ def _stages_table(found_log: Identified) -> html.Html:
         )
     names = {
         "L1": "single samples",
-        "L2": "pairs of samples",
-        "L3": "Kalman filter",
+        "L2": "Kalman filter",
     }
     rows = []
     for name, (right, left) in answer.widths.stages.items():
@@ -284,16 +283,16 @@ def _stages_table(found_log: Identified) -> html.Html:
 def _orders_table(found_log: Identified) -> html.Html:
     """Return the table of the orders that were tried."""
     answer = found_log.answer
-    least = min(one.pairs.bic for one in answer.case.fitted.fits)
+    least = min(one.fit.bic for one in answer.case.fitted.fits)
     rows = []
     for one in answer.case.fitted.fits:
         rows.append(
             (
                 one.n,
-                one.pairs.bic - least,
+                one.fit.bic - least,
                 one.error * answer.scale,
-                one.pairs.right * answer.scale,
-                one.pairs.left * answer.scale,
+                one.fit.right * answer.scale,
+                one.fit.left * answer.scale,
                 _order_remark(found_log, one),
             )
         )
@@ -306,4 +305,4 @@ def _order_remark(found_log: Identified, one: OrderFit) -> str:
     """Return a remark on an order: chosen, or too slow for the log; empty otherwise."""
     if one.n == found_log.order:
         return "chosen"
-    return "a pole does not settle within the log" if is_fit_at_limit(one.pairs) else ""
+    return "a pole does not settle within the log" if is_fit_at_limit(one.fit) else ""

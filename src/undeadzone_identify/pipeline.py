@@ -61,14 +61,11 @@ from undeadzone_identify.selection.alternatives import (
     Findings,
     add_named_element,
     add_play,
-    add_play_ahead,
     add_play_gap,
     add_valve,
-    build_input_element,
     deny_shaped_zone_without_width,
     has_a_model,
     has_hidden_readings,
-    has_play_ahead,
     holds_more,
     may_have_shaped_zone,
     needs_an_element,
@@ -403,7 +400,7 @@ def _acts_at_once(case: Case) -> bool:
     is_open = case.options.delay == "auto" and not case.fitted.delay and case.jump_edges is None
     if not is_open or case.recorded.u.shape[1] > 1 or is_named_loop(case.grid):
         return False
-    if not orders.acts_at_once(case.chosen.pairs, case.recorded.u):
+    if not orders.acts_at_once(case.chosen.fit, case.recorded.u):
         return False
     return is_delay_better([case.chosen], delay_fits([case.chosen], -1))
 
@@ -440,10 +437,11 @@ def _fit_zone_and_maps(grid: Grid, options: Options, advance: Callable[[int], No
     """Fit the log with a zone of the sensor and with static maps. Raise InputError."""
     prepared, unreached = drop_unvisited_edges(prepare_log(grid, options))
     fitted = fit_with_delay(prepared, advance)
-    chosen = _polish_order(orders.order_to_report(fitted.fits))
-    no_zone = orders.compare_with_no_zone(chosen.pairs)
-    if no_zone.fit is not chosen.pairs:
-        chosen = chosen._replace(singles=no_zone.fit, pairs=no_zone.fit)
+    chosen = orders.order_to_report(fitted.fits)
+    chosen = chosen._replace(fit=polish_fit(chosen.fit))
+    no_zone = orders.compare_with_no_zone(chosen.fit)
+    if no_zone.fit is not chosen.fit:
+        chosen = chosen._replace(fit=no_zone.fit)
     fits = {one.n: one for one in fitted.fits} | {chosen.n: chosen}
     maps = {}  # behind plants of each order, on the readings as they are
     least, jump_gains = math.inf, True  # a jump takes the longest to fit: while an order gains
@@ -499,16 +497,9 @@ def _begin_findings(case: Case) -> Findings:
     return begun.add_models(case, case.rivals)
 
 
-def _polish_order(chosen: orders.OrderFit) -> orders.OrderFit:
-    """Return the chosen order with both likelihoods polished to their maxima."""
-    pairs = polish_fit(chosen.pairs)
-    singles = pairs if chosen.pairs is chosen.singles else polish_fit(chosen.singles)
-    return chosen._replace(singles=singles, pairs=pairs)
-
-
 def _raw_part(prepared: PreparedLog, one: orders.OrderFit) -> ZoneFit:
     """Return the fit of an order to the busiest part, with the raw readings of a jump sensor."""
-    fit = refit_busiest_part(one.singles)
+    fit = refit_busiest_part(one.fit)
     if prepared.jumps is None:
         return fit
     data = fit.objective.data
@@ -532,16 +523,14 @@ def _has_no_jump(case: Case, found: Findings) -> bool:
 
 
 def _has_zone_with_zeros(case: Case, found: Findings) -> bool:
-    """Return whether the sensor has a zone with exact zeros inside, so that (L3) applies."""
+    """Return whether the sensor has a zone with exact zeros inside, so that (L2) applies."""
     has_zone = found.verdict.word == ("jump" if case.jump_edges else "dead_zone")
-    return (
-        has_zone and case.record_data.silent_zeros and case.chosen.pairs.objective.kind == "pairs"
-    )
+    return has_zone and case.record_data.silent_zeros
 
 
 def _add_kalman_fit(case: Case, found: Findings) -> Findings:
-    """Add the Kalman-filter likelihood (L3) and the disturbance that it separates."""
-    return found._replace(kalman=fit_kalman(case.chosen.pairs))
+    """Add the Kalman-filter likelihood (L2) and the disturbance that it separates."""
+    return found._replace(kalman=fit_kalman(case.chosen.fit))
 
 
 def _needs_zone_location(case: Case, found: Findings) -> bool:
@@ -552,7 +541,7 @@ def _needs_zone_location(case: Case, found: Findings) -> bool:
 
 def _add_zone_locations(case: Case, found: Findings) -> Findings:
     """Add models of friction, of a zone of the input, and of two zones."""
-    fit = refit_longest_record(case.suited.pairs)
+    fit = refit_longest_record(case.suited.fit)
     places = find_zone_locations(fit, case.quantum, case.fitted.prepared.orders)
     if "none" not in places:  # no plant alone settles within the record: nothing to compare with
         return found
@@ -584,17 +573,7 @@ def _needs_remainder_test(case: Case, found: Findings) -> bool:
 
 def _add_remainder(case: Case, found: Findings) -> Findings:
     """Add effects that a linear plant with a zone does not contain, by name."""
-    return found._replace(verdict=withdraw_zone_with_offset(found.verdict, case.chosen.pairs))
-
-
-def _has_actuator_zone(case: Case, found: Findings) -> bool:
-    """Return whether the verdict contains a zone of the actuator."""
-    return found.verdict.word in ("input_zone", "two_zones")
-
-
-def _add_actuator_zone(case: Case, found: Findings) -> Findings:
-    """Add the widths of the actuator's zone, of the sensor's if present, and the plant."""
-    return found._replace(element=build_input_element(case, found))
+    return found._replace(verdict=withdraw_zone_with_offset(found.verdict, case.chosen.fit))
 
 
 HYPOTHESES = (
@@ -609,9 +588,7 @@ HYPOTHESES = (
     Hypothesis("the widths of a play", _has_play_verdict, add_play_gap),
     Hypothesis("noise that falls silent in the zone", _has_zone_with_zeros, _add_kalman_fit),
     Hypothesis("a spring that bends, or an offset", _needs_remainder_test, _add_remainder),
-    Hypothesis("a dead zone of the actuator", _has_actuator_zone, _add_actuator_zone),
     Hypothesis("what the likeliest model leaves", has_a_model, with_adequacy),
     Hypothesis("readings stored on change", has_hidden_readings, withhold_hidden_readings),
-    Hypothesis("the play of an actuator", has_play_ahead, add_play_ahead),
     Hypothesis("the numbers of what is named", needs_an_element, add_named_element),
 )

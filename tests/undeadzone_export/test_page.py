@@ -483,7 +483,7 @@ def test_no_table_beside_a_picture_is_cut(page: Browser, tmp_path: Path) -> None
     """The last column of intervals was, on a screen of 1280."""
     interval = "0.9936 [0.9867, 1.0004]"
     table = html.build_table(
-        ("likelihood of", "d_r [rad]", "d_l [rad]"), [("pairs", interval, interval)]
+        ("likelihood of", "d_r [rad]", "d_l [rad]"), [("single samples", interval, interval)]
     )
     drawn = html.Html("<figure><svg width='900' height='300'></svg></figure>")
     text = html.build_page("Widths", html.build_section("How sure?", table, drawn))

@@ -15,7 +15,7 @@ def test_both_parts_of_a_disturbance_have_the_unit_of_readings() -> None:
     """Of readings whose rms is 20, and a part that fades by e in two samples of 0.1 s."""
     model = 1
     fit = SimpleNamespace(
-        rho=0.6065306597126334, objective=SimpleNamespace(kind="pairs"), disturbance_rms=0.3
+        rho=0.6065306597126334, objective=SimpleNamespace(kind="ahead"), disturbance_rms=0.3
     )
     answer: Any = SimpleNamespace(
         case=SimpleNamespace(grid=SimpleNamespace(step=0.1)),

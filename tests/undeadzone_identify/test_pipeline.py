@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
 import math
+from collections.abc import Callable
 
 import casadi as ca
 import numpy as np
@@ -28,12 +28,11 @@ from undeadzone_identify.models.estimates import (
 from undeadzone_identify.models.kalman import KalmanObjective, observer_form_matrices
 from undeadzone_identify.models.kalman_fit import KalmanFit, filter_innovations, smooth_states
 from undeadzone_identify.models.likelihood import (
+    DensityTerms,
     Readings,
     ZoneNoise,
     densities_behind,
     log_cdf_difference,
-    log_rectangle_mass,
-    pair_densities,
     single_densities,
 )
 from undeadzone_identify.models.place import simulate_friction
@@ -43,7 +42,6 @@ from undeadzone_identify.models.zone_fit import (
     ZoneFit,
     fit_zone,
     polish_fit,
-    refit_likelihood,
     remove_odd_poles,
 )
 from undeadzone_identify.selection.widths import profile_likelihood
@@ -96,106 +94,31 @@ def test_log_difference_neither_cancels_nor_underflows() -> None:
     assert narrow == pytest.approx(math.log(1e-9) - 2.0 - 0.5 * math.log(2 * math.pi), rel=1e-6)
 
 
-def brute_rectangle(a0, b0, a, b, rho):
-    """ln P of a rectangle by adaptive quadrature in pieces."""
-    q = math.sqrt(1 - rho**2)
+def test_a_sample_has_a_density() -> None:
+    """Over every reading, speaking or silent, the densities sum to 1."""
+    noise = ZoneNoise(0.4, 0.2, 0.5)
 
-    def mass(upper, lower):
-        return ndtr(upper) - ndtr(lower) if lower < 0 else ndtr(-lower) - ndtr(-upper)
+    def density(y: float) -> float:
+        once = np.ones(1, bool)
+        readings = Readings(np.array([y]), np.sign([y]).astype(int), once, ~once)
+        return math.exp(single_densities(readings, np.array([0.2]), noise).value[0])
 
-    def integrand(x):
-        inside = mass((a - rho * x) / q, (b - rho * x) / q)
-        return math.exp(-x * x / 2) / math.sqrt(2 * math.pi) * inside
-
-    corners = [b0, a0, *np.arange(-8, 8.1, 0.5)]
-    for centre in (a / rho, b / rho):
-        corners += list(centre + np.arange(-8, 8.1) * q / abs(rho))
-    ends = np.unique(np.clip(corners, b0, a0))
-    total = 0.0
-    for low, high in itertools.pairwise(ends):
-        total += quad(integrand, low, high, epsabs=0, epsrel=1e-13)[0]
-    return math.log(total)
+    right = quad(density, 1e-12, 6, epsabs=1e-11)[0]
+    left = quad(density, -6, -1e-12, epsabs=1e-11)[0]
+    assert right + left + density(0.0) == pytest.approx(1.0, abs=1e-8)
 
 
-@pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("rho", [0.01, 0.4, 0.69, 0.71, 0.9, 0.99, -0.5, -0.95])
-def test_two_silent_samples_agree_with_brute_force(rho: float) -> None:
-    rng = np.random.default_rng(3)
-    for _ in range(4):
-        z0 = 2 * rng.standard_normal()
-        z1 = z0 + 0.5 * rng.standard_normal()
-        width = rng.uniform(0.1, 6)
-        limits = (width - z0, -width / 2 - z0, width - z1, -width / 2 - z1)
-        value = log_rectangle_mass(*[np.array([limit]) for limit in limits], rho)[0]
-        expected = brute_rectangle(*limits, rho)
-        assert abs(value - expected) < 1e-9 * max(1.0, abs(expected))
-
-
-@pytest.mark.parametrize("rho", [0.4, 0.9, -0.4])
-@pytest.mark.parametrize("far", [1e2, 1e3, 1e4, 1e6])
-def test_however_far_two_samples_are_hardly_silent_together(far: float, rho: float) -> None:
-    """More than one of them was, where both were 1400 deviations off: such a fit looked perfect."""
-    limits = np.array([[-far], [-far - 100.0]])
-    both = log_rectangle_mass(*limits, *(1.01 * limits), rho)[0]
-    inverse = np.linalg.inv([[1.0, rho], [rho, 1.0]])
-    corner = np.array([-far, -1.01 * far])
-    gain = inverse @ corner  # the density falls from the corner, or from its edge, on
-    nearest = 0.5 * corner @ inverse @ corner if (gain < 0).all() else 0.5 * (1.01 * far) ** 2
-    assert both == pytest.approx(-nearest, rel=0.01)
-    assert both < log_cdf_difference(*(1.01 * limits))[0]
-
-
-def test_a_pair_is_a_density_of_the_second_sample() -> None:
-    """Over every reading that may follow, speaking or silent, the densities sum to 1."""
-    noise = ZoneNoise(0.4, 0.2, 0.5, 0.6)
-    for first in (0.7, -0.3, 0.0):
-
-        def density(y, first=first):
-            readings = Readings(
-                np.array([first, y]),
-                np.sign([first, y]).astype(int),
-                np.ones(2, bool),
-                np.array([False, True]),
-            )
-            return math.exp(pair_densities(readings, np.array([0.1, 0.2]), noise).value[1])
-
-        right = quad(density, 1e-12, 6, epsabs=1e-11)[0]
-        left = quad(density, -6, -1e-12, epsabs=1e-11)[0]
-        assert right + left + density(0.0) == pytest.approx(1.0, abs=1e-8)
-
-
-def test_pairs_without_correlation_are_singles() -> None:
-    readings, z = some_readings()
-    noise = ZoneNoise(0.7, 0.4, 0.35, 0.0)
-    assert np.array_equal(
-        pair_densities(readings, z, noise).value, single_densities(readings, z, noise).value
-    )
-    weak = pair_densities(readings, z, noise._replace(rho=1e-9)).value
-    assert weak == pytest.approx(single_densities(readings, z, noise).value, abs=1e-7)
-
-
-@pytest.mark.parametrize("rho", [0.0, 0.4, 0.9, -0.5])
-@pytest.mark.parametrize("kind", ["pairs", "behind"])
-def test_derivatives_of_the_densities(rho: float, kind: str) -> None:
+@pytest.mark.parametrize("compute", [single_densities, densities_behind])
+def test_derivatives_of_the_densities(compute: Callable[..., DensityTerms]) -> None:
     readings, z = some_readings()
 
-    def value(shift, amount):
-        numbers = np.array([0.7, 0.4, math.log(0.35), math.atanh(rho)])
-        moved = z.copy()
-        if shift < 4:
-            numbers[shift] += amount
-        else:
-            moved = z + amount * np.cos(np.arange(z.size))
-        noise = ZoneNoise(numbers[0], numbers[1], math.exp(numbers[2]), math.tanh(numbers[3]))
-        compute = pair_densities if kind == "pairs" else densities_behind
-        return compute(readings, moved, noise)
+    def value(shift: int, amount: float) -> DensityTerms:
+        numbers = np.array([0.0, 0.7, 0.4, math.log(0.35)])
+        numbers[shift] += amount
+        right, left, log_s = numbers[1:]
+        return compute(readings, z + numbers[0], ZoneNoise(right, left, math.exp(log_s)))
 
-    slopes = value(0, 0.0).slopes
-    wave = np.cos(np.arange(z.size))
-    along = slopes[:, 0] * wave
-    along[1:] += slopes[1:, 1] * wave[:-1]
-    exact = [slopes[:, 2], slopes[:, 3], slopes[:, 4], slopes[:, 5], along]
-    for shift, expected in enumerate(exact):
+    for shift, expected in enumerate(value(0, 0.0).slopes.T):
         step = 1e-6
         difference = (value(shift, step).value - value(shift, -step).value) / (2 * step)
         assert difference == pytest.approx(expected, abs=1e-6 * (1 + np.abs(expected).max()))
@@ -205,8 +128,8 @@ def test_score_of_all_numbers_of_two_records() -> None:
     _, u, y, _ = record(size=300)
     data = data_of(u, y)._replace(start=np.array([0, 140]))
     simulator = PlantSimulator(data, 2)
-    objective = ZoneObjective(simulator, "pairs")
-    theta = np.array([*A, 0.3, 0.2, 0.1, 0.05, -0.1, 0.2, 0.6, 0.5, -1.5, 0.4])
+    objective = ZoneObjective(simulator, "ahead")
+    theta = np.array([*A, 0.3, 0.2, 0.1, 0.05, -0.1, 0.2, 0.6, 0.5, -1.5])
     exact = objective.total_score(theta)
     for index in range(theta.size):
         step = np.zeros(theta.size)
@@ -224,8 +147,7 @@ def test_score_of_all_numbers_of_two_records() -> None:
 @pytest.fixture(scope="module")
 def fitted() -> ZoneFit:
     _, u, y, _ = record(noise=0.05)
-    singles_fit = fit_zone(PlantSimulator(data_of(u, y), 2), "singles", WidthLimits())
-    return polish_fit(refit_likelihood(singles_fit, "pairs"))
+    return polish_fit(fit_zone(PlantSimulator(data_of(u, y), 2), WidthLimits()))
 
 
 def test_the_fit_ends_at_a_top(fitted: ZoneFit) -> None:
@@ -342,9 +264,9 @@ def test_filter_without_disturbance_is_singles() -> None:
     p = np.array([*A, 0.4, 0.3, -20.0, math.log(0.1), 0.8, 0.5])
     by_filter = objective.log_densities(p[None, :])[0]
     simulator = PlantSimulator(data, 2)
-    theta = np.array([*A, 0.4, 0.3, 0, 0, 0.8, 0.5, math.log(0.1), 0])
+    theta = np.array([*A, 0.4, 0.3, 0, 0, 0.8, 0.5, math.log(0.1)])
     z = simulator.simulate_z(theta)
-    by_sample = single_densities(data.select_readings(), z, ZoneNoise(0.8, 0.5, 0.1, 0.0)).value
+    by_sample = single_densities(data.select_readings(), z, ZoneNoise(0.8, 0.5, 0.1)).value
     settled = slice(200, None)  # the filter's first state is forgotten by then
     assert by_filter[settled] == pytest.approx(by_sample[settled], rel=2e-3, abs=2e-3)
 
@@ -428,7 +350,7 @@ def test_friction_family_with_c_equal_a_is_a_sensor_zone() -> None:
     u = steps(rng, 400)
     lagged = np.column_stack([np.append(np.zeros(j), u[: u.size - j]) for j in (1, 2)])
     pulses = np.eye(400, 2)
-    numbers = np.array([*A, *B, 0.0, 0.0, *A, 0.3, 0.2, 0.0, 0.0, 0.0])
+    numbers = np.array([*A, *B, 0.0, 0.0, *A, 0.3, 0.2, 0.0, 0.0])
     z = simulate_friction(2, 1, False, np.hstack([lagged, pulses]), numbers[None, :])[0]
     w = lfilter(np.append(0.0, B), np.append(1.0, A), u)
     assert np.abs(z - dead_zone(w, 0.3, 0.2)).max() < 1e-12

@@ -134,7 +134,7 @@ def test_an_edge_is_widened_by_its_likelihood_about_its_reported_value(
 
 @pytest.mark.parametrize(("half", "expected"), [(0.3, 0.3), (4.8, 0.06), (0.0, 0.06)])
 def test_a_singular_stage_widens_no_interval(half: float, expected: float) -> None:
-    """Single samples gave 0.75 [-4.0, 5.5], pairs and the filter half intervals of 0.06.
+    """Single samples gave 0.75 [-4.0, 5.5], the filter half intervals of 0.06.
 
     A half interval of 0 is that of a known width: no other is compared with it.
     """

@@ -1,4 +1,4 @@
-"""Loops and logs with a dead zone, a play, both or neither, and their truth."""
+"""Logs with a dead zone, a play, both or neither, and their truth."""
 
 from __future__ import annotations
 
@@ -6,28 +6,14 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import expm
 from scipy.signal import lfilter
 
 from benchmarks.identify.logs.random_plants import excitation, plant
 from undeadzone.util.arrays import Floats
-from undeadzone_identify.models.motion import MovingPlant
 
 KINDS = ("neither", "dead_zone", "play", "both")
 WHERE = (*KINDS, "input_zone")
-STEP, SAMPLES = 0.01, 3000
-NOISE, DISTURBANCE = 0.01, 0.5  # rms, of readings and at the input
-AMPLITUDE, RATE = 5.0, 1.3  # of the reference, and in rad/s
 LENGTH = 1500  # samples of a log whose plant is not known
-
-
-class Loop(NamedTuple):
-    """A log in a loop with its plant; c_r + c_l and d_r + d_l, 0 where there is none."""
-
-    plant: MovingPlant
-    u: Floats
-    y: Floats
-    widths: Floats
 
 
 class Open(NamedTuple):
@@ -46,31 +32,6 @@ def through(v: Floats, c: Floats, d: Floats) -> Floats:
         now = max(min(now, value + c[1]), value - c[0])
         y[k] = now
     return np.maximum(y - d[0], 0.0) + np.minimum(y + d[1], 0.0)
-
-
-def closed_loop(kind: str, a0: float, seed: int) -> Loop:
-    """z'' = -a0 z - 2 z' + u held on a sine by its true state; 0.2 to 1 a side."""
-    rng = np.random.default_rng(seed)
-    block = np.zeros((3, 3))
-    block[:2, :2] = [[0.0, 1.0], [-a0, -2.0]]
-    block[1, 2] = 1.0
-    transition = expm(block * STEP)
-    F, B = transition[:2, :2], transition[:2, 2]
-    c, d = rng.uniform(0.2, 1.0, (2, 2))
-    c, d = c * (kind in ("play", "both")), d * (kind in ("dead_zone", "both"))
-    disturbance = DISTURBANCE * rng.standard_normal(SAMPLES)
-    gain = np.array([36 - a0, 10.0])
-    u, z, x = np.empty(SAMPLES), np.empty(SAMPLES), np.zeros(2)
-    for k in range(SAMPLES):
-        now, middle = RATE * k * STEP, RATE * (k + 0.5) * STEP
-        r = AMPLITUDE * np.array([math.sin(now), RATE * math.cos(now)])
-        ahead = (a0 - RATE**2) * math.sin(middle) + 2 * RATE * math.cos(middle)
-        u[k], z[k] = AMPLITUDE * ahead - gain @ (x - r), x[0]
-        x = F @ x + B * (u[k] + disturbance[k])
-    y = through(z, c, d) + NOISE * rng.standard_normal(SAMPLES)
-    noise = DISTURBANCE**2 * np.outer(B, B)
-    model = MovingPlant(F, B[:, None], np.array([1.0, 0.0]), noise, 100 * np.eye(2), NOISE)
-    return Loop(model, u[:, None], y, np.array([c.sum(), d.sum()]))
 
 
 FAMILIES = {"noise": 0.0, "disturbed": 0.1, "encoder": 0.05}  # rms of the disturbance at z

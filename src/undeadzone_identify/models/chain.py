@@ -354,7 +354,7 @@ class ChainModel:
         return float(2 * (right + slope * left) / (1 + slope))
 
     def is_at_bound(self, theta: Floats) -> bool:
-        """Return whether a parameter of the input's element is at the end of what it models.
+        """Return whether a parameter of the input's element is at the end of its range.
 
         A curve is at its bound. A drive that hardly ever reaches its target acts as a relay.
         """

@@ -96,6 +96,10 @@ class PlayModel:
             theta[self.base + 1] = theta[self.base]
         return theta
 
+    def driven_plant(self, theta: Floats) -> PlantSimulator:
+        """Return the linear plant, without an element ahead."""
+        return self.simulator
+
     def output(self, theta: Floats) -> Floats:
         """Return z, the output of the plant (N)."""
         return self.simulator.simulate_z(theta)
@@ -329,18 +333,19 @@ class MapModel:
         return MapModel(self.simulator.simulator_along(data), self.name, self.shape)
 
     def levels(self, theta: Floats) -> Floats:
-        """Return the edges of the map (2), or of the input's zone if the map is the identity."""
-        layout = self.simulator.layout
-        return theta[
-            layout.input_widths if self.shape is identity_map else slice(self.base, self.base + 2)
-        ]
+        """Return the edges of the map (2)."""
+        return theta[self.base : self.base + 2]
 
     def project_to_bounds(self, theta: Floats) -> Floats:
-        """Restrict widths of zones, of the input or between limits, to 0 or above, in place."""
-        behind_limits = slice(self.base, self.base + 2 * (self.shape is limited_zone_map))
-        for widths in (self.simulator.layout.input_widths, behind_limits):
+        """Restrict the widths of a zone between limits to 0 or above, in place."""
+        if self.shape is limited_zone_map:
+            widths = slice(self.base, self.base + 2)
             theta[widths] = np.maximum(theta[widths], 0.0)
         return theta
+
+    def driven_plant(self, theta: Floats) -> PlantSimulator:
+        """Return the linear plant, without an element ahead."""
+        return self.simulator
 
     def output(self, theta: Floats) -> Floats:
         """Return z, the output of the plant (N)."""

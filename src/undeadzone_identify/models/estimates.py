@@ -399,7 +399,7 @@ def _score_whitener(scores: Floats) -> Floats:
 
 
 def require_finite_matrix(matrix: Floats) -> Floats:
-    """Return a matrix if it is finite, so that it can be decomposed.
+    """Return a finite matrix, which can be decomposed; else raise.
 
     Raises:
         InputError: the matrix overflows, as that of a fit with hardly any information.

@@ -1,4 +1,4 @@
-"""Likelihood (L3) of a record by the measured-side Kalman filter.
+"""Likelihood (L2) of a record by the measured-side Kalman filter.
 
 A step of the filter is a compiled graph that runs for many parameter sets at once.
 """
@@ -184,7 +184,7 @@ def observer_form_matrices(n: int, m: int, model: int, numbers: Any) -> tuple[An
 
 
 class KalmanObjective:
-    """Likelihood (L3) of a record for a single order and a single disturbance model.
+    """Likelihood (L2) of a record for a single order and a single disturbance model.
 
     theta = [a, b, ln q, ln r, d_r, d_l, (atanh phi)].
 
@@ -286,8 +286,8 @@ class KalmanObjective:
         hessian = slopes.T @ slopes + 1e-9 * np.eye(self.free.size)
         return float(values.sum()), slopes.sum(axis=0), hessian
 
-    def start_from_pairs(self, fit: ZoneFit, share: float) -> Floats:
-        """Return a start point (P) from a fit of (L2).
+    def start_from_samples(self, fit: ZoneFit, share: float) -> Floats:
+        """Return a start point (P) from a fit of single samples.
 
         Args:
             fit: the fit.

@@ -1,4 +1,4 @@
-"""Fit of (L3) for three disturbance models, and the smoothed states along the records."""
+"""Fit of (L2) for three disturbance models, and the smoothed states along the records."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from undeadzone_identify.models.plant import busiest_stretches
 from undeadzone_identify.models.zone_fit import ZoneFit
 
 MODELS = (WHITE, AT_INPUT, AT_OUTPUT)
-SHARES = (0.2, 0.8)  # start values of the disturbance model's share of the noise in (L2)
+SHARES = (0.2, 0.8)  # start values of the disturbance model's share of the noise in (L1)
 
 
 class KalmanFit(NamedTuple):
-    """Fit of (L3).
+    """Fit of (L2).
 
     Attributes:
         objective: the likelihood that was maximised.
@@ -77,12 +77,12 @@ class KalmanFit(NamedTuple):
 
 
 def fit_kalman(fit: ZoneFit) -> list[KalmanFit]:
-    """Fit (L3) for the three disturbance models; return the fits, the least BIC first.
+    """Fit (L2) for the three disturbance models; return the fits, the least BIC first.
 
     A long log is fitted in its busiest part first.
 
     Args:
-        fit: fit of (L2), which gives the start points.
+        fit: fit of single samples, which gives the start points.
 
     Returns:
         A fit per model; empty if no filter could be run.
@@ -93,7 +93,7 @@ def fit_kalman(fit: ZoneFit) -> list[KalmanFit]:
     fits = []
     for model in MODELS:
         objective = KalmanObjective(part, layout, model, fit.objective.limits)
-        starts = [objective.start_from_pairs(fit, share) for share in SHARES]
+        starts = [objective.start_from_samples(fit, share) for share in SHARES]
         maximum = best_maximum(objective, starts, 12, 50, -math.inf)
         if maximum is None:
             continue
@@ -157,7 +157,7 @@ def smooth_states(fit: KalmanFit) -> SmoothedStates:
         H. E. Rauch, F. Tung, C. T. Striebel (1965), doi:10.2514/3.3166
 
     Args:
-        fit: of (L3).
+        fit: of (L2).
 
     Returns:
         Means and covariances along the record.
@@ -200,7 +200,7 @@ def _run_backward(fit: KalmanFit, p: Floats, forth: _FilterPass) -> _BackwardPas
     """Return the backward pass of the smoother, for each record from its end.
 
     Args:
-        fit: fit of (L3).
+        fit: fit of (L2).
         p: parameters, perhaps others than those of the fit (P).
         forth: forward pass of the filter with these parameters.
     """
@@ -225,7 +225,7 @@ def smooth_with_deviation(fit: KalmanFit) -> tuple[SmoothedStates, Floats]:
     smoothed again with the parameters shifted along each eigenvector.
 
     Args:
-        fit: fit of (L3).
+        fit: fit of (L2).
     """
     middle = smooth_states(fit)
     V = fit.objective.robust_covariance(fit.theta).V

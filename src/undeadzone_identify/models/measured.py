@@ -68,7 +68,7 @@ def measure_levels(
     values = []
     moved = np.zeros(len(WIDTHS))
     for place, (target, theta) in enumerate(stages):
-        rows = WIDTHS @ _level_slopes(levels, theta, target.free)
+        rows = WIDTHS @ level_slopes(levels, theta, target.free)
         spread = target.robust_covariance(theta)
         halves.append([spread.half_and_degrees(row) for row in rows])
         values.append(WIDTHS @ levels(theta))
@@ -85,20 +85,31 @@ def measure_levels(
     return Measured(intervals, least)
 
 
-def measure_fit(fit: FittedModel[Model], misfits: Sequence[Floats] = ()) -> Measured:
+def measure_fit(
+    fit: FittedModel[Model],
+    misfits: Sequence[Floats] = (),
+    levels: Callable[[Floats], Floats] | None = None,
+) -> Measured:
     """Measure the element of a model: simulation errors first, then prediction errors.
 
     Args:
         fit: least squares of the readings.
         misfits: as for `measure_levels`.
+        levels: right and left by theta; None: those of the model.
     """
     later = fit.prediction_fit
     stages = [(one.squares, one.theta) for one in (fit, later)]
-    return measure_levels(fit.model.levels, stages, misfits)
+    return measure_levels(levels or fit.model.levels, stages, misfits)
 
 
-def _level_slopes(levels: Callable[[Floats], Floats], theta: Floats, free: Integers) -> Floats:
-    """Return the derivatives of both levels by the free parameters (2 x free)."""
+def level_slopes(levels: Callable[[Floats], Floats], theta: Floats, free: Integers) -> Floats:
+    """Return the derivatives of both levels by the free parameters (2 x free).
+
+    Args:
+        levels: right and left by theta.
+        theta: parameters (P).
+        free: places of the free parameters.
+    """
     steps = STEP * np.maximum(np.abs(theta[free]), 0.02)
     points = perturb_each(theta, free, steps)[1:]
     return central_differences(np.array([levels(one) for one in points]), steps).T

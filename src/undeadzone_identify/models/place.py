@@ -8,8 +8,6 @@ friction at a measured velocity.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -18,9 +16,7 @@ import numpy as np
 
 from undeadzone.compile import lanes
 from undeadzone.util.arrays import Floats, Integers
-from undeadzone_identify.models.elements import MapModel, dead_zone_map, identity_map
 from undeadzone_identify.models.estimates import (
-    best_maximum,
     cache_latest,
     central_differences,
     perturb_each,
@@ -30,20 +26,17 @@ from undeadzone_identify.models.estimates import (
 from undeadzone_identify.models.least_squares import FittedModel, LeastSquares
 from undeadzone_identify.models.likelihood import dead_zone, root_mean_square
 from undeadzone_identify.models.plant import PlantSimulator, RecordData
-from undeadzone_identify.models.zone import Kind, ZoneObjective
 from undeadzone_identify.models.zone_fit import (
     ZoneFit,
     fit_linear,
-    refit_likelihood,
-    refit_longest_record,
 )
 
 WIDTH = 32
 ADDED = (0.5, 0.8)  # poles that stand on a zero where a plant of the next order begins
 RUN_AWAY = 1e6  # bound of z, which keeps an unstable trial finite
 # Places of the element's parameters behind those of the plant; c_1 to c_n follow.
-PARTS = {"sensor": slice(0, 2), "inner": slice(2, 4), "sigma": slice(4, 5), "input": slice(5, 7)}
-WIDTHS = 7  # number of these parameters
+PARTS = {"sensor": slice(0, 2), "inner": slice(2, 4), "input": slice(4, 6)}
+WIDTHS = 6  # number of these parameters
 
 # --- One sample
 
@@ -65,35 +58,31 @@ def build_friction_kernel(n: int, m: int, position: bool) -> lanes.Kernel:
     Returns:
         A kernel with
 
-        - state: z and f of the last n samples, then the last move of z (2 n + 1),
+        - state: z and f of the last n samples (2 n),
         - inputs: lagged inputs (m n), then unit pulses at the first n samples, which set x0 (n),
-        - parameters of a lane: a, b, x0, c, phi_r, phi_l, sigma, and the zone of the input,
+        - parameters of a lane: a, b, x0, c, phi_r, phi_l, and the zone of the input,
         - output: z.
     """
-    state = ca.SX.sym("s", 2 * n + 1)
+    state = ca.SX.sym("s", 2 * n)
     exogenous = ca.SX.sym("w", m * n + n)
-    numbers = ca.SX.sym("p", 3 * n + m * n + 5)
+    numbers = ca.SX.sym("p", 3 * n + m * n + 4)
     a = numbers[:n]
     b = numbers[n : n + m * n]
     x0 = numbers[n + m * n : 2 * n + m * n]
     c = numbers[2 * n + m * n : 3 * n + m * n]
-    right, left, sigma, u_right, u_left = ca.vertsplit(numbers[3 * n + m * n :])
+    right, left, u_right, u_left = ca.vertsplit(numbers[3 * n + m * n :])
     past = ca.vertsplit(state)
     z_past = past[:n]
-    f_past = past[n : 2 * n]
-    last_move = past[2 * n]
+    f_past = past[n:]
     u = _zone_expression(exogenous[: m * n], u_right, u_left)
     w = ca.dot(b, u) + ca.dot(x0, exogenous[m * n :])
     w = w - ca.dot(a, ca.vertcat(*z_past)) - ca.dot(c, ca.vertcat(*f_past))
     w = ca.fmax(ca.fmin(w, RUN_AWAY), -RUN_AWAY)
     rest = z_past[0] if position else 0.0
     push = w - rest
-    # At rest the friction to overcome is larger by the factor 1 + sigma (breakaway).
-    breakaway = 1 + sigma * (last_move == 0)
-    slides = ca.logic_or(push > right * breakaway, push < -left * breakaway)
-    move = ca.if_else(slides, _zone_expression(push, right, left), 0.0)
+    move = _zone_expression(push, right, left)
     z = rest + move
-    following = ca.vertcat(z, *z_past[: n - 1], push - move, *f_past[: n - 1], move)
+    following = ca.vertcat(z, *z_past[: n - 1], push - move, *f_past[: n - 1])
     step = ca.Function("friction", [state, exogenous, numbers], [following, z])
     return lanes.build_kernel(step, params=list(range(numbers.shape[0])), width=WIDTH, fused=True)
 
@@ -104,7 +93,7 @@ def simulate_friction(n: int, m: int, position: bool, exogenous: Floats, numbers
     Args:
         n, m, position: as for `build_friction_kernel`.
         exogenous: lagged inputs and pulses (N x (m n + n)).
-        numbers: parameters of the lanes, a row per set (K x (3 n + m n + 5)).
+        numbers: parameters of the lanes, a row per set (K x (3 n + m n + 4)).
 
     Returns:
         z (K x N).
@@ -124,7 +113,6 @@ class PlaceShape(NamedTuple):
         inner: whether the recursion has friction, phi_r and phi_l.
         input: whether the input has a zone, u_r and u_l.
         position: whether friction acts on a measured position, else on a velocity.
-        sticks: whether breakaway exceeds sliding friction, by sigma.
         free: number of free parameters among c_1 to c_n. The others are 0, or follow from b if
             friction acts at the input (collocated).
     """
@@ -134,7 +122,6 @@ class PlaceShape(NamedTuple):
     inner: bool = False
     input: bool = False
     position: bool = False
-    sticks: bool = False
     free: int = 0
 
     def contains_shape(self, other: PlaceShape) -> bool:
@@ -147,7 +134,7 @@ class PlaceShape(NamedTuple):
 class PlaceModel:
     """Plant with zones at some locations, with derivatives by central differences.
 
-    theta = [a, b, x0, d_r, d_l, phi_r, phi_l, sigma, u_r, u_l, c_1 ... c_n]. The parameters of
+    theta = [a, b, x0, d_r, d_l, phi_r, phi_l, u_r, u_l, c_1 ... c_n]. The parameters of
     parts that the shape does not have are 0.
 
     Args:
@@ -168,7 +155,7 @@ class PlaceModel:
         self.m = simulator.layout.m
         self.base = simulator.layout.right
         self.size = self.base + WIDTHS + self.n
-        widths = [shape.sensor] * 2 + [shape.inner] * 2 + [shape.sticks] + [shape.input] * 2
+        widths = [shape.sensor] * 2 + [shape.inner] * 2 + [shape.input] * 2
         fitted = np.append(widths, np.arange(self.n) < shape.free)
         self.free: Integers = np.flatnonzero(np.append(np.ones(self.base, bool), fitted))
         pulses = [np.eye(part.stop - part.start, self.n) for part in simulator.records]
@@ -183,7 +170,7 @@ class PlaceModel:
 
         Args:
             theta: one parameter set (P), or several (K x P).
-            name: sensor, inner, sigma or input.
+            name: sensor, inner or input.
         """
         return theta[..., self.base :][..., PARTS[name]]
 
@@ -206,7 +193,7 @@ class PlaceModel:
         return np.asarray(self.part_numbers(theta, "inner") * friction_gain / max(input_gain, 1e-9))
 
     def project_to_bounds(self, theta: Floats) -> Floats:
-        """Restrict the widths and sigma to 0 or above; theta is changed in place."""
+        """Restrict the widths to 0 or above; theta is changed in place."""
         widths = slice(self.base, self.base + WIDTHS)
         theta[widths] = np.maximum(theta[widths], 0.0)
         return theta
@@ -229,6 +216,11 @@ class PlaceModel:
     def pass_input(self, u: Floats, theta: Floats) -> Floats:
         """Return the input u (N) after its dead zone (N)."""
         return dead_zone(u, *self.part_numbers(theta, "input"))
+
+    def driven_plant(self, theta: Floats) -> PlantSimulator:
+        """Return the linear plant driven by the input after its dead zone."""
+        data = self.simulator.data
+        return self.simulator.simulator_along(data._replace(u=self.pass_input(data.u, theta)))
 
     def output(self, theta: Floats) -> Floats:
         """Return z, the output of the plant (N)."""
@@ -307,7 +299,7 @@ def join_place_numbers(plant: Floats, n: int, c: Floats | None = None, **parts: 
         plant: a, b, x0.
         n: order of the plant.
         c: c_1, c_2, ...; None: all are 0.
-        parts: parameters of sensor, inner, sigma, input; those of missing parts are 0.
+        parts: parameters of sensor, inner, input; those of missing parts are 0.
     """
     element = np.zeros(WIDTHS + n)
     for name, value in parts.items():
@@ -414,15 +406,6 @@ class PlaceStarts:
             shapes.append(np.eye(1, self.n)[0])
         return shapes
 
-    def add_breakaway(self, fitted: PlaceFit) -> list[Floats]:
-        """Add breakaway above sliding friction to a fit; return the starts."""
-        starts = []
-        for sigma in (0.2, 0.02):
-            theta = fitted.theta.copy()
-            fitted.model.part_numbers(theta, "sigma")[:] = sigma
-            starts.append(theta)
-        return starts
-
     def add_sensor_zone(self, fitted: PlaceFit) -> list[Floats]:
         """Add a zone of the sensor, of several sizes, to a fit; return the starts."""
         starts = []
@@ -433,112 +416,3 @@ class PlaceStarts:
             element[PARTS["sensor"]] = np.maximum(sensor_share * self.widths, 0.05)
             starts.append(theta)
         return starts
-
-
-# --- A zone of the input, and perhaps one of the sensor, measured
-
-# Start points between two zones: factor of the gain of a linear fit, factor of the widths.
-LOUDER = ((1.8, 1.0), (1.4, 0.5), (2.5, 1.3))
-ZonedTarget = ZoneObjective | LeastSquares[MapModel]
-
-
-class InputZoneFit(NamedTuple):
-    """Fit of a plant between a zone of its input and perhaps a zone of the sensor.
-
-    Attributes:
-        fit: model of least squares, to simulate the plant.
-        stages: objective and maximum of two stages of the fit. The first one has simulation errors,
-            or the likelihood of single samples; the second one has prediction errors, or the
-            likelihood of pairs if noise enters ahead of the sensor's zone.
-    """
-
-    fit: FittedModel[MapModel]
-    stages: Sequence[tuple[ZonedTarget, Floats]]
-
-
-def fit_input_zone(fits: Sequence[ZoneFit]) -> InputZoneFit | None:
-    """Fit plants behind a zone of the input; return the fit of least BIC.
-
-    Args:
-        fits: fits with a zone of the sensor, one per order, which give the start points.
-
-    Returns:
-        The fit; None if no start point is admissible.
-    """
-    candidates = []
-    for zone_fit in fits:
-        starts = PlaceStarts(refit_longest_record(zone_fit))
-        simulator = PlantSimulator(starts.simulator.data, starts.n, zoned=True)
-        squares = LeastSquares(MapModel(simulator, "input_zone", identity_map))
-        points = [np.append(*start) for start in starts.input_levels()]
-        candidates.append(squares.fit_from_starts(points))
-    best = min(filter(None, candidates), key=lambda fit: fit.bic, default=None)
-    if best is None:
-        return None
-    last_stage = best.squares.minimise_prediction_errors(best.theta)
-    stages = [(best.squares, best.theta), last_stage]
-    return InputZoneFit(best._replace(theta=last_stage[1]), stages)
-
-
-def fit_input_and_sensor(fits: Sequence[ZoneFit], two_zones: PlaceFit) -> InputZoneFit | None:
-    """Fit plants between zones of input and sensor; return the fit of least BIC.
-
-    Args:
-        fits: fits with a zone of the sensor alone, one per order.
-        two_zones: least-squares fit with both zones, of one order, which gives the start points.
-
-    Returns:
-        The fit; None if no start point is admissible.
-    """
-    candidates = []
-    for zone_fit in fits:
-        old = zone_fit.objective
-        simulator = PlantSimulator(old.data, old.layout.n, zoned=True)
-        kind: Kind = "behind" if old.kind == "behind" else "singles"
-        objective = ZoneObjective(simulator, kind, old.limits)
-        starts = _starts_between_zones(fit_linear(old.simulator), objective, two_zones)
-        maximum = best_maximum(objective, starts, 10, 60)
-        if maximum is not None:
-            candidates.append(ZoneFit(objective, *maximum))
-    if not candidates:
-        return None
-    best = min(candidates, key=lambda fit: fit.bic)
-    squares = LeastSquares(MapModel(best.objective.simulator, "two_zones", dead_zone_map))
-    last_stage: tuple[ZonedTarget, Floats] = squares.minimise_prediction_errors(
-        best.theta[: squares.model.base + 2]
-    )
-    if best.objective.kind != "behind":
-        pairs = refit_likelihood(best, "pairs")
-        # The likelihood of single samples has kinks at the edges, which stop a maximisation early.
-        best = refit_likelihood(pairs, "singles")
-        last_stage = pairs.objective, pairs.theta
-    theta = last_stage[1][: squares.model.base + 2]
-    fit = FittedModel(squares, theta, squares.autoregressive_density(theta))
-    return InputZoneFit(fit, [(best.objective, best.theta), last_stage])
-
-
-def _starts_between_zones(
-    linear: ZoneFit, objective: ZoneObjective, two_zones: PlaceFit
-) -> list[Floats]:
-    """Return start points for a plant between a zone of its input and one of its sensor (P each).
-
-    Both zones make the gain of a linear fit too small, so the gain is raised.
-
-    Args:
-        linear: fit of a linear plant.
-        objective: the likelihood that will be maximised.
-        two_zones: earlier fit with both zones, whose widths are scaled.
-    """
-    layout = objective.layout
-    starts = list[Floats]()
-    for gain_factor, width_factor in LOUDER:
-        theta = np.zeros(layout.parameter_count)
-        theta[layout.denominator] = linear.theta[layout.denominator]
-        theta[layout.numerators] = gain_factor * linear.theta[layout.numerators]
-        input_widths = two_zones.model.part_numbers(two_zones.theta, "input")
-        theta[layout.input_widths] = width_factor * input_widths
-        sensor = width_factor * two_zones.model.part_numbers(two_zones.theta, "sensor")
-        # d_r, d_l, and the logarithm of the rms of the noise
-        theta[layout.right : layout.right + 3] = *sensor, math.log(max(two_zones.density.rms, 1e-3))
-        starts.append(theta)
-    return starts

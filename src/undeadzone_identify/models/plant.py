@@ -16,7 +16,7 @@ from scipy.signal import lfilter
 
 from undeadzone.util.arrays import Flags, Floats, Integers, shift_rows
 from undeadzone_identify.models.estimates import CachedMaxima, cache_latest
-from undeadzone_identify.models.likelihood import Readings, dead_zone
+from undeadzone_identify.models.likelihood import Readings
 
 MANY = 10_000  # largest number of samples for methods that need many fits
 STRETCH = 5_000  # samples of a stretch of a longer log
@@ -159,21 +159,19 @@ def longest_record_of(data: RecordData) -> RecordData:
 class Layout:
     """Places of the parameters in theta.
 
-    theta = [a, b, x0, widths of the input's zone, d_r, d_l, log s, atanh rho].
+    theta = [a, b, x0, d_r, d_l, log s].
 
     Attributes:
         n: number of poles, and of numerator terms of each input, from delay 1 on.
         m: number of inputs.
         records: number of records, each with n parameters for its initial state.
         integrators: number of known integrators; a contains the other poles.
-        zoned: whether the only input passes a dead zone, with two widths.
     """
 
     n: int
     m: int
     records: int
     integrators: int = 0
-    zoned: bool = False
 
     @cached_property
     def denominator(self) -> slice:
@@ -191,14 +189,9 @@ class Layout:
         return slice(self.numerators.stop, self.numerators.stop + self.n * self.records)
 
     @cached_property
-    def input_widths(self) -> slice:
-        """Return the places of the widths of the input's zone; empty without a zone."""
-        return slice(self.x0.stop, self.x0.stop + 2 * self.zoned)
-
-    @cached_property
     def right(self) -> int:
-        """Return the place of d_r; d_l, log s and atanh rho follow."""
-        return self.input_widths.stop
+        """Return the place of d_r; d_l and log s follow."""
+        return self.x0.stop
 
     def full_denominator(self, a: Floats) -> Floats:
         """Return the coefficients 1, a_1 to a_n of the denominator with its integrators (n + 1)."""
@@ -210,7 +203,7 @@ class Layout:
     @cached_property
     def parameter_count(self) -> int:
         """Return the number of parameters in theta."""
-        return self.right + 4
+        return self.right + 3
 
     def at_rest(self, other: Layout, theta: Floats) -> Floats:
         """Return the parameters of the same plant along other records that begin at rest.
@@ -230,12 +223,11 @@ class PlantSimulator:
         data: the records.
         n: number of poles.
         integrators: number of integrators among them.
-        zoned: whether the only input passes a dead zone.
     """
 
-    def __init__(self, data: RecordData, n: int, integrators: int = 0, zoned: bool = False) -> None:
+    def __init__(self, data: RecordData, n: int, integrators: int = 0) -> None:
         self.data = data
-        self.layout = Layout(n, data.u.shape[1], data.start.size, integrators, zoned)
+        self.layout = Layout(n, data.u.shape[1], data.start.size, integrators)
         self.records = data.record_slices()
         self.longest = max(part.stop - part.start for part in self.records)
         self.lagged = self._lag_inputs(data.u)
@@ -251,13 +243,7 @@ class PlantSimulator:
 
     def simulator_along(self, data: RecordData) -> PlantSimulator:
         """Return the same plant along other records."""
-        return PlantSimulator(data, self.layout.n, self.layout.integrators, self.layout.zoned)
-
-    def pass_inputs(self, theta: Floats) -> Floats:
-        """Return the inputs after their dead zone (N x m)."""
-        u = self.data.u
-        zone = theta[self.layout.input_widths]
-        return dead_zone(u, *zone) if self.layout.zoned else u
+        return PlantSimulator(data, self.layout.n, self.layout.integrators)
 
     def simulate_z(self, theta: Floats) -> Floats:
         """Simulate z (N) for theta, of which the plant's parameters come first; read-only."""
@@ -269,8 +255,7 @@ class PlantSimulator:
         layout = self.layout
         denominator = layout.full_denominator(theta[layout.denominator])
         x0 = theta[layout.x0].reshape(layout.records, layout.n)
-        lagged = self._lag_inputs(self.pass_inputs(theta)) if layout.zoned else self.lagged
-        z = lagged @ theta[layout.numerators]  # B(q) u; filtered by 1 / A(q) in place below
+        z = self.lagged @ theta[layout.numerators]  # B(q) u; filtered by 1 / A(q) in place below
         for part, state in zip(self.records, x0, strict=True):
             own = z[part]
             own[: layout.n] += state[: own.size]
@@ -287,7 +272,7 @@ class PlantSimulator:
         layout = self.layout
         n = layout.n
         denominator = layout.full_denominator(theta[layout.denominator])
-        u = self.pass_inputs(theta)
+        u = self.data.u
         slopes = np.zeros((z.size, layout.parameter_count))
         for r, part in enumerate(self.records):
             size = part.stop - part.start
@@ -304,14 +289,13 @@ class PlantSimulator:
                 own[i + 1 :, layout.numerators.start + i : layout.numerators.stop : n] = filtered[
                     : size - 1 - i, :-1
                 ]
-        if layout.zoned:
-            by_widths = np.hstack([-1.0 * (u > 0), 1.0 * (u < 0)])
-            slopes[:, layout.input_widths] = self.respond_from_rest(theta, by_widths)
         return slopes
 
     def respond_from_rest(self, theta: Floats, inputs: Floats) -> Floats:
-        """Return the responses of a plant of one input to several inputs from rest (N x K)."""
-        numerator = np.append(0.0, theta[self.layout.numerators])
+        """Return the responses of the plant to several signals at its first input, from rest
+        (N x K).
+        """
+        numerator = np.append(0.0, theta[self.layout.numerators][: self.layout.n])
         denominator = self.layout.full_denominator(theta[self.layout.denominator])
         outputs = np.empty(inputs.shape)
         for part in self.records:

@@ -19,7 +19,6 @@ import numpy as np
 
 from undeadzone.nonlinearities.sensor import DIRECTIONS, heaviest
 from undeadzone.util.arrays import Floats
-from undeadzone_identify.models import motion
 from undeadzone_identify.models.elements import PlayFit, PlayModel
 from undeadzone_identify.models.estimates import (
     Interval,
@@ -29,6 +28,7 @@ from undeadzone_identify.models.estimates import (
 )
 from undeadzone_identify.models.least_squares import LeastSquares
 from undeadzone_identify.models.likelihood import root_mean_square
+from undeadzone_identify.models.motion import are_exact, white_noise_rms
 from undeadzone_identify.models.plant import (
     InputDisturbance,
     RecordData,
@@ -91,18 +91,17 @@ def find_play_gap(fit: PlayFit, quantum: float, in_loop: bool = False) -> PlayGa
         Corrected parameters; those of the fit for an integrating plant, whose z drifts too far for
         a simulation.
     """
-    data = fit.squares.data
-    rule = motion.detect_motion_rule(data.y, data.ok, data.start, quantum)
+    noise = _unrounded_noise_rms(fit.squares.data, quantum)
     if fit.model.simulator.layout.integrators:
-        return _uncorrected_gap(fit, _unrounded_noise_rms(data, rule, quantum))
-    return _indirect_inference_gap(fit, _unrounded_noise_rms(data, rule, quantum), quantum, in_loop)
+        return _uncorrected_gap(fit, noise)
+    return _indirect_inference_gap(fit, noise, quantum, in_loop)
 
 
-def _unrounded_noise_rms(data: RecordData, rule: motion.MotionRule, quantum: float) -> float:
+def _unrounded_noise_rms(data: RecordData, quantum: float) -> float:
     """Return the rms of the white noise of the readings besides rounding, scaled."""
-    if not rule.noise:
+    if are_exact(data.y, data.ok, data.start):
         return 0.0
-    rms = motion.white_noise_rms(data.y, data.ok, data.start)
+    rms = white_noise_rms(data.y, data.ok, data.start)
     return math.sqrt(max(rms**2 - quantum**2 / 12, 0.0))
 
 

@@ -11,9 +11,8 @@ from undeadzone.util.arrays import Flags, Floats, Integers
 from undeadzone_identify.models import estimates, likelihood
 from undeadzone_identify.models.plant import PlantSimulator, RecordData
 
-Kind = Literal["singles", "pairs", "behind"]
+Kind = Literal["ahead", "behind"]
 FAR = 1e8  # outputs beyond this end a trial
-LARGEST_ATANH = 3.5  # |rho| below 0.998
 
 
 class WidthLimits(NamedTuple):
@@ -39,11 +38,11 @@ class WidthLimits(NamedTuple):
 
 
 class ZoneObjective:
-    """Log likelihood of theta = [a, b, x0, input's zone, d_r, d_l, log s, atanh rho].
+    """Log likelihood of theta = [a, b, x0, d_r, d_l, log s].
 
     Args:
         simulator: linear plant with its data.
-        kind: singles (L1), pairs (L2), or behind: noise behind the zone.
+        kind: whether noise enters ahead of the zone (L1), or behind it.
         limits: prior limits of the widths.
         use: flags of the samples that count (N); default all readings.
     """
@@ -80,21 +79,17 @@ class ZoneObjective:
         fixed[right] = self.limits.right[0] == self.limits.right[1]
         fixed[right + 1] = not self.limits.zone or self.limits.left[0] == self.limits.left[1]
         fixed[right + 1] |= self.limits.tied
-        fixed[right + 3] = self.kind != "pairs"
         return fixed
 
     def zone_noise(self, theta: Floats) -> likelihood.ZoneNoise:
-        """Return widths, rms and correlation in theta."""
-        right, left, log_s, atanh_rho = theta[self.layout.right :]
-        rho = math.tanh(atanh_rho) if self.kind == "pairs" else 0.0
-        return likelihood.ZoneNoise(float(right), float(left), math.exp(min(log_s, 50.0)), rho)
+        """Return widths and rms in theta."""
+        right, left, log_s = theta[self.layout.right :]
+        return likelihood.ZoneNoise(float(right), float(left), math.exp(min(log_s, 50.0)))
 
     def is_admissible(self, theta: Floats) -> bool:
         """Return whether the widths, the noise and the poles of theta are admissible."""
-        right, left, log_s, atanh_rho = theta[self.layout.right :]
-        if self.limits.zone and right + left < 0:
-            return False
-        if abs(log_s) > 30 or abs(atanh_rho) > LARGEST_ATANH:
+        right, left, log_s = theta[self.layout.right :]
+        if (self.limits.zone and right + left < 0) or abs(log_s) > 30:
             return False
         return self.simulator.has_settling_poles(theta)
 
@@ -103,9 +98,7 @@ class ZoneObjective:
         noise = self.zone_noise(theta)
         if self.kind == "behind":
             return likelihood.densities_behind(self.readings, z, noise, self.limits.zone)
-        if self.kind == "singles":
-            return likelihood.single_densities(self.readings, z, noise)
-        return likelihood.pair_densities(self.readings, z, noise)
+        return likelihood.single_densities(self.readings, z, noise)
 
     @estimates.cache_latest
     def z_and_terms(self, theta: Floats) -> tuple[Floats, likelihood.DensityTerms]:
@@ -129,7 +122,6 @@ class ZoneObjective:
         """Restrict the widths of a trial to their limits."""
         widths = slice(self.layout.right, self.layout.right + 2)
         theta[widths] = self.limits.clip_widths(*theta[widths])
-        theta[self.layout.input_widths] = np.maximum(theta[self.layout.input_widths], 0.0)
         return theta
 
     def sample_scores(self, theta: Floats) -> tuple[Floats, Floats, Floats]:
@@ -140,10 +132,8 @@ class ZoneObjective:
         z, terms = self.z_and_terms(theta)
         slope = self.simulator.z_gradient(theta, z)
         scores = terms.slopes[:, likelihood.Z : likelihood.Z + 1] * slope
-        if self.kind == "pairs":
-            scores[1:] += terms.slopes[1:, likelihood.Z_BEFORE, None] * slope[:-1]
         right = self.layout.right
-        scores[:, right:] += terms.slopes[:, likelihood.Z_BEFORE + 1 :]
+        scores[:, right:] += terms.slopes[:, likelihood.RIGHT :]
         scores[0, self.layout.x0] -= self.x0_weight * theta[self.layout.x0]
         if self.limits.tied:
             scores[:, right] += scores[:, right + 1]
@@ -167,15 +157,12 @@ class ZoneObjective:
         hessian = rows.T @ rows
         right = self.layout.right
         inside_scores = scores[inside]
-        inside_scores[:, right + 2 :] = 0.0
+        inside_scores[:, right + 2] = 0.0
         hessian += inside_scores.T @ inside_scores
         # The information of a Gaussian sample on log s is 2.
         outside_count = np.count_nonzero(self.readings.ok) - np.count_nonzero(inside)
         by_inside = float((scores[inside, right + 2] ** 2).sum())
         hessian[right + 2, right + 2] = 2 * outside_count + by_inside
-        if self.kind == "pairs":
-            noise_scores = scores[:, right + 2 : right + 4]
-            hessian[right + 2 :, right + 2 :] = noise_scores.T @ noise_scores + 1e-9 * np.eye(2)
         x0 = np.arange(self.layout.x0.start, self.layout.x0.stop)
         hessian[x0, x0] += self.x0_weight
         value = float(values.sum()) - self._initial_state_penalty(theta)
@@ -183,7 +170,7 @@ class ZoneObjective:
         return value, scores.sum(axis=0)[free], hessian[np.ix_(free, free)]
 
     def _gauss_newton_rows(self, theta: Floats, slope: Floats) -> tuple[Floats, Flags]:
-        """Return whitened derivatives of samples outside the zone (M x P), and flags inside (N).
+        """Return scaled derivatives of samples outside the zone (M x P), and flags inside (N).
 
         Args:
             theta: parameters (P).
@@ -198,14 +185,7 @@ class ZoneObjective:
         change[:, self.layout.right + 1] += side < 0
         if self.limits.tied:
             change[:, self.layout.right] += change[:, self.layout.right + 1]
-        rows = change / noise.s
-        if noise.rho != 0.0:
-            consecutive = outside & self.readings.before
-            consecutive[1:] &= outside[:-1]
-            at = np.flatnonzero(consecutive)
-            innovation_rms = noise.s * math.sqrt(1 - noise.rho**2)
-            rows[at] = (change[at] - noise.rho * change[at - 1]) / innovation_rms
-        return rows[outside], ok & ~outside & (self.kind != "behind")
+        return change[outside] / noise.s, ok & ~outside & (self.kind != "behind")
 
     def branch_sides(self, theta: Floats) -> Integers:
         """Return +1, 0, -1 (N): of the readings, or of z if noise is behind the zone."""
@@ -227,15 +207,15 @@ class ZoneObjective:
         """Return minus the Hessian of the log likelihood, made positive definite (F x F).
 
         It consists of central differences of the score over 0.01 standard deviations. The score is
-        discontinuous at the edges if noise enters behind the zone, or if the input has a zone. Then
-        the Gauss-Newton matrix is returned.
+        discontinuous at the edges if noise enters behind the zone. Then the Gauss-Newton matrix is
+        returned.
 
         Args:
             theta: parameters (P).
         """
         _, _, approximate = self.quadratic_model(theta)
         approximate = approximate + 1e-12 * np.eye(self.free.size)
-        if self.kind == "behind" or self.layout.zoned:
+        if self.kind == "behind":
             return approximate
         scale = 1 / np.sqrt(np.diag(approximate))
         rows = np.empty_like(approximate)

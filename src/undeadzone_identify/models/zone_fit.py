@@ -1,4 +1,4 @@
-"""Fit of plant and widths to a record: starts, single samples (L1), then pairs (L2)."""
+"""Fit of plant and widths to a record, from several starts."""
 
 from __future__ import annotations
 
@@ -66,14 +66,24 @@ class ZoneFit(NamedTuple):
 
     @property
     def rho(self) -> float:
-        """Return the disturbance correlation over a sample [1]; 0 if not fitted."""
-        return self.objective.zone_noise(self.theta).rho
+        """Return the correlation of a disturbance ahead of the zone over a sample [1]; else 0."""
+        return outside_correlation(self) if self.objective.kind == "ahead" else 0.0
 
     @property
     def bic(self) -> float:
-        """Return the BIC, -2 L + p ln N."""
-        count = int(self.objective.readings.ok.sum())
-        return -2 * self.value + self.objective.free.size * math.log(count)
+        """Return the BIC, -2 L + p ln N.
+
+        Samples ahead of a zone are taken as independent: p is the trace of J H^-1, which counts
+        the parameters as the correlation of the scores does.
+
+        References:
+            C. Varin, P. Vidoni (2005), doi:10.1093/biomet/92.3.519
+        """
+        numbers = float(self.objective.free.size)
+        if self.objective.kind == "ahead" and math.isfinite(self.value):
+            spread = self.objective.robust_covariance(self.theta)
+            numbers = max(numbers, float(np.trace(spread.V @ np.linalg.pinv(spread.naive))))
+        return -2 * self.value + numbers * math.log(int(self.objective.readings.ok.sum()))
 
 
 def mean_reading(fit: ZoneFit) -> Floats:
@@ -94,52 +104,42 @@ def _mean_excess(x: Floats) -> Floats:
     return unit_density(x) + x * ndtr(x)
 
 
-def fit_zone(simulator: PlantSimulator, kind: Kind, limits: WidthLimits) -> ZoneFit:
-    """Fit singles (L1) or noise behind the zone, from several starts.
+def fit_zone(simulator: PlantSimulator, limits: WidthLimits) -> ZoneFit:
+    """Fit a plant and a zone, from several starts.
 
     Args:
         simulator: the plant of one order, with its data.
-        kind: singles or behind.
         limits: bounds of the widths.
 
     Returns:
         The fit of the largest maximum.
     """
+    kind: Kind = "ahead" if simulator.data.silent_zeros else "behind"
     objective = ZoneObjective(simulator, kind, limits)
     starts = zone_starts(objective)
     clear_lead = 0.02 * objective.readings.ok.sum()
-    maximum = best_maximum(objective, starts, 10, 50, clear_lead)
+    maximum = best_maximum(objective, starts, 10, 120, clear_lead)
     if maximum is None:
         maximum = Maximum(objective.project_to_bounds(starts[0]), -math.inf)
     best = ZoneFit(objective, *maximum)
     return improve_fit(best, _centre_zone(objective, best.theta)) if limits.zone else best
 
 
-def refit_likelihood(
-    fit: ZoneFit, kind: Kind, use: Flags | None = None, steps: int = 60
-) -> ZoneFit:
-    """Fit another likelihood, or other samples, starting at a fit.
+def refit_likelihood(fit: ZoneFit, use: Flags | None = None, steps: int = 60) -> ZoneFit:
+    """Fit again, or to other samples, starting at a fit.
 
     Args:
-        fit: fit of the same plant.
-        kind: singles, pairs or behind.
+        fit: of the same plant.
         use: flags of the samples that count (N); None: all readings.
         steps: largest number of steps.
     """
     old = fit.objective
-    objective = ZoneObjective(old.simulator, kind, old.limits, use)
-    theta = fit.theta.copy()
-    if kind == "pairs" and fit.rho == 0.0:
-        theta[-1] = math.atanh(outside_correlation(fit))
-    maximum = maximise_likelihood(objective, theta, steps)
-    # (L2) with rho = 0 is (L1), so its maximum is at least as large.
-    if (old.kind, kind) == ("singles", "pairs") and maximum.value < fit.value:
-        maximum = maximise_likelihood(objective, fit.theta, steps)
-    return ZoneFit(objective, *maximum)
+    objective = ZoneObjective(old.simulator, old.kind, old.limits, use)
+    return ZoneFit(objective, *maximise_likelihood(objective, fit.theta, steps))
 
 
 def improve_fit(fit: ZoneFit, theta: Floats) -> ZoneFit:
-    """Return the better of a fit and of the one that starts from other parameters (P)."""
+    """Return the better of a fit and a fit that starts from other parameters (P)."""
     maximum = maximise_likelihood(fit.objective, theta, 60)
     return ZoneFit(fit.objective, *maximum) if maximum.value > fit.value else fit
 
@@ -284,7 +284,6 @@ def zone_starts(objective: ZoneObjective) -> list[Floats]:
         theta[layout.numerators] *= 1 + 0.9 * share
         theta[layout.right : layout.right + 2] = widths_about_level(linear, share)
         theta[layout.right + 2] = math.log(0.4)
-        theta[layout.right + 3] = 0.0
         starts.append(theta)
     return starts
 
@@ -389,9 +388,7 @@ def refit_along(fit: ZoneFit, data: RecordData) -> ZoneFit:
     """
     objective = fit.objective.objective_along(data)
     theta = objective.layout.at_rest(fit.objective.layout, fit.theta)
-    return refit_likelihood(
-        ZoneFit(objective, theta, objective.total_log_likelihood(theta)), objective.kind
-    )
+    return ZoneFit(objective, *maximise_likelihood(objective, theta, 60))
 
 
 def refit_busiest_part(fit: ZoneFit) -> ZoneFit:

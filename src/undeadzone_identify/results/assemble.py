@@ -150,8 +150,8 @@ class Answer(NamedTuple):
 
     @property
     def fit(self) -> ZoneFit:
-        """Return the fit that every sample enters: (L2), or that of noise behind the zone."""
-        return self.chosen.pairs
+        """Return the fit of plant and zone."""
+        return self.chosen.fit
 
     @property
     def scale(self) -> float:
@@ -320,7 +320,7 @@ def to_answer(case: Case, found: Findings) -> Answer:
         found=found,
         chosen=chosen,
         excitation=measure_excitation(
-            data.select_readings(), case.chosen.pairs.z, *edges, data.silent_zeros
+            data.select_readings(), case.chosen.fit.z, *edges, data.silent_zeros
         ),
         widths=widths,
     )
@@ -650,7 +650,7 @@ def _log_unit_widths(answer: Answer, wider: float) -> DisplayedWidths:
     if _has_tied_edges(answer):
         intervals["centre"] = None
     for name in case.unreached:
-        bound = lower_width_bound(case.chosen.singles, name) * scale
+        bound = lower_width_bound(case.chosen.fit, name) * scale
         intervals[name] = Interval(bound, bound, math.inf)
         intervals["width"] = intervals["centre"] = None
     return intervals

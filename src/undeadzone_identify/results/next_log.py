@@ -25,8 +25,8 @@ from undeadzone.errors import InputError
 from undeadzone.nonlinearities.sensor import DIRECTIONS
 from undeadzone.util.arrays import Floats
 from undeadzone_identify.models.elements import MapModel, PlayModel, dead_zone_map, identity_map
-from undeadzone_identify.models.estimates import weight_row
 from undeadzone_identify.models.least_squares import FittedModel
+from undeadzone_identify.models.measured import level_slopes
 from undeadzone_identify.models.plant import RecordData
 from undeadzone_identify.models.zone_fit import ZoneFit, fit_linear
 from undeadzone_identify.results.assemble import Answer
@@ -117,14 +117,9 @@ class ModelAccount(NamedTuple):
         out.
         """
         model = self.model
-        x0 = self.model.simulator.layout.x0
-        first = model.base
-        size = self.theta.size
-        if isinstance(model, MapModel) and model.shape is identity_map:
-            first = model.simulator.layout.input_widths.start
-        tied = isinstance(model, PlayModel) and model.tied
-        row = weight_row(model.free, size, first, DIRECTIONS[name], tied)
-        return row[(model.free < x0.start) | (model.free >= x0.stop)]
+        x0 = model.simulator.layout.x0
+        row = np.array(DIRECTIONS[name]) @ level_slopes(model.levels, self.theta, model.free)
+        return np.asarray(row[(model.free < x0.start) | (model.free >= x0.stop)])
 
 
 def best_next_log(answer: Answer) -> NextLog:

@@ -167,7 +167,7 @@ class Identified:
 
     @property
     def alternatives(self) -> dict[str, Any]:
-        """Return the nats per sample by which other models are behind the best."""
+        """Return the distance of each model from the best [nats per sample]."""
         return dict(self.numbers()["alternatives"])
 
     def states(self) -> States:
@@ -241,7 +241,7 @@ class Identified:
     def predict(
         self, source: Any = None, *, t: Any = None, u: Any = None, y: Any = None
     ) -> Predicted:
-        """Predict each reading of a log from those before it, by the scenario's observer.
+        """Predict each reading of a log from earlier readings, by the scenario's observer.
 
         Args:
             source: the log, as `identify` takes it, with the period of the first one.

@@ -20,7 +20,7 @@ from undeadzone_identify.models.shape import SensorShape
 from undeadzone_identify.results.assemble import Answer
 from undeadzone_identify.results.loop_words import loop_numbers, shape_in_words
 from undeadzone_identify.selection.alternatives import OF_INPUT
-from undeadzone_identify.selection.decision import MEMORY, MODELS, VALVE
+from undeadzone_identify.selection.decision import MODELS, VALVE
 from undeadzone_identify.selection.odds import nats_behind_best
 from undeadzone_identify.selection.valve import ValveFindings
 from undeadzone_identify.servo.likelihood import At
@@ -193,7 +193,6 @@ def answer_numbers(answer: Answer) -> dict[str, Any]:
         },
         "disturbance": answer.disturbance._asdict(),
         "zone_width": None if answer.element is None else _interval_list(answer.element.zone),
-        "offsets": _offset_numbers(answer),
         "odds": answer.found.odds,
         "alternatives": nats_behind_best(answer.found.models),
         "levels": _level_numbers(answer),
@@ -210,7 +209,7 @@ def answer_numbers(answer: Answer) -> dict[str, Any]:
             "white": chosen.white,
         },
         "orders": [
-            {"order": one.n, "bic": one.pairs.bic, "held_out_error": one.error * answer.scale}
+            {"order": one.n, "bic": one.fit.bic, "held_out_error": one.error * answer.scale}
             for one in answer.case.fitted.fits
         ],
         "closed_loop": answer.loop.chance,
@@ -242,20 +241,6 @@ def answer_numbers(answer: Answer) -> dict[str, Any]:
 def _interval_list(interval: Interval | None) -> list[float] | None:
     """Return [value, low, high], or None."""
     return None if interval is None else [float(number) for number in interval]
-
-
-def _offset_numbers(answer: Answer) -> dict[str, Any] | None:
-    """Return the four-offset estimates of play and dead zone."""
-    offsets = answer.found.offsets
-    if offsets is None:
-        return None
-    pairs = zip(
-        offsets.play_and_zone_widths * answer.scale,
-        offsets.width_deviations * answer.scale,
-        strict=True,
-    )
-    play, zone, rest = ([float(value), float(std)] for value, std in pairs)
-    return {"name": offsets.element_name, "play": play, "dead_zone": zone, "rest": rest}
 
 
 def _level_numbers(answer: Answer) -> dict[str, dict[str, list[float] | None]]:
@@ -385,7 +370,7 @@ def describe_possible(answer: Answer) -> list[str]:
 
 
 def _describe_widths(answer: Answer) -> dict[str, str]:
-    """Describe the widths of the sensor's zone or of another element, and the four offsets."""
+    """Describe the widths of the sensor's zone or of another element."""
     element = answer.element
     grid = answer.case.grid
     letter = "d" if element is None else LETTERS.get(element.kind, "d")
@@ -412,8 +397,6 @@ def _describe_widths(answer: Answer) -> dict[str, str]:
         lines[_width_title("b", name)] = describe_interval(interval, unit_suffix(grid.input_unit))
     if element is not None and element.zone is not None:
         lines["d width"] = describe_interval(element.zone, unit)
-    if answer.found.offsets is not None and answer.verdict in MEMORY:
-        lines["four offsets"] = answer.found.offsets.element_name.replace("_", " ")
     return lines
 
 

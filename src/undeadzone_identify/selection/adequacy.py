@@ -142,7 +142,7 @@ class Remainder(NamedTuple):
 
 
 def largest_remainder(remainders: Sequence[Remainder], word: str) -> Remainder | None:
-    """Return the largest dependence of a model's innovations, if it is real; else None.
+    """Return the largest dependence of a model's innovations, None if not significant.
 
     Args:
         remainders: of the model.
@@ -281,18 +281,19 @@ def _directions(fit: FittedModel[Model]) -> dict[str, Floats]:
     """Return the traces of wrong models, by direction (N x K each)."""
     model, theta = fit.model, fit.theta
     data, z = model.simulator.data, model.output(theta)
+    through_plant = model.simulator.respond_from_rest
     read, u = model.noise_free_readings(z, theta), data.u[:, 0]
     turn_u, turn_z = last_turn(u), last_turn(z)
     t = np.linspace(-1.0, 1.0, z.size)
     directions = {
-        "input": _through_plant(fit, hat_columns(u, AT_INPUT)),
-        "levels of the input": _through_plant(fit, hat_columns(u, AT_LEVELS)),
+        "input": through_plant(theta, hat_columns(u, AT_INPUT)),
+        "levels of the input": through_plant(theta, hat_columns(u, AT_LEVELS)),
         "output": hat_columns(z, AT_SENSOR),
-        "turns of the input": _through_plant(fit, by_turn(turn_u, u)),
+        "turns of the input": through_plant(theta, by_turn(turn_u, u)),
         "turns of the output": by_turn(turn_z, z),
         "time": read[:, None] * np.column_stack([t, t * t, np.sin(np.pi * t), np.cos(np.pi * t)]),
     }
-    directions["rate of the input"] = _through_plant(fit, _late_by_rate(u))
+    directions["rate of the input"] = through_plant(theta, _late_by_rate(u))
     directions["rate of the output"] = _late_by_rate(z)
     if float(np.std(read - z)) > 0:  # else these are more poles of the plant
         lags = [_late(read, k) for k in range(1, BEHIND + 1)]
@@ -305,9 +306,9 @@ def _directions(fit: FittedModel[Model]) -> dict[str, Floats]:
         passed = model.pass_input(u, theta)
         if float(np.std(passed - u)) > 0:
             behind = [model.pass_input(_lag_by(u, one), theta) - passed for one in AHEAD]
-            directions["ahead"] = _through_plant(fit, np.column_stack(behind))
+            directions["ahead"] = through_plant(theta, np.column_stack(behind))
             if isinstance(model, PlaceModel):  # one column finds what the hats of the input share
-                directions["beside"] = _through_plant(fit, u[:, None])
+                directions["beside"] = through_plant(theta, u[:, None])
     return directions | {"spring": _bent_force(fit, z)}
 
 
@@ -315,7 +316,7 @@ def _bent_force(fit: FittedModel[Model], z: Floats) -> Floats:
     """Return the response of the plant to forces that are no line of its output (N x 3)."""
     force = z / max(float(np.std(z)), 1e-12)
     bent = np.column_stack([force**2, force**3, force * np.abs(force)])
-    return _through_plant(fit, bent)
+    return fit.model.simulator.respond_from_rest(fit.theta, bent)
 
 
 def hat_columns(values: Floats, count: int) -> Floats:
@@ -353,14 +354,3 @@ def _lag_by(signal: Floats, samples: float) -> Floats:
     """Return a signal behind a lag of first order (N)."""
     keep = math.exp(-1 / samples)
     return np.asarray(lfilter([1 - keep], [1.0, -keep], signal, zi=[keep * signal[0]])[0])
-
-
-def _through_plant(fit: FittedModel[Model], columns: Floats) -> Floats:
-    """Return the response of the plant to columns at its first input (N x K)."""
-    layout, theta = fit.model.simulator.layout, fit.theta
-    numerator = np.append(0.0, theta[layout.numerators][: layout.n])
-    out = np.empty_like(columns)
-    for part in fit.model.simulator.data.record_slices():
-        denominator = layout.full_denominator(theta[layout.denominator])
-        out[part] = lfilter(numerator, denominator, columns[part], axis=0)
-    return out

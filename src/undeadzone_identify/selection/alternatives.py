@@ -9,12 +9,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Sequence
-from operator import itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from undeadzone.nonlinearities.play import levels
 from undeadzone.nonlinearities.sensor import DIRECTIONS
 from undeadzone.util.arrays import Flags, Floats, Integers
 from undeadzone_identify.models import plant
@@ -23,7 +21,6 @@ from undeadzone_identify.models.elements import (
     FEWEST,
     MapModel,
     PlayFit,
-    PlayModel,
     fit_play,
     fit_play_and_zone,
 )
@@ -31,26 +28,17 @@ from undeadzone_identify.models.estimates import Interval, best_maximum, long_ru
 from undeadzone_identify.models.kalman_fit import KalmanFit
 from undeadzone_identify.models.least_squares import (
     CHANCE,
-    LEAST_ODD,
     FittedModel,
     LeastSquares,
 )
-from undeadzone_identify.models.likelihood import dead_zone, root_mean_square
-from undeadzone_identify.models.measured import Measured, measure_fit, measure_levels
-from undeadzone_identify.models.motion import (
-    THERE,
-    FourOffsets,
-    four_offsets_along,
-    white_noise_rms,
-)
+from undeadzone_identify.models.likelihood import root_mean_square
+from undeadzone_identify.models.measured import Measured, measure_fit
+from undeadzone_identify.models.motion import white_noise_rms
 from undeadzone_identify.models.place import (
-    InputZoneFit,
     PlaceFit,
-    fit_input_and_sensor,
-    fit_input_zone,
 )
 from undeadzone_identify.models.play_gap import RUNS, PlayGap, find_play_gap
-from undeadzone_identify.models.zone_fit import ZoneFit, refit_busiest_part
+from undeadzone_identify.models.zone_fit import refit_busiest_part
 from undeadzone_identify.selection.adequacy import (
     NONE_EXPLAINS,
     SEEN,
@@ -73,7 +61,6 @@ from undeadzone_identify.selection.decision import (
     classify_by_probabilities,
     detect_feedback,
 )
-from undeadzone_identify.selection.delays import GLITCH, RARE
 from undeadzone_identify.selection.odds import Family, model_probabilities
 from undeadzone_identify.selection.orders import (
     HeldOutScore,
@@ -96,7 +83,7 @@ WIDER = 1.25  # of a friction's interval: how a motor sticks is assumed
 LEAST_GAP = 0.02  # rms of y, below which a gap is no matter
 LEAST_NOISE = 0.01  # rms of y, from which noise that falls silent is told from rounding
 EVEN = "the centre of the gap is not known, and both sides are half of the width"
-LONGEST = 25  # steps of a climb that checks any other fit
+LONGEST = 25  # steps of a climb that checks a fit
 TOP_OF_ODDS = ("none", "saturation")  # named for other reasons than odds, too
 SMALLER = {  # words of models that a word's model holds
     "zone_and_friction": ("dead_zone", "friction"),
@@ -113,8 +100,8 @@ SMALLER = {  # words of models that a word's model holds
 SURELY = 2.0  # deviations, by which a larger model must be worse to be denied
 LITTLE = 0.1  # share of held-out squares: a smaller gain must be one by SURELY deviations
 MOST_INSIDE = 0.5  # slope in the middle of a zone over that outside, from which it is another curve
-LAST = {"input_zone": 40, "two_zones": 40}  # steps of a climb that checks a fit
-OF_THEIR_OWN = ("friction", "saturation", "other", *CHAINED)  # words of models with a plant
+# words of models with a plant of their own
+OF_THEIR_OWN = ("friction", "saturation", "other", "input_zone", "two_zones", *CHAINED)
 EXCLUDED = {"deadzone": MEMORY, "play": ("friction",)}  # words by what --kind tells
 PLACED = {"actuator": "input_zone", "plant": "friction"}  # words by what --place tells
 REPEATED = 0.2  # of the readings, from which only changes may be stored
@@ -133,10 +120,15 @@ ON_EACH = 0.05  # of the readings, that each of two levels has at least
 SPREAD = 0.04  # of the distance of two levels: median distance of readings from their level
 FAR_AWAY, BETWEEN = 7.0, 0.01  # times that; of the readings that may lie farther from both levels
 UNSEEN = 0.1  # of the readings' noise: what a disturbance makes of z, and no log of this kind shows
-OF_INPUT = ("friction", "input_zone", "input_play")  # words of widths in the input's unit
+AHEAD = {  # remarks on elements of the input, by word
+    "input_zone": "the widths are those of the input, in its unit",
+    "input_play": "the gap is that of the input, in its unit; both sides are half of it",
+}
+OF_INPUT = ("friction", *AHEAD)  # words of widths in the input's unit
 MEASURED = {  # what is known of an element, by word
     "friction": ("right", "left", "width"),
     "input_zone": tuple(DIRECTIONS),
+    "two_zones": tuple(DIRECTIONS),
     "dead_zone": tuple(DIRECTIONS),
     "filtered_zone": tuple(DIRECTIONS),
     "play": ("width",),
@@ -221,14 +213,13 @@ class Findings(NamedTuple):
         delay: samples by which the input acts late; of a play in the records as they are none.
         models: every model that was fitted, those of the same readings together.
         odds: by the verdict's words, largest first.
-        offsets: the four offsets along the log, with the element's plant; None: not looked at.
         plays: with a memory; None: not looked for.
         places: models of the zone's place by word; empty if that was not asked.
         chains: models of the input's curve or play, and of a filter, by word.
         shaped: a zone with slopes of its sides, round edges and a lag; None: not fitted.
         denied: words of larger models that simulate held-out data no better.
         element: in the place of a sensor's dead zone; None: there is none.
-        kalman: fits of (L3), best first.
+        kalman: fits of (L2), best first.
         friction: its level [u], the mean of both directions; None if it is not measured.
         remainders: score tests of the likeliest model, by direction; empty: not tested.
         valve: of a control loop, where the verdict is about why it swings; None: it is not.
@@ -238,7 +229,6 @@ class Findings(NamedTuple):
     delay: int
     models: tuple[Family, ...]
     odds: dict[str, float]
-    offsets: FourOffsets | None = None
     plays: PlayFits | None = None
     places: dict[str, PlaceFit] = {}
     chains: dict[str, ChainFit] = {}
@@ -277,7 +267,7 @@ def impossible_words(case: Case) -> Collection[str]:
     placed = PLACED.get(case.options.place)
     out = set(EXCLUDED.get(case.options.kind, ()))
     out |= set() if placed is None else set(MODELS) - {"none", placed}
-    fit = case.chosen.singles
+    fit = case.chosen.fit
     if not case.record_data.silent_zeros or case.jump_edges or placed is not None:
         return out
     speaks = case.record_data.ok & (case.record_data.side != 0)
@@ -334,12 +324,7 @@ def add_play(case: Case, found: Findings) -> Findings:
         case: with static maps.
         found: the odds of these.
     """
-    brief = refit_busiest_part(case.chosen.pairs)
-    offsets = four_offsets_along(
-        brief.objective.simulator, brief.theta, brief.disturbance_rms, case.quantum
-    )
-    found = found._replace(offsets=offsets)
-    if not _needs_play_test(case, found, offsets, brief):
+    if not _needs_play_test(case, found):
         return found
     late = case.options.delay == "auto" and case.fitted.delay  # a play is late, so it may be one
     logs = [case.recorded, case.record_data] if late else [case.record_data]
@@ -356,7 +341,7 @@ def _fit_plays(case: Case, data: plant.RecordData) -> dict[str, PlayFit]:
     stable.
     """
     begun = [
-        refit_busiest_part(one.pairs)
+        refit_busiest_part(one.fit)
         for one in (case.chosen, *case.fitted.fits)
         if data is case.record_data
     ]
@@ -365,37 +350,25 @@ def _fit_plays(case: Case, data: plant.RecordData) -> dict[str, PlayFit]:
     )
     if play is None:
         return {}
-    play = _refit_without_glitches(play)
     both = fit_play_and_zone([play, *begun])
     return {"play": play} | ({} if both is None else {"both": both})
 
 
-def _needs_play_test(case: Case, found: Findings, offsets: FourOffsets, brief: ZoneFit) -> bool:
+def _needs_play_test(case: Case, found: Findings) -> bool:
     """Return whether a play must be tested: it explains the log, or a memory may."""
     kind = case.options.kind
     if kind in ("jump", "deadzone"):
         return False
     perhaps = found.verdict.word in ("other", "unclear", "undecided", "friction") or kind == "play"
     perhaps |= found.odds.get("zone_and_friction", 0.0) > UNLIKELY  # a memory beside the zone
-    if perhaps or offsets.element_name in ("play", "both"):
+    if perhaps:
         return True
-    both = fit_play_and_zone([brief])  # a lag of the plant may pass for a play
+    both = fit_play_and_zone([refit_busiest_part(case.chosen.fit)])  # a lag may pass for a play
     models = {"none": case.rivals["none"]} | ({} if both is None else {"both": both.density})
     return (
         model_probabilities((*found.models, models), impossible_words(case)).get("both", 0.0)
         > UNLIKELY
     )
-
-
-def _refit_without_glitches(fit: PlayFit) -> PlayFit:
-    """Fit again without the few readings that the model cannot have produced."""
-    data, e = fit.squares.data, fit.squares.reading_residual(fit.theta)
-    usual = float(np.median(np.abs(e[data.ok]))) / 0.6745
-    odd = data.ok & (np.abs(e) > GLITCH * max(usual, LEAST_ODD))
-    if not odd.any() or odd.sum() > RARE * data.ok.sum():
-        return fit
-    regular = data._replace(ok=data.ok & ~odd, y=np.where(odd, 0.0, data.y))
-    return LeastSquares(fit.model.along(regular)).fit_from_starts([fit.theta]) or fit
 
 
 def add_play_gap(case: Case, found: Findings) -> Findings:
@@ -410,35 +383,18 @@ def add_play_gap(case: Case, found: Findings) -> Findings:
     fit, whole = found.plays.fits[found.verdict.word], found.plays.whole
     gap = find_play_gap(fit, case.quantum, detect_feedback(case).is_closed)
     case.advance(1)
-    rms = gap.fit.squares.residual_rms(gap.fit.theta)
-    offsets = four_offsets_along(gap.fit.model.simulator, gap.theta, rms, case.quantum)
-    found = found._replace(offsets=offsets)
-    if _is_gap_denied(gap, offsets):
+    names = ("width", "zone") if fit.model.zone else ("width",)
+    if not all(is_surely_positive(gap.intervals[name]) for name in names):
+        if not (fit.model.zone or gap.sure):
+            assert gap.ahead is not None
+            reason = _describe_hidden_gap(gap.ahead.rms * whole.y_scale)
+            return found._replace(verdict=build_verdict("undecided", reason), odds={})
         smaller = {"both"} if fit.model.zone else set(MEMORY)
         found = found.add_models(case, without=smaller)
         return add_play_gap(case, found) if found.verdict.word in MEMORY else found
-    if gap.ahead is not None and not gap.sure and offsets.element_name == "neither":
-        reason = _describe_hidden_gap(gap.ahead.rms * whole.y_scale)
-        return found._replace(verdict=build_verdict("undecided", reason), odds={})
     element = build_play_element(gap, whole, case.offset_prior)
     delay = case.fitted.delay if whole is case.record_data else 0
     return found._replace(element=element, delay=delay)
-
-
-def _is_gap_denied(gap: PlayGap, offsets: FourOffsets) -> bool:
-    """Return whether a width may be 0, or the four offsets reject both widths.
-
-    Offsets that are known so badly that this gap would not show deny nothing.
-    """
-    width = gap.intervals["width"]
-    if gap.fit.model.zone:
-        there = is_surely_positive(width) and is_surely_positive(gap.intervals["zone"])
-        denies = (
-            offsets.element_name not in ("both", "play")
-            and THERE * offsets.width_deviations[0] < width.value
-        )
-        return not there or bool(denies)
-    return gap.sure and not is_surely_positive(width)
 
 
 def is_surely_positive(interval: Interval) -> bool:
@@ -457,25 +413,17 @@ def build_play_element(gap: PlayGap, whole: plant.RecordData, offset: float | No
         whole: all records.
         offset: rms of an unknown offset of the output, scaled; None: free.
     """
-    model, theta = _extend_to_records(gap, whole)
-    z = model.output(theta)
-    level, moved = model.play_level(z, theta)
+    model, theta = _extend_to_records(gap.fit, gap.theta, whole)
+    element = _element_of_fit("both" if model.zone else "play", gap.fit, model, theta)
+    level, moved = model.play_level(element.z, theta)
     moves = np.append(False, np.diff(level) != 0)
-    element = Element(
-        kind="both" if model.zone else "play",
-        fit=gap.fit,
-        simulator=model.simulator,
-        theta=theta,
+    element = element._replace(
         V=gap.V,
-        z=z,
-        readings=model.noise_free_readings(z, theta),
         side=np.where(moves, moved, 0.0).astype(int),
-        widths=dict.fromkeys(DIRECTIONS),
         ahead=gap.ahead,
         noise=gap.noise,
         degrees=RUNS - 1,
         rms=gap.fit.squares.residual_rms(gap.fit.theta),
-        remarks=[],
     )
     if gap.ahead is not None and not gap.sure:
         element.remarks.append(_describe_hidden_gap(gap.ahead.rms * whole.y_scale))
@@ -488,15 +436,16 @@ def build_play_element(gap: PlayGap, whole: plant.RecordData, offset: float | No
     return element
 
 
-def _extend_to_records(gap: PlayGap, whole: plant.RecordData) -> tuple[PlayModel, Floats]:
-    """Return the model and its parameters for all records; at rest at first if a part was
+def _extend_to_records(
+    fit: FittedModel[Any], theta: Floats, whole: plant.RecordData
+) -> tuple[Any, Floats]:
+    """Return the model of a fit and its parameters for all records; at rest at first if a part was
     fitted.
     """
-    old = gap.fit.model
-    if old.data.y.size == whole.y.size:
-        return old, gap.theta
-    model = old.along(whole)
-    return model, model.simulator.layout.at_rest(old.simulator.layout, gap.theta)
+    old, model = fit.model, fit.model.along(whole)
+    if old.simulator.data.y.size == whole.y.size:
+        return model, theta
+    return model, model.simulator.layout.at_rest(old.simulator.layout, theta)
 
 
 def _describe_hidden_gap(rms: float) -> str:
@@ -535,122 +484,6 @@ def _play_widths(gap: PlayGap, offset: float | None) -> dict[str, Interval | Non
     if gap.fit.model.tied:
         shown["centre"] = None
     return shown
-
-
-# --- A dead zone of the actuator, and perhaps one of the sensor
-
-
-def build_input_element(case: Case, found: Findings) -> Element | None:
-    """Build the zone of the input, or of both ends, with the plant; None without a fit.
-
-    Args:
-        case: the log.
-        found: named input_zone, or two_zones.
-    """
-    word, fits = found.verdict.word, [one.pairs for one in case.fitted.fits]
-    both = word == "two_zones"
-    zoned = fit_input_and_sensor(fits, found.places[word]) if both else fit_input_zone(fits)
-    return None if zoned is None else _zones_element(zoned, case)
-
-
-def _zones_element(zoned: InputZoneFit, case: Case) -> Element:
-    """Return the element of a fit to the longest or all records, along all records."""
-    fit, model, numbers = zoned.fit, zoned.fit.model, zoned.fit.theta
-    whole, data, layout = case.record_data, model.simulator.data, model.simulator.layout
-    passed = dead_zone(whole.u, *numbers[layout.input_widths])
-    simulator, theta = _plant_along(model.simulator, numbers, whole._replace(u=passed))
-    z = simulator.simulate_z(theta)
-    both, readings = model.name == "two_zones", model.noise_free_readings(z, numbers)
-    measured = measure_levels(itemgetter(layout.input_widths), zoned.stages)
-    u_scale = float(whole.u_scale[0])
-    widths = _bound_unpassed(measured.scale_by(u_scale), u_scale * whole.u[:, 0], passed[:, 0])
-    at_both, remarks = {}, ["the widths are those of the input, in its unit"]
-    if both:
-        at_both, remarks = widths, []
-        sensor = slice(layout.right, layout.right + 2)
-        measured = measure_levels(itemgetter(sensor), zoned.stages)
-        widths = _intervals_with_offset(measured, whole.y_scale, case.offset_prior)
-    target, last = zoned.stages[-1]
-    e, use = (
-        fit.squares.reading_residual(numbers),
-        data.ok & ((data.side != 0) | (not data.silent_zeros)),
-    )
-    rms = root_mean_square(e[use])
-    return Element(
-        kind=model.name,
-        fit=fit,
-        simulator=simulator,
-        theta=theta,
-        V=target.robust_covariance(last).V[: layout.numerators.stop, : layout.numerators.stop],
-        z=z,
-        readings=readings,
-        side=np.sign(readings if both else passed[:, 0]).astype(int),
-        widths=dict.fromkeys(DIRECTIONS) | widths,
-        ahead=plant.find_input_disturbance(layout, numbers, e, data.ok),
-        noise=min(white_noise_rms(data.y, data.ok, data.start), rms),
-        degrees=measured.degrees,
-        rms=rms,
-        remarks=remarks,
-        input=at_both,
-    )
-
-
-def _bound_unpassed(widths: dict[str, Interval], u: Floats, passed: Floats) -> dict[str, Interval]:
-    """Return the widths of the input with the lower bound of an edge that it hardly passes.
-
-    A fit puts such an edge at the end of the input, whatever it is.
-
-    Args:
-        widths: by direction [u].
-        u: the input (N).
-        passed: the input behind the zone (N).
-
-    Returns:
-        Widths by direction, without a sum that is not known.
-    """
-    known = dict(widths)
-    for name, sign in (("right", 1.0), ("left", -1.0)):
-        if np.count_nonzero(sign * passed > 0) < FEWEST:
-            end = float((sign * u).max())
-            known[name] = Interval(end, end, math.inf)
-            for summed in ("width", "centre"):
-                known.pop(summed, None)
-    return known
-
-
-def _plant_along(
-    fitted: plant.PlantSimulator, numbers: Floats, whole: plant.RecordData
-) -> tuple[plant.PlantSimulator, Floats]:
-    """Return the plant of a fit along all records, and its parameters.
-
-    Args:
-        fitted: plant as fitted, to the longest or all records.
-        numbers: its parameters, and further ones.
-        whole: all records, with the inputs behind their element. Others begin at rest.
-    """
-    layout = fitted.layout
-    simulator = plant.PlantSimulator(whole, layout.n, layout.integrators)
-    known = layout.x0 if fitted.data.y.size == whole.y.size else layout.numerators
-    theta = np.zeros(simulator.layout.parameter_count)
-    theta[: known.stop] = numbers[: known.stop]
-    return simulator, theta
-
-
-def _intervals_with_offset(
-    measured: Measured, scale: float, offset: float | None
-) -> dict[str, Interval]:
-    """Return the widths of a zone in units of the log.
-
-    Args:
-        measured: the widths.
-        scale: of their signal.
-        offset: rms of an unknown offset, scaled; None: free.
-    """
-    widths = {}
-    for name, one in measured.intervals.items():
-        half = widen_by_offset(one.half_width, DIRECTIONS[name], offset)
-        widths[name] = Interval.from_half_width(one.value, half).scale_by(scale)
-    return widths
 
 
 # --- Readings that are stored only on change, or those of a switch
@@ -716,11 +549,64 @@ def find_stored_step(case: Case) -> float:
 # --- Any other model that is named
 
 
+def _measure_input_zone(
+    case: Case, fit: FittedModel[Any], misfits: Sequence[Floats]
+) -> tuple[dict[str, Interval], float]:
+    """Return the widths of the input's zone [u], and their least degrees of freedom."""
+    data, model = fit.model.simulator.data, fit.model
+    measured = measure_fit(fit, misfits, lambda theta: model.part_numbers(theta, "input"))
+    u, scale = data.u[:, 0], float(data.u_scale[0])
+    passed = model.pass_input(u, fit.theta)
+    return _bound_unpassed(measured.scale_by(scale), scale * u, passed), measured.degrees
+
+
+def _bound_unpassed(widths: dict[str, Interval], u: Floats, passed: Floats) -> dict[str, Interval]:
+    """Return the widths of the input with the lower bound of an edge that it hardly passes.
+
+    A fit puts such an edge at the end of the input, whatever it is.
+
+    Args:
+        widths: by direction [u].
+        u: the input (N).
+        passed: the input behind the zone (N).
+
+    Returns:
+        Widths by direction, without a sum that is not known.
+    """
+    known = dict(widths)
+    for name, sign in (("right", 1.0), ("left", -1.0)):
+        if np.count_nonzero(sign * passed > 0) < FEWEST:
+            end = float((sign * u).max())
+            known[name] = Interval(end, end, math.inf)
+            for summed in ("width", "centre"):
+                known.pop(summed, None)
+    return known
+
+
+def _intervals_with_offset(
+    measured: Measured, scale: float, offset: float | None
+) -> dict[str, Interval]:
+    """Return the widths of a zone in units of the log.
+
+    Args:
+        measured: the widths.
+        scale: of their signal.
+        offset: rms of an unknown offset, scaled; None: free.
+    """
+    widths = {}
+    for name, one in measured.intervals.items():
+        half = widen_by_offset(one.half_width, DIRECTIONS[name], offset)
+        widths[name] = Interval.from_half_width(one.value, half).scale_by(scale)
+    return widths
+
+
 def needs_an_element(case: Case, found: Findings) -> bool:
     """Return whether the model that is named has a plant of its own, and no element yet."""
     word = found.verdict.word
+    if found.valve is not None:
+        return word == "input_play" and found.element is None and found.valve.plant is not None
     is_likeliest = word == next(iter(found.odds), "") or word != "other"
-    is_open = found.element is None and found.valve is None
+    is_open = found.element is None
     return is_open and word in OF_THEIR_OWN and word in found.odds and is_likeliest
 
 
@@ -731,18 +617,38 @@ def add_named_element(case: Case, found: Findings) -> Findings:
         case: the log.
         found: with a name.
     """
+    if found.valve is not None:
+        return _add_valve_element(case, found, found.valve)
     word = found.verdict.word
     fit = fit_of(case, found, word)
     if fit is None:
         return found
     misfits = [one.moves for one in found.remainders if one.chance < CHANCE]
-    element = _element_of_fit(case, word, fit, misfits)
+    whole = _records_of(case, fit)
+    model, theta = _extend_to_records(fit, fit.theta, whole)
+    widths, degrees = measure_word(case, fit, word, misfits)
+    element = _element_of_fit(word, fit, model, theta)._replace(widths=widths, degrees=degrees)
+    if word == "two_zones":
+        element = element._replace(input=_measure_input_zone(case, fit, misfits)[0])
     width, friction = element.widths["width"], None
     if word == "friction" and width is not None:
         friction = width.scale_by(0.5)
         element = element._replace(widths=element.widths | {"width": None})
-    delay = found.delay if _records_of(case, fit) is case.record_data else 0
+    delay = found.delay if whole is case.record_data else 0
     return found._replace(element=element, friction=friction, delay=delay)
+
+
+def _add_valve_element(case: Case, found: Findings, valve: ValveFindings) -> Findings:
+    """Add the play of a valve with the plant behind it, along all records."""
+    fit = valve.plant
+    assert fit is not None
+    whole = plant.delay_inputs(case.recorded, valve.late)
+    linear, numbers = _extend_to_records(fit, fit.theta, whole)
+    model = ChainModel(linear.simulator, "play")
+    theta = np.append(numbers, valve.stick.value / float(whole.u_scale[0]))
+    element = _element_of_fit("input_play", fit, model, theta)
+    widths = element.widths | {"width": valve.stick}
+    return found._replace(element=element._replace(widths=widths), delay=valve.late)
 
 
 def _records_of(case: Case, fit: FittedModel[Any]) -> plant.RecordData:
@@ -775,6 +681,9 @@ def measure_word(
     none: dict[str, Interval | None] = dict.fromkeys(DIRECTIONS)
     if word not in MEASURED:
         return none, math.inf
+    if word == "input_zone":
+        known, degrees = _measure_input_zone(case, fit, misfits)
+        return none | known, degrees
     measured = measure_fit(fit, misfits)
     if word in OF_INPUT:
         widths = measured.scale_by(float(case.record_data.u_scale[0]))
@@ -785,113 +694,43 @@ def measure_word(
     return none | {name: widths[name] for name in MEASURED[word]}, measured.degrees
 
 
-def _element_of_fit(
-    case: Case, word: str, fit: FittedModel[Any], misfits: Sequence[Floats]
-) -> Element:
-    """Return the element of a fit to the longest or all records, along all records."""
-    whole, old, theta = _records_of(case, fit), fit.model, fit.theta
-    model = old
-    if old.simulator.data.y.size != whole.y.size:
-        model = old.along(whole)
-        theta = model.simulator.layout.at_rest(old.simulator.layout, theta)
-    z, layout = model.output(theta), model.simulator.layout
+def _element_of_fit(word: str, fit: FittedModel[Any], model: Any, theta: Floats) -> Element:
+    """Return the element of a fit along all records, without its widths.
+
+    Args:
+        word: the verdict's for it.
+        fit: to the longest or all records.
+        model: along all records.
+        theta: parameters of it.
+    """
+    whole, z, layout = model.simulator.data, model.output(theta), model.simulator.layout
     read = model.noise_free_readings(z, theta)
     e = np.where(whole.ok, whole.y - read, 0.0)
     level = float(e[whole.ok].mean()) if model.has_level else 0.0
     e = np.where(whole.ok, e - level, 0.0)
-    rms = float(np.sqrt(np.mean(e[whole.ok] ** 2)))
-    widths, degrees = measure_word(case, fit, word, misfits)
+    rms = root_mean_square(e[whole.ok])
+    noise = min(white_noise_rms(whole.y, whole.ok, whole.start), rms)
+    side = np.sign(read)
+    if word in AHEAD:
+        passed = model.driven_plant(theta).data.u[:, 0]
+        side = np.sign(passed if word == "input_zone" else np.diff(passed, prepend=passed[0]))
+    is_offset = word == "input_play" and abs(level) > max(noise, LEAST_NOISE)
     count = layout.numerators.stop
     return Element(
         kind=word,
         fit=fit,
-        simulator=model.driven_plant(theta) if isinstance(model, ChainModel) else model.simulator,
+        simulator=model.driven_plant(theta),
         theta=theta,
         V=fit.squares.robust_covariance(fit.theta).V[:count, :count],
         z=z,
         readings=read + level,
-        side=np.sign(read).astype(int),
-        widths=widths,
+        side=side.astype(int),
+        widths=dict.fromkeys(DIRECTIONS),
         ahead=plant.find_input_disturbance(layout, theta, e, whole.ok),
-        noise=min(white_noise_rms(whole.y, whole.ok, whole.start), rms),
-        degrees=degrees,
-        rms=rms,
-        remarks=[],
-    )
-
-
-# --- A play of the actuator
-
-
-def has_play_ahead(case: Case, found: Findings) -> bool:
-    """Return whether a play of the input is named, with a plant behind it."""
-    if found.verdict.word != "input_play" or found.element is not None:
-        return False
-    return found.valve is None or found.valve.plant is not None
-
-
-def add_play_ahead(case: Case, found: Findings) -> Findings:
-    """Add the play of the actuator with the plant behind it.
-
-    Args:
-        case: the log.
-        found: named input_play.
-    """
-    valve = found.valve
-    fit = found.chains["input_play"] if valve is None else valve.plant
-    assert fit is not None
-    data, whole, delay = fit.model.simulator.data, case.record_data, case.fitted.delay
-    recorded = plant.longest_record_of(case.recorded)
-    if valve is not None or np.array_equal(recorded.u, data.u):
-        whole, delay = case.recorded, 0
-    if valve is None:
-        misfits = [one.moves for one in found.remainders if one.chance < CHANCE]
-        gap = measure_word(case, fit, "input_play", misfits)[0]["width"]
-    else:
-        gap, delay = valve.stick, valve.late
-        whole = plant.delay_inputs(whole, delay)
-    assert gap is not None
-    element = _play_ahead_element(fit, whole, gap)
-    return found._replace(element=element, delay=delay)
-
-
-def _play_ahead_element(fit: ChainFit, whole: plant.RecordData, gap: Interval) -> Element:
-    """Return the element of a play of the input, along all records.
-
-    Args:
-        fit: of the plant behind it.
-        whole: all records.
-        gap: of the play [u].
-    """
-    numbers, layout = fit.theta, fit.model.simulator.layout
-    half = np.array([gap.value / 2]) / whole.u_scale[0]
-    passed = np.vstack(
-        [levels(whole.u[part], half, half, whole.u[part][0]) for part in whole.record_slices()]
-    )
-    simulator, theta = _plant_along(fit.model.simulator, numbers, whole._replace(u=passed))
-    z = simulator.simulate_z(theta)
-    level = float((whole.y - z)[whole.ok].mean())
-    e = np.where(whole.ok, whole.y - z - level, 0.0)
-    rms = float(np.sqrt(np.mean(e[whole.ok] ** 2)))
-    covariance = fit.squares.robust_covariance(numbers)
-    remarks = ["the gap is that of the input, in its unit; both sides are half of it"]
-    noise = min(white_noise_rms(whole.y, whole.ok, whole.start), rms)
-    is_offset = abs(level) > max(noise, LEAST_NOISE)
-    return Element(
-        kind="input_play",
-        fit=fit,
-        simulator=simulator,
-        theta=theta,
-        V=covariance.V[: layout.numerators.stop, : layout.numerators.stop],
-        z=z,
-        readings=z + level,
-        side=np.sign(np.diff(passed[:, 0], prepend=passed[0, 0])).astype(int),
-        widths=dict.fromkeys(DIRECTIONS) | {"width": gap},
-        ahead=plant.find_input_disturbance(layout, numbers, e, whole.ok),
         noise=noise,
         degrees=math.inf,
         rms=rms,
-        remarks=remarks,
+        remarks=[AHEAD[word]] if word in AHEAD else [],
         level=is_offset * level,
     )
 
@@ -1107,38 +946,32 @@ def validate_element(element: Element, held_out: float) -> HeldOutScore:
     """
     if isinstance(element.fit, ServoGap):
         return _validate_servo(element, element.fit, held_out)
-    return held_out_error_of_fit(element.fit, held_out, LAST.get(element.kind, LONGEST))
+    return held_out_error_of_fit(element.fit, held_out)
 
 
-def held_out_error_of_fit(
-    fit: FittedModel[Any], held_out: float, last: int = LONGEST
-) -> HeldOutScore:
+def held_out_error_of_fit(fit: FittedModel[Any], held_out: float) -> HeldOutScore:
     """Score a model that simulates the readings on held-out blocks.
 
     Args:
         fit: the model.
         held_out: share of the samples that are held out.
-        last: most steps of the fit to the other samples.
     """
-    e, test = held_out_residual(fit, held_out, last)
+    e, test = held_out_residual(fit, held_out)
     data = fit.squares.data
     return score_held_out(e, data, test, predict_one_step(e, test, test, data.start))
 
 
-def held_out_residual(
-    fit: FittedModel[Any], held_out: float, last: int = LONGEST
-) -> tuple[Floats, Flags]:
+def held_out_residual(fit: FittedModel[Any], held_out: float) -> tuple[Floats, Flags]:
     """Return the residual of a fit to the training samples (N), and the held-out samples.
 
     Args:
         fit: the model.
         held_out: share of the samples that are held out.
-        last: most steps of the fit to the other samples.
     """
     data = fit.squares.data
     train = training_samples(data, held_out)
     trained = LeastSquares(fit.model.along(data._replace(ok=data.ok & train, climbs=None)))
-    top = best_maximum(trained, [fit.theta], fit.model.first, last)
+    top = best_maximum(trained, [fit.theta], fit.model.first, LONGEST)
     theta = fit.theta if top is None else top.theta
     return fit.squares.reading_residual(theta), data.ok & ~train
 

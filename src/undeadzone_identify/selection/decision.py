@@ -213,7 +213,7 @@ def detect_feedback(case: Case) -> Feedback:
     grid, share = case.grid, None
     # No controller makes an input that acts in its own row from the reading of that row.
     u = shift_rows(case.recorded.u, min(case.options.recorded_delay, 0), case.recorded.start)
-    chance = orders.loop_p_value(case.chosen.pairs, u) if case.chosen.white else 1.0
+    chance = orders.loop_p_value(case.chosen.fit, u) if case.chosen.white else 1.0
     known = grid.r[np.isfinite(grid.r)]
     if known.size and np.ptp(known) > 0:
         share = orders.feedback_share(grid.u, grid.y, case.record_data.ok, grid.r, grid.start)[0]
@@ -346,7 +346,7 @@ def _undecided_among(odds: dict[str, float]) -> Verdict:
 
 def _is_below_rounding(case: Case) -> bool:
     """Return whether the fitted zone is smaller than a few quanta of the readings."""
-    return 0 < case.chosen.pairs.width < STEPS * case.quantum
+    return 0 < case.chosen.fit.width < STEPS * case.quantum
 
 
 def _verdict_without_zone(case: Case, odds: dict[str, float]) -> Verdict:
@@ -365,7 +365,7 @@ def _verdict_without_zone(case: Case, odds: dict[str, float]) -> Verdict:
     if _is_below_rounding(case):
         steps = "the readings are rounded to steps that are larger than any zone"
         return build_verdict("none", f"{steps} ({case.grid.quantum:.3g})")
-    chance, behind = case.no_zone.chance, case.chosen.pairs.objective.kind == "behind"
+    chance, behind = case.no_zone.chance, case.chosen.fit.objective.kind == "behind"
     if not behind or chance >= DOUBT:
         return build_verdict("none", f"readings need no zone (p = {chance:.2g})")
     # The test takes what disturbs the plant as it is; the odds whiten it first.
@@ -393,7 +393,7 @@ def _find_unclear(case: Case, word: str, best: Density, fits: Fits) -> Verdict |
         if unstable is not None:
             return build_verdict("unclear", explained + unstable)
         reasons.append(explained + (changes if within > LEAST else UNEXPLAINED))
-    fit = chosen.pairs
+    fit = chosen.fit
     if word == "none":
         fit = fit_linear(fit.objective.simulator, fit.objective.readings.ok)
     plant, theta = fit.objective.simulator, fit.theta
@@ -413,7 +413,7 @@ def _describe_instability(case: Case) -> str | None:
         case: the log.
     """
     for order in case.fitted.fits:
-        a = fit_arx(order.pairs.objective.simulator, None, None)[0]
+        a = fit_arx(order.fit.objective.simulator, None, None)[0]
         pole = math.log(max(np.abs(np.roots(np.append(1.0, a))), default=1.0) or 1.0)
         if pole * case.record_data.y.size > GROWS:
             return (

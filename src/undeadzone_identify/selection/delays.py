@@ -97,7 +97,7 @@ def fit_with_delay(prepared: PreparedLog, advance: Callable[[int], None]) -> Fit
     if part is prepared.data:
         return _search_delay(prepared, advance)
     begun = _search_delay(prepared._replace(data=part), advance)
-    if is_fit_at_limit(best_order(begun.fits).pairs):  # perhaps since the part is short
+    if is_fit_at_limit(best_order(begun.fits).fit):  # perhaps since the part is short
         return _search_delay(prepared, advance)
     late = prepared._replace(data=delay_inputs(prepared.data, begun.delay))
     return _fit_without_glitches(late, advance, begun.fits)._replace(delay=begun.delay)
@@ -132,7 +132,7 @@ def _fit_near_delay(
         shifted = late.prepared._replace(data=delay_inputs(late.prepared.data, more))
         warm = _fit_without_glitches(shifted, advance, delay_fits(late.fits, more))
         cold = _fit_without_glitches(shifted, advance)
-        late = min((warm, cold), key=lambda one: best_order(one.fits).pairs.bic)
+        late = min((warm, cold), key=lambda one: best_order(one.fits).fit.bic)
     return late._replace(delay=first + more)
 
 
@@ -166,7 +166,7 @@ def _fit_without_glitches(
 
 def _find_glitches(chosen: OrderFit) -> Integers:
     """Find the few readings that the fit cannot have produced."""
-    fit = chosen.singles
+    fit = chosen.fit
     ok = fit.objective.readings.ok
     density = fit.objective.z_and_terms(fit.theta)[1].value
     normal = -0.5 * math.log(2 * math.pi) - math.log(fit.disturbance_rms)
@@ -190,7 +190,7 @@ def likely_delay(fits: list[OrderFit]) -> int:
     Returns:
         Samples; 0 if none is better.
     """
-    objective = fits[0].pairs.objective
+    objective = fits[0].fit.objective
     data, integrators = objective.data, objective.layout.integrators
     order = max(SCREENED, integrators + 1)
     left: dict[int, float] = {}
@@ -220,10 +220,10 @@ def is_delay_better(fits: list[OrderFit], late: list[OrderFit]) -> bool:
         late: with it.
     """
     best = best_order(fits)
-    margin = math.log(float(fits[0].pairs.objective.readings.ok.sum()))
-    if has_continuous_poles(best.pairs):
+    margin = math.log(float(fits[0].fit.objective.readings.ok.sum()))
+    if has_continuous_poles(best.fit):
         margin += CLEARLY  # a fast pole looks much like a delay
-    return best_order(late).pairs.bic + margin < best.pairs.bic
+    return best_order(late).fit.bic + margin < best.fit.bic
 
 
 def refine_delay(late: list[OrderFit], samples: int) -> int:
@@ -234,8 +234,8 @@ def refine_delay(late: list[OrderFit], samples: int) -> int:
         samples: the delay.
     """
     best = best_order(late)
-    smaller = [one.pairs for one in late if one.n <= best.n][-2:]
-    known = {samples: best.pairs.bic}
+    smaller = [one.fit for one in late if one.n <= best.n][-2:]
+    known = {samples: best.fit.bic}
     for direction in (-1, 1):
         trial = samples + direction
         while 0 <= trial <= MOST_LATE:
@@ -255,7 +255,7 @@ def find_equivalents(fits: list[OrderFit], late: list[OrderFit]) -> list[OrderFi
         late: those with the delay that was not.
     """
     other = best_order(late)
-    return [other] if other.pairs.bic < best_order(fits).pairs.bic + REACH else []
+    return [other] if other.fit.bic < best_order(fits).fit.bic + REACH else []
 
 
 def delay_fits(fits: list[OrderFit], samples: int) -> list[OrderFit]:
@@ -267,9 +267,7 @@ def delay_fits(fits: list[OrderFit], samples: int) -> list[OrderFit]:
     """
     moved = []
     for one in fits:
-        singles = _refit_with_delay(one.singles, samples)
-        pairs = singles if one.pairs is one.singles else _refit_with_delay(one.pairs, samples)
-        moved.append(one._replace(singles=singles, pairs=pairs))
+        moved.append(one._replace(fit=_refit_with_delay(one.fit, samples)))
     return moved
 
 

@@ -110,8 +110,6 @@ def _fit_all_locations(fit: ZoneFit) -> dict[str, PlaceFit]:
     for name in ("friction", "friction, free"):
         if name in fits:
             free = fits[name].model.shape.free
-            shape = PlaceShape(f"{name}, sticking", inner=True, sticks=True, free=free)
-            enter(shape, starts.add_breakaway(fits[name]))
             shape = PlaceShape(f"sensor and {name}", sensor=True, inner=True, free=free)
             enter(shape, starts.add_sensor_zone(fits[name]))
     if "input" in fits:

@@ -332,7 +332,7 @@ def _gain_error(fit: MotionFit, found: LostMotion) -> float:
 
 
 def moving_samples(y: Floats, quantum: float) -> Flags:
-    """Return the samples about which a position moves one way (N).
+    """Return the samples with motion of a position in a single direction (N).
 
     Args:
         y: the position (N).

@@ -38,16 +38,14 @@ class OrderFit(NamedTuple):
 
     Attributes:
         n: the order.
-        singles: fit of (L1), or of noise behind the zone.
-        pairs: fit of (L2); the same as singles for noise behind the zone.
+        fit: of plant and zone.
         error: rms error of the held-out readings, simulated, scaled.
         share: 1 - that error / rms of these readings.
         white: whether the one-step residuals of the held-out readings are white.
     """
 
     n: int
-    singles: zone_fit.ZoneFit
-    pairs: zone_fit.ZoneFit
+    fit: zone_fit.ZoneFit
     error: float
     share: float
     white: bool
@@ -90,64 +88,41 @@ def fit_orders(
     for n in orders:
         if start_by_order and n not in start_by_order:
             continue
-        singles, pairs = _fit_stages(
-            PlantSimulator(data, n, integrators), limits, start_by_order.get(n)
+        simulator, start = PlantSimulator(data, n, integrators), start_by_order.get(n)
+        fit = (
+            zone_fit.fit_zone(simulator, limits)
+            if start is None
+            else zone_fit.refit_along(start.fit, data)
         )
         advance(1)
-        if _has_finite_derivatives(singles) and _has_finite_derivatives(pairs):
-            fits.append(OrderFit(n, singles, pairs, *validate_fit(pairs, train)))
+        if _has_finite_derivatives(fit):
+            fits.append(OrderFit(n, fit, *validate_fit(fit, train)))
     return _improve_orders(fits, train) if fits else fits
 
 
 def _improve_orders(fits: list[OrderFit], train: Flags) -> list[OrderFit]:
-    """Return the orders, the best refined, and without poles that no continuous plant has.
+    """Return the orders, smaller ones begun again without poles that no continuous plant has.
 
     Args:
         fits: one an order.
         train: samples that are used where the rest checks (N).
     """
     fits, best = list(fits), fits.index(best_order(fits))
-    fits[best] = _improve_order(fits[best], fits[best].pairs.theta, train)
     for place in range(best, 0, -1):
-        if has_continuous_poles(fits[place].pairs):
+        if has_continuous_poles(fits[place].fit):
             break
         fewer = fits[place - 1]
-        begun = zone_fit.remove_odd_poles(fits[place].pairs, fewer.pairs.objective.simulator)
+        begun = zone_fit.remove_odd_poles(fits[place].fit, fewer.fit.objective.simulator)
         fits[place - 1] = _improve_order(fewer, begun, train)
     return fits
 
 
 def _improve_order(one: OrderFit, theta: Floats, train: Flags) -> OrderFit:
-    """Return the fits of an order, or better fits from other start parameters."""
-    pairs = zone_fit.improve_fit(one.pairs, theta)
-    if pairs.value < one.pairs.value + GAINED:
+    """Return the fit of an order, or a better fit from other start parameters."""
+    fit = zone_fit.improve_fit(one.fit, theta)
+    if fit.value < one.fit.value + GAINED:
         return one
-    singles = pairs if one.pairs is one.singles else zone_fit.improve_fit(one.singles, pairs.theta)
-    return OrderFit(one.n, singles, pairs, *validate_fit(pairs, train))
-
-
-def _fit_stages(
-    simulator: PlantSimulator, limits: WidthLimits, start: OrderFit | None
-) -> tuple[zone_fit.ZoneFit, zone_fit.ZoneFit]:
-    """Fit plant and zone by the likelihood of single samples (L1), then of pairs (L2).
-
-    With noise behind the zone there is a single likelihood, and one fit stands for both.
-
-    Args:
-        simulator: the plant of one order, with its data.
-        limits: bounds of the widths.
-        start: fit to a part of the data, from which both start (None: from scratch).
-
-    Returns:
-        The fits by (L1) and by (L2).
-    """
-    data = simulator.data
-    if start is not None:
-        singles = zone_fit.refit_along(start.singles, data)
-        return singles, zone_fit.refit_along(start.pairs, data) if data.silent_zeros else singles
-    singles = zone_fit.fit_zone(simulator, "singles" if data.silent_zeros else "behind", limits)
-    paired = data.silent_zeros and math.isfinite(singles.value)
-    return singles, zone_fit.refit_likelihood(singles, "pairs") if paired else singles
+    return OrderFit(one.n, fit, *validate_fit(fit, train))
 
 
 def _has_finite_derivatives(fit: zone_fit.ZoneFit) -> bool:
@@ -168,16 +143,16 @@ def training_samples(data: RecordData, held_out: float) -> Flags:
 
 
 def best_order(fits: list[OrderFit]) -> OrderFit:
-    """Return the order of least BIC of (L2); orders with a pole at the limit come last."""
-    inside = [one for one in fits if not is_fit_at_limit(one.pairs)]
-    return min(inside or fits, key=lambda one: one.pairs.bic)
+    """Return the order of least BIC; orders with a pole at the limit come last."""
+    inside = [one for one in fits if not is_fit_at_limit(one.fit)]
+    return min(inside or fits, key=lambda one: one.fit.bic)
 
 
 def order_to_report(fits: list[OrderFit]) -> OrderFit:
     """Return the best order, among equal predictions a plant that exists in continuous time."""
     best = best_order(fits)
-    alike = list(filter(lambda one: has_continuous_poles(one.pairs), credible_orders(fits)))
-    return best if has_continuous_poles(best.pairs) or not alike else best_order(alike)
+    alike = list(filter(lambda one: has_continuous_poles(one.fit), credible_orders(fits)))
+    return best if has_continuous_poles(best.fit) or not alike else best_order(alike)
 
 
 def has_continuous_poles(fit: zone_fit.ZoneFit) -> bool:
@@ -203,7 +178,7 @@ def is_fit_at_limit(fit: zone_fit.ZoneFit) -> bool:
 
 def credible_orders(fits: list[OrderFit]) -> list[OrderFit]:
     """Return the orders with a held-out error within 2 % of the least."""
-    inside = [one for one in fits if not is_fit_at_limit(one.pairs)] or fits
+    inside = [one for one in fits if not is_fit_at_limit(one.fit)] or fits
     least = min(one.error for one in inside)
     return [one for one in inside if one.error <= CREDIBLE * least]
 
@@ -218,7 +193,7 @@ def validate_fit(fit: zone_fit.ZoneFit, train: Flags) -> HeldOutScore:
     Returns:
         Error, share and whiteness on the other samples.
     """
-    trained = zone_fit.refit_likelihood(fit, fit.objective.kind, train, 25)
+    trained = zone_fit.refit_likelihood(fit, train, 25)
     if not math.isfinite(trained.value):
         trained = fit
     data = fit.objective.data
@@ -249,12 +224,11 @@ def one_step_residuals(fit: zone_fit.ZoneFit, among: Flags) -> tuple[Floats, Fla
     e = fit.objective.unexplained_readings(fit.theta)
     ok = fit.objective.data.ok
     speaks = ok if fit.objective.kind == "behind" else ok & (readings.side != 0)
-    rho = fit.rho if fit.objective.kind == "pairs" else None
-    return predict_one_step(e, speaks & among, speaks, fit.objective.data.start, rho)
+    return predict_one_step(e, speaks & among, speaks, fit.objective.data.start)
 
 
 def predict_one_step(
-    e: Floats, among: Flags, speaks: Flags, start: Integers, rho: float | None = None
+    e: Floats, among: Flags, speaks: Flags, start: Integers
 ) -> tuple[Floats, Flags]:
     """Return residuals less their prediction from the previous sample, and the known flags (N,
     N).
@@ -264,14 +238,12 @@ def predict_one_step(
         among: those that are asked for (N).
         speaks: those that are known (N).
         start: first sample of each record (R).
-        rho: correlation over one sample; None: of the residuals themselves.
     """
     use = among.copy()
     use[1:] &= speaks[:-1]
     use[start] = False
-    if rho is None:
-        at = np.flatnonzero(use)
-        rho = float(e[at] @ e[at - 1] / max(float(e[at - 1] @ e[at - 1]), 1e-300))
+    at = np.flatnonzero(use)
+    rho = float(e[at] @ e[at - 1] / max(float(e[at - 1] @ e[at - 1]), 1e-300))
     value = e.copy()
     value[1:] -= rho * e[:-1]
     return value, use

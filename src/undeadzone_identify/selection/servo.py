@@ -173,7 +173,7 @@ def needs_servo_test(case: Case, found: Findings) -> bool:
     explained, unlike = word in EXPLAINED, not case.chosen.white
     left = word in UNDECIDED or (explained and _share_of_verdict(case, found) < LEAST)
     left |= case.options.integrators > 0
-    fit = case.chosen.pairs
+    fit = case.chosen.fit
     slow = fit.objective.simulator.settling_constants(fit.theta) < SETTLES  # as an integrator does
     if log is None or not log.ticks:
         return log is not None and (left or unlike or (slow and word in LINEAR))

@@ -138,7 +138,7 @@ class ValveFindings:
 
     @cached_property
     def apparent(self) -> float:
-        """Return the same if there is no such oscillation."""
+        """Return |1 / (1 + C G)| about the period, without an oscillation from outside."""
         return self._fits.sensitivity(self._acting)
 
     @cached_property

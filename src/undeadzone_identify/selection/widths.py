@@ -1,4 +1,4 @@
-"""Widths with intervals from the three stages of the fit, and the excitation of the edges."""
+"""Widths with intervals from both stages of the fit, and the excitation of the edges."""
 
 from __future__ import annotations
 
@@ -28,11 +28,15 @@ FEW_VISITS = 3  # below these an edge is hardly reached
 POINTS = 8  # of a profile, on each side of the edge
 STEPS = 10  # of each climb of a profile
 SINGULAR = 20.0  # ratio of half intervals, from which the Hessian of the wider one is singular
+APART = (
+    "fits of single samples and of the filter disagree: the plant or what disturbs it does not fit;"
+    " the intervals are widened by the difference"
+)
 REACH = 4.0  # usual half intervals, within which its ends are sought
 
 
 class WidthEstimates(NamedTuple):
-    """Estimates of the widths by the three stages, scaled.
+    """Estimates of the widths by both stages, scaled.
 
     Attributes:
         right, left, width, centre: values with intervals.
@@ -66,7 +70,7 @@ def find_widths(
         chosen: the order that was chosen.
         others: the orders that are credible.
         alike: fits with another delay that explain the log as well.
-        kalman: the third stage; None if it was not run.
+        kalman: the second stage; None if it was not run.
         quantum: of the readings, scaled.
         offset: rms of an unknown offset, scaled; None: free.
 
@@ -76,34 +80,22 @@ def find_widths(
     collected = _collect_stages(chosen, kalman)
     stages = {name: one.edges for name, one in collected.items()}
     last = list(stages)[-1]
-    remarks: list[str] = []
     by_half = {name: _widest_stage(collected.values(), name) for name in DIRECTIONS}
     widest = {name: one.halves[name] for name, one in by_half.items()}
     degrees = {name: one.degrees[name] for name, one in by_half.items()}
-    if any(_stage_gap(stages, DIRECTIONS[name], "L3") > widest[name] for name in ("right", "left")):
-        last = "L2"
-        remarks.append(
-            "the disturbance model does not fit; the widths are those of pairs, the intervals"
-            " widened by the difference"
-        )
     intervals, apart = {}, False
     for name, row in DIRECTIONS.items():
-        gap, half = _stage_gap(stages, row, "L1"), widest[name]
+        gap, half = _stage_gap(stages, row), widest[name]
         apart |= name != "centre" and gap > half > 0
         if half > 0:
-            half = max(half, gap, 0.0 if last == "L3" else _stage_gap(stages, row, "L3"))
-            half = math.hypot(half, _spread_over_orders(name, others, chosen))
+            half = math.hypot(max(half, gap), _spread_over_orders(name, others, chosen))
             half = math.hypot(half, heaviest(row) * 0.5 * quantum)
         half = widen_by_offset(half, row, offset)
         intervals[name] = Interval.from_half_width(float(np.dot(row, stages[last])), half)
         for other in alike:
             gap = _width_difference(row, other, chosen)
             intervals[name] = intervals[name].extend_by(max(-gap, 0.0), max(gap, 0.0))
-    if apart:
-        remarks.append(
-            "fits of single samples and of pairs disagree: the plant model does not fit; the"
-            " intervals are widened by the difference"
-        )
+    remarks = [APART] if apart else []
     halves = {name: one.halves for name, one in collected.items()}
     return WidthEstimates(
         **intervals, stages=stages, halves=halves, degrees=degrees, remarks=remarks
@@ -125,13 +117,10 @@ def widen_by_offset(half: float, row: tuple[float, float], offset: float | None)
     return math.inf if offset is None else math.hypot(half, shift * offset)
 
 
-def _stage_gap(
-    stages: dict[str, tuple[float, float]], row: tuple[float, float], stage: str
-) -> float:
-    """Return the distance of a stage from that of pairs; 0 if either was not run."""
-    if stage not in stages or "L2" not in stages:
-        return 0.0
-    return abs(float(np.dot(row, stages[stage]) - np.dot(row, stages["L2"])))
+def _stage_gap(stages: dict[str, tuple[float, float]], row: tuple[float, float]) -> float:
+    """Return the distance of the last stage from the first."""
+    edges = [*stages.values()]
+    return abs(float(np.dot(row, np.subtract(edges[-1], edges[0]))))
 
 
 class _Stage(NamedTuple):
@@ -144,13 +133,8 @@ class _Stage(NamedTuple):
 
 def _collect_stages(chosen: OrderFit, kalman: KalmanFit | None) -> dict[str, _Stage]:
     """Collect the stages that were run, by name."""
-    stages = {"L1": _to_stage(chosen.singles)}
-    drifts = chosen.pairs.objective.limits.tied and kalman is not None
-    if chosen.pairs is not chosen.singles and not drifts:  # what drifts has no correlation
-        stages["L2"] = _to_stage(chosen.pairs)
-    if kalman is not None:
-        stages["L3"] = _to_stage(kalman)
-    return stages
+    stages = {"L1": chosen.fit} | ({} if kalman is None else {"L2": kalman})
+    return {name: _to_stage(one) for name, one in stages.items()}
 
 
 def _widest_stage(stages: Collection[_Stage], name: str) -> _Stage:
@@ -184,7 +168,7 @@ def _spread_over_orders(name: str, others: list[OrderFit], chosen: OrderFit) -> 
 
 def _width_difference(row: tuple[float, float], other: OrderFit, chosen: OrderFit) -> float:
     """Return the excess of a width in another fit, scaled."""
-    one, own = other.pairs, chosen.pairs
+    one, own = other.fit, chosen.fit
     return float(np.dot(row, (one.right - own.right, one.left - own.left)))
 
 
@@ -204,21 +188,19 @@ def lower_width_bound(fit: ZoneFit, side: str) -> float:
     noise = fit.objective.zone_noise(fit.theta)
     drop = 0.5 * float(chi2.ppf(0.95, 1))
     base = float(single_densities(readings, z, noise).value.sum())
+
+    def above_drop(width: float) -> float:
+        """Return by how much the log likelihood is above where it has fallen by that much."""
+        right, left = (width, noise.left) if side == "right" else (noise.right, width)
+        if right + left <= 1e-9:
+            return -math.inf
+        own = single_densities(readings, z, ZoneNoise(right, left, noise.s))
+        return float(own.value.sum()) - base + drop
+
     low, high = reach - 6 * fit.disturbance_rms, reach + 6 * fit.disturbance_rms
     for _ in range(60):
         middle = 0.5 * (low + high)
-        right = middle if side == "right" else noise.right
-        left = middle if side == "left" else noise.left
-        inside = right + left > 1e-9
-        value = -math.inf
-        if inside:
-            value = float(
-                single_densities(readings, z, ZoneNoise(right, left, noise.s, 0.0)).value.sum()
-            )
-        if value < base - drop:
-            low = middle
-        else:
-            high = middle
+        low, high = (middle, high) if above_drop(middle) < 0 else (low, middle)
     return high
 
 
@@ -260,7 +242,7 @@ def widen_by_profile(fit: ZoneFit, side: str, edge: Interval, scale: float) -> I
     independent samples.
 
     Args:
-        fit: (L2), scaled.
+        fit: of plant and zone, scaled.
         side: right or left.
         edge: the usual interval [y].
         scale: rms of y [y].
