@@ -56,6 +56,7 @@ from undeadzone_identify.results.at_rest import IdentifiedAtRest
 from undeadzone_identify.results.lost_motion import IdentifiedMotion
 from undeadzone_identify.results.result import Identified, IdentifiedOutputs
 from undeadzone_identify.results.seen import account_at_once, account_of_looks, choose_account
+from undeadzone_identify.results.speech import knows_the_end
 from undeadzone_identify.selection import orders
 from undeadzone_identify.selection.adequacy import (
     DEPENDS,
@@ -73,12 +74,10 @@ from undeadzone_identify.selection.alternatives import (
     has_hidden_readings,
     holds_more,
     may_have_shaped_zone,
-    may_lie_at_input,
     needs_an_element,
     needs_valve_test,
     with_adequacy,
     withhold_hidden_readings,
-    withhold_zone_at_either_end,
     without_needless,
 )
 from undeadzone_identify.selection.decision import (
@@ -314,7 +313,8 @@ def _identify_logs(
         if len(answers) > 1:
             return IdentifiedOutputs(names, tuple(answers))
         (one,) = answers
-        return dataclasses.replace(one, spoken=choose_account(one.account, seen, looks))
+        spoken = choose_account(one.account, seen, looks, lambda: knows_the_end(one.answer))
+        return dataclasses.replace(one, spoken=spoken)
     if seen is not None and seen.effects:
         return IdentifiedAtRest(logs[0], looks, seen.with_doubts(f"no plant was fitted: {failure}"))
     if motion is None or not motion.are_positions:
@@ -617,7 +617,6 @@ HYPOTHESES = (
         "a shaped zone without a width", may_have_shaped_zone, deny_shaped_zone_without_width
     ),
     Hypothesis("if a larger model simulates better", holds_more, without_needless),
-    Hypothesis("at which end a zone is", may_lie_at_input, withhold_zone_at_either_end),
     Hypothesis("the widths of a play", _has_play_verdict, add_play_gap),
     Hypothesis("noise that falls silent in the zone", _has_zone_with_zeros, _add_kalman_fit),
     Hypothesis("a spring that bends, or an offset", _needs_remainder_test, _add_remainder),

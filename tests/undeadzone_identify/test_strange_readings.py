@@ -170,17 +170,13 @@ def test_a_log_of_a_single_step_says_what_to_record() -> None:
     assert "changes" not in reasons[0]
 
 
-def test_friction_of_a_plant_that_settles_within_a_sample_may_be_a_play() -> None:
-    """A joystick's hysteresis was friction at 0.98; the option that is advised finds its gap."""
+def test_a_play_without_dynamics_is_measured() -> None:
+    """A joystick's hysteresis was friction at 0.98, and withheld later."""
     u, y = log_of("no dynamics, play", 8500)
     found = uz.identify(t=STEP, u=u, y=y)
-    assert (found.verdict, found.numbers()["odds"]) == ("undecided", {})
-    assert "friction from a play of twice its level" in found.answer.reasons[0]
-    assert "use --kind play" in found.answer.reasons[0]
-    played = uz.identify(t=STEP, u=u, y=y, kind="play")
-    assert played.verdict == "play"
-    assert played.width is not None
-    assert played.width.low < 0.7 < played.width.high
+    assert found.verdict == "play"
+    (numbers,) = found.account.effects.values()
+    assert numbers["gap"].low < 0.7 < numbers["gap"].high
 
 
 def test_the_overlap_of_a_cylinders_valve_is_not_mistaken_for_friction() -> None:

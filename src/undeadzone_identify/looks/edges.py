@@ -101,7 +101,7 @@ def fit_side(levels: Levels, inner: int) -> Side | None:
     alike = np.array([fit.edge for fit in fits])[prices < best.price + DEARER]
     found, c, residual = best.edge.value, best.c, best.residual / w
     mean = np.average(v, weights=w**2)
-    share = 1 - float(w**2 @ residual**2 / (w**2 @ (v - mean) ** 2))
+    share = 1 - float(w**2 @ residual**2) / max(float(w**2 @ (v - mean) ** 2), 1e-300)
     return Side(
         edge=Interval(found, alike[:, 1].min(), alike[:, 2].max()),
         slope=float(c[1]),

@@ -19,7 +19,7 @@ BOUNDED = "bounded"  # nothing was found: the largest effects that could hide
 OPEN = "open"  # neither a number nor a bound
 GRADES = (NAMED, MEASURED, INDICATED, BOUNDED, OPEN)
 SAYS = (NAMED, MEASURED, INDICATED, BOUNDED)  # grades with a number or a bound
-CERTAIN = (NAMED, MEASURED)  # grades for which code and a scenario are written
+CERTAIN = (NAMED, MEASURED)  # grades whose numbers are certain
 LEADS = {MEASURED: "Measured: ", INDICATED: "Indicated, not certain: "}
 
 
@@ -190,7 +190,7 @@ class Account(NamedTuple):
     @property
     def is_certain(self) -> bool:
         """Return whether code may be written for it."""
-        return self.grade in CERTAIN and bool(self.effects)
+        return self.grade == NAMED and bool(self.effects)
 
     @property
     def says_something(self) -> bool:

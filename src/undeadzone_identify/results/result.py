@@ -22,7 +22,7 @@ from undeadzone_identify.logs.log import log_from_arrays, read_log
 from undeadzone_identify.models.estimates import Interval
 from undeadzone_identify.models.kalman_fit import smooth_with_deviation
 from undeadzone_identify.models.plant import PlantSimulator
-from undeadzone_identify.results.account import GRADES, Account
+from undeadzone_identify.results.account import GRADES, MEASURED, Account
 from undeadzone_identify.results.assemble import Answer
 from undeadzone_identify.results.model import (
     Predicted,
@@ -256,6 +256,8 @@ class Identified(Spoken):
         """
         if self.verdict in UNWRITTEN:
             raise InputError(f"scenario: {UNWRITTEN[self.verdict]}")
+        if self.account.grade == MEASURED:
+            raise InputError(f"scenario: the {self.account.by.split(' (')[0]} has no plant")
         if not (self.answer.zone or self.answer.case.jump_edges or self.verdict in WRITTEN):
             raise InputError(f"scenario: the verdict is {self.verdict}: there is no zone to write")
         return scenario_text([self.answer], title)

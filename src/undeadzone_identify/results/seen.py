@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import chain
 
 from undeadzone_identify.logs.log import Log
@@ -13,6 +14,7 @@ from undeadzone_identify.looks.valley import Valley
 from undeadzone_identify.models.estimates import Interval
 from undeadzone_identify.results.account import (
     BOUNDED,
+    EFFECTS,
     INDICATED,
     MEASURED,
     NAMED,
@@ -118,7 +120,9 @@ def account_at_once(log: Log, looks: Looks) -> Account | None:
     return said if said.grade in (MEASURED, INDICATED) or one.rows.how == "table" else None
 
 
-def choose_account(fitted: Account, seen: Account | None, looks: Looks) -> Account:
+def choose_account(
+    fitted: Account, seen: Account | None, looks: Looks, knows_the_end: Callable[[], bool]
+) -> Account:
     """Return the account that speaks: a name by the fits, else a measured number, else theirs.
 
     Args:
@@ -126,16 +130,17 @@ def choose_account(fitted: Account, seen: Account | None, looks: Looks) -> Accou
         seen: by looks; None: they see nothing.
         looks: what is seen. No bound is below the travel of the command while the reading stood
             still.
+        knows_the_end: whether a zone that is named is told from one of the input.
     """
     named = fitted.effects.keys() if fitted.grade == NAMED else set()
-    is_free = seen is not None and seen.effects and not named & {*FLAT}
-    if seen is not None and is_free and (seen.grade == MEASURED or fitted.grade in (OPEN, BOUNDED)):
+    is_seen = seen is not None and bool(seen.effects)
+    is_seen &= seen is not None and (seen.grade == MEASURED or fitted.grade in (OPEN, BOUNDED))
+    if seen is not None and is_seen and not (named & {*FLAT} and knows_the_end()):
         others = {key: one for key, one in fitted.effects.items() if key not in seen.effects}
         return seen._replace(others=others | fitted.others)
     if seen is not None and fitted.grade == OPEN and seen.grade == BOUNDED:
         return seen
     limits = {
-        key: max(one, looks.stillness) if key.startswith("input") else one
-        for key, one in fitted.limits.items()
+        key: max(one, looks.stillness * EFFECTS[key].of_input) for key, one in fitted.limits.items()
     }
     return fitted._replace(limits=limits)

@@ -82,6 +82,8 @@ NAMES = {  # of the classes
 SIDES = ("right", "left")
 SIZES = ("width", "gap", "level")
 OTHERS = 2  # effects that are printed beside the first
+LOSS = "output loss"
+CLOSE = 1.05  # of the rms, up to which a zone of the input simulates as well as one of the sensor
 SURE, LESS, SHOWS = 3.0, 0.9, 0.75  # deviations and share of the straight plant's rms, or a share
 # alone, below which an effect is worth a number
 EXPLAINED = 0.5  # share of the held-out readings, from which a straight plant bounds an effect
@@ -148,6 +150,20 @@ def _open(answer: Answer, units: tuple[str, str]) -> Account:
     words = [word for word in answer.found.odds if word in EFFECT_OF][:OTHERS]
     others: dict[str, Numbers] = {EFFECT_OF[word]: {} for word in words}
     return Account(OPEN, {}, DYNAMICS, units, others=others, doubts=tuple(answer.reasons))
+
+
+def knows_the_end(answer: Answer) -> bool:
+    """Return whether a zone of the sensor that is named simulates better than one of the input."""
+    named = _compare(answer, answer.verdict) if EFFECT_OF.get(answer.verdict) == LOSS else None
+    if named is None:
+        return True
+    others = [one for word in ("input_zone", "friction") if (one := _compare(answer, word))]
+    return not any(
+        named[0].error.size == other.error.size
+        and other.rms < CLOSE * named[0].rms
+        and named[0].deviations_before(other) < APART
+        for other, _ in others
+    )
 
 
 def _named_numbers(answer: Answer) -> Numbers:

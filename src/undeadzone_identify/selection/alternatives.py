@@ -98,7 +98,7 @@ SMALLER = {  # words of models that a word's model holds
     "other": ("none",),
 }
 SURELY = 2.0  # deviations, by which a larger model must be worse to be denied
-APART, CLOSE = 2.5, 1.05  # deviations, and ratio of rms, by which a model is told from another
+APART = 2.5  # deviations, by which a model is told from another
 LITTLE = 0.1  # share of held-out squares: a smaller gain must be one by SURELY deviations
 MOST_INSIDE = 0.5  # slope in the middle of a zone over that outside, from which it is another curve
 # words of models with a plant of their own
@@ -933,39 +933,6 @@ def without_needless(case: Case, found: Findings) -> Findings:
             return found._replace(verdict=build_verdict("undecided", reason), odds={})
         again = found._replace(denied=found.denied | {word}).add_models(case)
         return without_needless(case, again) if holds_more(case, again) else again
-    return found
-
-
-def may_lie_at_input(case: Case, found: Findings) -> bool:
-    """Return whether a sensor's zone is named whose place nobody gave."""
-    is_open = case.jump_edges is None and case.options.place == "auto"
-    return (
-        is_open and found.element is None and found.verdict.word in ("dead_zone", "filtered_zone")
-    )
-
-
-def withhold_zone_at_either_end(case: Case, found: Findings) -> Findings:
-    """Withhold a sensor's zone if an element of the input simulates held-out data as well.
-
-    Args:
-        case: the log.
-        found: named a zone of the sensor.
-    """
-    word = found.verdict.word
-    own = fit_of(case, found, word)
-    if own is None:
-        return found
-    e, test = held_out_residual(own, case.options.held_out)
-    for name in ("input_zone", "friction"):
-        other = fit_of(case, found, name)
-        if other is None or other.squares.data.y.size != e.size:
-            continue
-        left = held_out_residual(other, case.options.held_out)[0][test]
-        total, spread = gain_and_spread(e[test], left)
-        is_close = root_mean_square(left) < CLOSE * root_mean_square(e[test])
-        if is_close and total < APART * spread:
-            reason = f"{CANNOT_TELL} {MODELS[word]} from {MODELS[name]}: both simulate as well"
-            return found._replace(verdict=build_verdict("undecided", reason), odds={})
     return found
 
 
