@@ -16,6 +16,7 @@ from undeadzone_identify.results.account import (
     BOUNDED,
     EFFECTS,
     INDICATED,
+    INPUT,
     MEASURED,
     NAMED,
     OPEN,
@@ -141,6 +142,7 @@ def choose_account(
     if seen is not None and fitted.grade == OPEN and seen.grade == BOUNDED:
         return seen
     limits = {
-        key: max(one, looks.stillness * EFFECTS[key].of_input) for key, one in fitted.limits.items()
+        key: max(one, looks.stillness * (EFFECTS[key].end == INPUT))
+        for key, one in fitted.limits.items()
     }
     return fitted._replace(limits=limits)
