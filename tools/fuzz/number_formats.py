@@ -15,6 +15,7 @@ from typing import Any, Final, NamedTuple
 from tools.fuzz.case import Case
 from undeadzone.logs.samples import LogReader, samples_of_text
 from undeadzone.logs.text import LARGEST
+from undeadzone.logs.whole import read_whole
 from undeadzone_identify.logs.log import read_log
 
 STEP: Final = 0.01
@@ -150,7 +151,7 @@ def _read(truth: dict[str, list[float]], folder: Path) -> None:
     """Read the log in each way in which a log is read; compare what comes of it."""
     path = folder / FILE
     refused: list[Exception] = []
-    for read in (_identified, _estimated, _live):
+    for read in (_identified, _mended, _estimated, _live):
         try:
             samples = list(read(path))
         except Exception as error:
@@ -163,9 +164,15 @@ def _read(truth: dict[str, list[float]], folder: Path) -> None:
 
 
 def _identified(path: Path) -> Iterator[tuple[int, float, float, float]]:
-    """What `identify` reads."""
-    log = read_log(path)
-    return _samples(log.t, log.y, log.u, [*map(int, log.lines)])
+    """What `identify` reads, ahead of the mending of times and inputs."""
+    samples = read_whole(path, None, None, {}, False, 10**6).samples
+    return _samples(samples.t, samples.y, samples.u, [*map(int, samples.lines)])
+
+
+def _mended(path: Path) -> Iterator[tuple[int, float, float, float]]:
+    """Nothing: mended times and inputs differ from those that were written."""
+    read_log(path)
+    return iter(())
 
 
 def _estimated(path: Path) -> Iterator[tuple[int, float, float, float]]:
