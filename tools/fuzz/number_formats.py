@@ -8,12 +8,12 @@ from __future__ import annotations
 import functools
 import math
 import random
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from tools.fuzz.case import Case
-from undeadzone.logs.samples import LogReader, samples_of_text
+from undeadzone.logs.samples import LogReader, Samples, samples_of_text
 from undeadzone.logs.text import LARGEST
 from undeadzone.logs.whole import read_whole
 from undeadzone_identify.logs.log import read_log
@@ -166,7 +166,7 @@ def _read(truth: dict[str, list[float]], folder: Path) -> None:
 def _identified(path: Path) -> Iterator[tuple[int, float, float, float]]:
     """What `identify` reads, ahead of the mending of times and inputs."""
     samples = read_whole(path, None, None, {}, False, 10**6).samples
-    return _samples(samples.t, samples.y, samples.u, [*map(int, samples.lines)])
+    return _rows_of(samples)
 
 
 def _mended(path: Path) -> Iterator[tuple[int, float, float, float]]:
@@ -178,7 +178,7 @@ def _mended(path: Path) -> Iterator[tuple[int, float, float, float]]:
 def _estimated(path: Path) -> Iterator[tuple[int, float, float, float]]:
     """What `estimate` reads."""
     samples = samples_of_text(LogReader("log", 1, 1, {}), path, 10**6, math.inf)
-    return _samples(samples.t, samples.y, samples.u, [*map(int, samples.lines)])
+    return _rows_of(samples)
 
 
 def _live(path: Path) -> Iterator[tuple[int, float, float, float]]:
@@ -187,15 +187,13 @@ def _live(path: Path) -> Iterator[tuple[int, float, float, float]]:
     data = path.read_bytes()
     for piece in (*data.splitlines(keepends=True), b""):
         samples = reader.feed(piece, last=not piece)
-        yield from _samples(samples.t, samples.y, samples.u, [*map(int, samples.lines)])
+        yield from _rows_of(samples)
 
 
-def _samples(
-    t: Any, y: Any, u: Any, lines: Sequence[int]
-) -> Iterator[tuple[int, float, float, float]]:
+def _rows_of(samples: Samples) -> Iterator[tuple[int, float, float, float]]:
     """Line, time, reading and input of each sample."""
-    for k, line in enumerate(lines):
-        yield line, float(t[k]), float(y[k].ravel()[0]), float(u[k].ravel()[0])
+    for t, y, u, line in zip(*samples, strict=True):
+        yield int(line), float(t), float(y[0]), float(u[0])
 
 
 def _compare(
