@@ -8,13 +8,14 @@ from __future__ import annotations
 import functools
 import math
 import random
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from tools.fuzz.case import Case
-from undeadzone.logs.samples import LogReader, samples_of_text
+from undeadzone.logs.samples import LogReader, Samples, samples_of_text
 from undeadzone.logs.text import LARGEST
+from undeadzone.logs.whole import read_whole
 from undeadzone_identify.logs.log import read_log
 
 STEP: Final = 0.01
@@ -150,7 +151,7 @@ def _read(truth: dict[str, list[float]], folder: Path) -> None:
     """Read the log in each way in which a log is read; compare what comes of it."""
     path = folder / FILE
     refused: list[Exception] = []
-    for read in (_identified, _estimated, _live):
+    for read in (_identified, _mended, _estimated, _live):
         try:
             samples = list(read(path))
         except Exception as error:
@@ -163,15 +164,21 @@ def _read(truth: dict[str, list[float]], folder: Path) -> None:
 
 
 def _identified(path: Path) -> Iterator[tuple[int, float, float, float]]:
-    """What `identify` reads."""
-    log = read_log(path)
-    return _samples(log.t, log.y, log.u, [*map(int, log.lines)])
+    """What `identify` reads, ahead of the mending of times and inputs."""
+    samples = read_whole(path, None, None, {}, False, 10**6).samples
+    return _rows_of(samples)
+
+
+def _mended(path: Path) -> Iterator[tuple[int, float, float, float]]:
+    """Nothing: mended times and inputs differ from those that were written."""
+    read_log(path)
+    return iter(())
 
 
 def _estimated(path: Path) -> Iterator[tuple[int, float, float, float]]:
     """What `estimate` reads."""
     samples = samples_of_text(LogReader("log", 1, 1, {}), path, 10**6, math.inf)
-    return _samples(samples.t, samples.y, samples.u, [*map(int, samples.lines)])
+    return _rows_of(samples)
 
 
 def _live(path: Path) -> Iterator[tuple[int, float, float, float]]:
@@ -180,15 +187,13 @@ def _live(path: Path) -> Iterator[tuple[int, float, float, float]]:
     data = path.read_bytes()
     for piece in (*data.splitlines(keepends=True), b""):
         samples = reader.feed(piece, last=not piece)
-        yield from _samples(samples.t, samples.y, samples.u, [*map(int, samples.lines)])
+        yield from _rows_of(samples)
 
 
-def _samples(
-    t: Any, y: Any, u: Any, lines: Sequence[int]
-) -> Iterator[tuple[int, float, float, float]]:
+def _rows_of(samples: Samples) -> Iterator[tuple[int, float, float, float]]:
     """Line, time, reading and input of each sample."""
-    for k, line in enumerate(lines):
-        yield line, float(t[k]), float(y[k].ravel()[0]), float(u[k].ravel()[0])
+    for t, y, u, line in zip(*samples, strict=True):
+        yield int(line), float(t), float(y[0]), float(u[0])
 
 
 def _compare(

@@ -334,6 +334,8 @@ class _Header(NamedTuple):
             is_alike = not y + u and ranks[i] <= ranks[j]
             is_unknown = not self.is_open and (ranks[k] == 0 or is_tie or is_alike)
             if not given and (is_unknown or best == -np.inf):
+                if is_tie and abs(ranks[k]) >= EXACT:
+                    self.group(signal, k, p if signal == "y" else m)
                 raise self.require_name(signal)
         y = y or self.group("y", j, p)
         return y, u or self.group("u", i, m)

@@ -46,7 +46,10 @@ def discretise_servo(
 ) -> tuple[Floats, Floats, Floats]:
     """Discretise (z, v, d, i): return transitions of state and inputs, and the covariance.
 
-    Both follow from one exponential (C. F. Van Loan 1978, doi:10.1109/TAC.1978.1101743).
+    Both follow from one exponential.
+
+    References:
+        C. F. Van Loan (1978), doi:10.1109/TAC.1978.1101743
 
     Args:
         theta: numbers by `At` (L x P); what is not there is -inf, the pole +inf.

@@ -69,7 +69,7 @@ def test_usual_names(header: str, p: int, m: int, columns: list[int]) -> None:
     [
         ("time,first,second", None, "'first', 'second'"),
         ("t,yy,u", None, "Did you mean 'yy'"),
-        ("t,y,y,u", None, "no name shows which column holds y"),
+        ("t,y,y,u", None, "the log has 2"),
         ("t,y[0],y[1],u", None, "the log has 2"),
         ("t,angle,u", "y=angel", "Did you mean 'angle'"),
         ("t,angle,u", "y=u,u=u", "used twice"),
