@@ -16,7 +16,6 @@ from undeadzone_identify.models.estimates import Interval, maximise_likelihood
 from undeadzone_identify.models.kalman_fit import KalmanFit
 from undeadzone_identify.models.likelihood import (
     Readings,
-    ZoneNoise,
     root_mean_square,
     single_densities,
 )
@@ -32,6 +31,7 @@ APART = (
     "fits of single samples and of the filter disagree: the plant or what disturbs it does not fit;"
     " the intervals are widened by the difference"
 )
+SIDES = ("right", "left")
 REACH = 4.0  # usual half intervals, within which its ends are sought
 
 
@@ -40,9 +40,7 @@ class WidthEstimates(NamedTuple):
 
     Attributes:
         right, left, width, centre: values with intervals.
-        stages: (right, left) by each stage that was run.
-        halves: half intervals by stage and name, before anything is added.
-        degrees: degrees of freedom of the widest of these, by name.
+        degrees: degrees of freedom of the widest stage, by name.
         remarks: for the user.
     """
 
@@ -50,8 +48,6 @@ class WidthEstimates(NamedTuple):
     left: Interval
     width: Interval
     centre: Interval
-    stages: dict[str, tuple[float, float]]
-    halves: dict[str, dict[str, float]]
     degrees: dict[str, float]
     remarks: list[str]
 
@@ -77,29 +73,25 @@ def find_widths(
     Returns:
         Values of the last stage, with the widest of the stages' intervals.
     """
-    collected = _collect_stages(chosen, kalman)
-    stages = {name: one.edges for name, one in collected.items()}
-    last = list(stages)[-1]
-    by_half = {name: _widest_stage(collected.values(), name) for name in DIRECTIONS}
-    widest = {name: one.halves[name] for name, one in by_half.items()}
-    degrees = {name: one.degrees[name] for name, one in by_half.items()}
-    intervals, apart = {}, False
+    fits: list[ZoneFit | KalmanFit] = [chosen.fit, *filter(None, [kalman])]
+    stages = [_to_stage(one) for one in fits]
+    first, last = stages[0].edges, stages[-1].edges
+    intervals, degrees, apart = {}, {}, False
     for name, row in DIRECTIONS.items():
-        gap, half = _stage_gap(stages, row), widest[name]
+        widest = _widest_stage(stages, name)
+        gap, half = abs(float(np.dot(row, np.subtract(last, first)))), widest.halves[name]
+        degrees[name] = widest.degrees[name]
         apart |= name != "centre" and gap > half > 0
-        if half > 0:
-            half = math.hypot(max(half, gap), _spread_over_orders(name, others, chosen))
-            half = math.hypot(half, heaviest(row) * 0.5 * quantum)
+        if half > 0:  # no score shows the spread over credible orders
+            spread = [_width_difference(row, other, chosen) for other in others]
+            rounding = heaviest(row) * 0.5 * quantum
+            half = math.hypot(max(half, gap), root_mean_square(np.array(spread)), rounding)
         half = widen_by_offset(half, row, offset)
-        intervals[name] = Interval.from_half_width(float(np.dot(row, stages[last])), half)
+        intervals[name] = Interval.from_half_width(float(np.dot(row, last)), half)
         for other in alike:
             gap = _width_difference(row, other, chosen)
             intervals[name] = intervals[name].extend_by(max(-gap, 0.0), max(gap, 0.0))
-    remarks = [APART] if apart else []
-    halves = {name: one.halves for name, one in collected.items()}
-    return WidthEstimates(
-        **intervals, stages=stages, halves=halves, degrees=degrees, remarks=remarks
-    )
+    return WidthEstimates(**intervals, degrees=degrees, remarks=[APART] * apart)
 
 
 def widen_by_offset(half: float, row: tuple[float, float], offset: float | None) -> float:
@@ -117,24 +109,12 @@ def widen_by_offset(half: float, row: tuple[float, float], offset: float | None)
     return math.inf if offset is None else math.hypot(half, shift * offset)
 
 
-def _stage_gap(stages: dict[str, tuple[float, float]], row: tuple[float, float]) -> float:
-    """Return the distance of the last stage from the first."""
-    edges = [*stages.values()]
-    return abs(float(np.dot(row, np.subtract(edges[-1], edges[0]))))
-
-
 class _Stage(NamedTuple):
     """Estimates of a stage: (right, left), and half intervals with degrees of freedom by name."""
 
     edges: tuple[float, float]
     halves: dict[str, float]
     degrees: dict[str, float]
-
-
-def _collect_stages(chosen: OrderFit, kalman: KalmanFit | None) -> dict[str, _Stage]:
-    """Collect the stages that were run, by name."""
-    stages = {"L1": chosen.fit} | ({} if kalman is None else {"L2": kalman})
-    return {name: _to_stage(one) for name, one in stages.items()}
 
 
 def _widest_stage(stages: Collection[_Stage], name: str) -> _Stage:
@@ -158,12 +138,6 @@ def _to_stage(fit: ZoneFit | KalmanFit) -> _Stage:
         row = fit.objective.width_weights(*weights)
         halves[name], degrees[name] = spread.half_and_degrees(row)
     return _Stage((fit.right, fit.left), halves, degrees)
-
-
-def _spread_over_orders(name: str, others: list[OrderFit], chosen: OrderFit) -> float:
-    """Return the spread of a width over credible orders, which no score can show, scaled."""
-    gaps = [_width_difference(DIRECTIONS[name], other, chosen) for other in others]
-    return root_mean_square(np.array(gaps)) if gaps else 0.0
 
 
 def _width_difference(row: tuple[float, float], other: OrderFit, chosen: OrderFit) -> float:
@@ -191,11 +165,10 @@ def lower_width_bound(fit: ZoneFit, side: str) -> float:
 
     def above_drop(width: float) -> float:
         """Return by how much the log likelihood is above where it has fallen by that much."""
-        right, left = (width, noise.left) if side == "right" else (noise.right, width)
-        if right + left <= 1e-9:
+        own = noise._replace(**{side: width})
+        if own.right + own.left <= 1e-9:
             return -math.inf
-        own = single_densities(readings, z, ZoneNoise(right, left, noise.s))
-        return float(own.value.sum()) - base + drop
+        return float(single_densities(readings, z, own).value.sum()) - base + drop
 
     low, high = reach - 6 * fit.disturbance_rms, reach + 6 * fit.disturbance_rms
     for _ in range(60):
@@ -218,16 +191,13 @@ def profile_likelihood(fit: ZoneFit, side: str, values: Floats) -> Floats:
     objective = fit.objective
     place = objective.layout.right + (side == "left")
     centre = int(np.argmin(np.abs(values - fit.theta[place])))
+    sides = SIDES if objective.limits.tied else (side,)
     out = np.full(values.size, -np.inf)
     for direction in (range(centre, values.size), range(centre - 1, -1, -1)):
         theta = fit.theta
         for k in direction:
-            fixed = (float(values[k]), float(values[k]))
-            both = objective.limits.tied
-            limits = WidthLimits(
-                fixed if both or side == "right" else objective.limits.right,
-                fixed if both or side == "left" else objective.limits.left,
-            )
+            fixed = dict.fromkeys(sides, (float(values[k]), float(values[k])))
+            limits = WidthLimits(*objective.limits[:2])._replace(**fixed)
             held = ZoneObjective(objective.simulator, objective.kind, limits, objective.readings.ok)
             top = maximise_likelihood(held, theta, STEPS)
             out[k] = top.value - fit.value
@@ -281,8 +251,7 @@ def _profile_crossing(values: Floats, fallen: Floats, drop: float) -> float:
     k = int(beyond[0])
     if k == 0 or not math.isfinite(fallen[k]):
         return float(values[k])
-    part = (drop - fallen[k - 1]) / (fallen[k] - fallen[k - 1])
-    return float(values[k - 1] + part * (values[k] - values[k - 1]))
+    return float(np.interp(drop, fallen[k - 1 : k + 1], values[k - 1 : k + 1]))
 
 
 # --- Excitation
