@@ -22,7 +22,6 @@ from undeadzone_identify.logs.log import Log, Options
 from undeadzone_identify.looks.rows import rows_at_rest
 from undeadzone_identify.models.estimates import (
     Interval,
-    sandwich_covariance,
     student_quantile,
     variance_along,
 )
@@ -374,14 +373,18 @@ def _split(answer: LostMotionAnswer) -> LostMotionAnswer:
     columns = np.column_stack([(answer.data.u - y)[use], way, np.ones(way.size)])
     if way.size < FEWEST or np.linalg.matrix_rank(columns) < 3:
         return answer
-    kp, step, _ = np.linalg.lstsq(columns, i[use], rcond=None)[0]
+    (kp, step, _), (power,) = np.linalg.lstsq(columns, i[use], rcond=None)[:2]
     left = regression_residual(columns, i[use])
-    spread = sandwich_covariance(columns * left[:, None], columns.T @ columns)
-    V = np.maximum(spread.V, spread.naive * float(np.mean(left**2)))
+    inverse = np.linalg.inv(columns.T @ columns)
+    turns = np.flatnonzero(np.diff(way, prepend=np.nan))
+    sums = np.add.reduceat((columns @ inverse) * left[:, None], turns)
+    count = turns.size
+    V = sums.T @ sums * count / max(count - 3, 1)
+    V = np.maximum(V, inverse * float(power) / way.size)
     if kp <= 3 * math.sqrt(V[0, 0]):
         return answer
     slope = np.array([2 * step / kp**2, -2 / kp, 0.0])
-    half = student_quantile(spread.degrees) * math.sqrt(variance_along(V, slope))
+    half = student_quantile(max(count - 3.0, 2.0)) * math.sqrt(variance_along(V, slope))
     gap = Interval.from_half_width(float(-2 * step / kp), half)
     total = answer.gap
     around = max(total.high - total.value, total.value - total.low)

@@ -10,11 +10,12 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from scipy.stats import f as fisher
 
 from undeadzone.nonlinearities.play import levels
 from undeadzone.util.arrays import Flags, Floats, Integers, shift_rows
 from undeadzone_identify.logs.grid import common_spacing
-from undeadzone_identify.models.least_squares import regress_residual, regression_residual
+from undeadzone_identify.models.least_squares import regression_residual
 from undeadzone_identify.models.motion import last_reading_rows, reading_changes, white_noise_rms
 from undeadzone_identify.servo.predictor import LATEST
 
@@ -49,8 +50,11 @@ def tick_loop_p_value(u: Floats, y: Floats) -> float:
     before = regression_residual(known, target)
     if np.std(before) < LEAST * np.std(target):
         return 1.0
-    share, chance = regress_residual(regression_residual(known, now), before)[2:]
-    return chance if share > SHARE else 1.0
+    after = regression_residual(np.column_stack([known, now]), target)
+    share = 1 - float(after @ after) / float(before @ before)
+    degrees = target.size - known.shape[1] - OWN
+    ratio = share / max(1 - share, 1e-12) * degrees / OWN
+    return float(fisher.sf(ratio, OWN, degrees)) if share > SHARE else 1.0
 
 
 def _inlier_rows(columns: Floats, target: Floats) -> Flags:
