@@ -109,15 +109,16 @@ def overview(found_log: Identified) -> Figure:
     return figure
 
 
-def signals(axes: Axes, found_log: Identified, part: slice, of: str = "") -> None:
+def signals(axes: Axes, found_log: Identified, part: slice | None = None, of: str = "") -> None:
     """Plot z^, y and the part between both over time, the held-out parts shaded.
 
     Args:
         axes: where.
         found_log: the answer.
-        part: samples that are shown.
+        part: samples that are shown; None: the last ones.
         of: name of the output.
     """
+    part = part or _time_window(found_log)
     answer = found_log.answer
     t = answer.case.grid.t[part]
     element = answer.element
@@ -146,14 +147,13 @@ def of_outputs(result: IdentifiedOutputs) -> Figure:
     """Plot the log and the fit of each output in separate panels."""
     figure, panels = create_panels([[name] for name in result.names], "The log and its fits")
     for name, one in zip(result.names, result.outputs, strict=True):
-        signals(panels[name], one, _time_window(one), f" {escape_formulas(name)}")
+        signals(panels[name], one, None, f" {escape_formulas(name)}")
     return figure
 
 
 def plot_first_fit(axes: Axes, result: IdentifiedOutputs) -> None:
     """Plot the log and the fit of the first output."""
-    first = result.outputs[0]
-    signals(axes, first, _time_window(first))
+    signals(axes, result.outputs[0])
 
 
 def lost_motion(result: IdentifiedMotion) -> Figure:

@@ -141,8 +141,8 @@ def choose_account(
         return seen._replace(others=others | fitted.others)
     if seen is not None and fitted.grade == OPEN and seen.grade == BOUNDED:
         return seen
-    limits = {
-        key: max(one, looks.stillness * (EFFECTS[key].end == INPUT))
-        for key, one in fitted.limits.items()
-    }
+    still = {INPUT: looks.stillness}
+    limits = {}
+    for effect, bound in fitted.limits.items():
+        limits[effect] = max(bound, still.get(EFFECTS[effect].end, 0.0))
     return fitted._replace(limits=limits)
