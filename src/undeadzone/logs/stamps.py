@@ -27,7 +27,7 @@ _CLOCK: Final = (
     r"(?P<h>\d{1,2}):(?P<min>\d{2})(?::(?P<s>\d{2}(?:[.,]\d+)?))?\s*(?P<half>[AaPp][Mm])?"
     r"\s*(?P<zone>[Zz]|[-+]\d{2}:?\d{2})?"
 )
-STAMP: Final = re.compile(rf"(?:{_DATE})?(?:(?:^|[Tt ]\s*){_CLOCK})?")
+STAMP: Final = re.compile(rf"(?=.)(?:{_DATE})?(?:(?:^|[Tt ]\s*){_CLOCK})?")
 
 
 class Stamps(NamedTuple):
@@ -48,7 +48,7 @@ class Stamps(NamedTuple):
             text: date and time of day as written; what has no zone counts as UTC.
         """
         found = STAMP.fullmatch(text.strip())
-        if found is None or not found[0] or (found["a"] is not None) != self.dated:
+        if found is None or (found["a"] is not None) != self.dated:
             return None
         day = _day(found, self.day_first) if self.dated else 0
         of_day = _of_day(found)
@@ -61,15 +61,14 @@ def stamps_of(texts: Iterable[str]) -> Stamps | None:
     Args:
         texts: the first ones.
     """
-    found = [STAMP.fullmatch(text.strip()) for text in texts]
-    first = next((one for one in found if one is not None and one[0]), None)
-    if first is None:
+    found = list(filter(None, (STAMP.fullmatch(text.strip()) for text in texts)))
+    if not found:
         return None
     day_first = None
     for one in found:
-        if one is not None and one["a"] is not None and max(int(one["a"]), int(one["b"])) > NOON:
+        if one["a"] is not None and max(int(one["a"]), int(one["b"])) > NOON:
             day_first = int(one["a"]) > NOON
-    return Stamps(first["a"] is not None, day_first)
+    return Stamps(found[0]["a"] is not None, day_first)
 
 
 def is_ambiguous(text: str, stamps: Stamps) -> bool:
@@ -143,6 +142,4 @@ def _zone(text: str | None) -> float:
     """How far a zone's clocks are ahead of UTC [s]."""
     if text is None or text in "Zz":
         return 0.0
-    digits = text[1:].replace(":", "")
-    ahead = 3600.0 * int(digits[:2]) + 60.0 * int(digits[2:])
-    return -ahead if text[0] == "-" else ahead
+    return 3600.0 * int(text[:3]) + 60.0 * int(text[0] + text[-2:])
