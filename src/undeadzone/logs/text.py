@@ -45,7 +45,7 @@ _TELLING: Final = {
     for mark, grouped in _GROUPED.items()
 }
 _BLANKS: Final = re.compile("[ \t]+")
-_OTHER: Final = {".": ",", ",": "."}
+OTHER: Final = {".": ",", ",": "."}
 TELLING_MARK: Final = 5000  # lines that tell the decimal mark
 PREAMBLE: Final = 60  # lines among which the header is looked for
 _ESCAPED: Final = re.compile("[\udc80-\udcff]+")
@@ -195,11 +195,11 @@ class Dialect(NamedTuple):
         """Return whether the only mark in a cell may stand before decimals or between thousands."""
         if self.separator == ",":
             return False
-        other = _OTHER.get(self.mark, ",")  # where nothing tells a mark, a point is one
+        other = OTHER.get(self.mark, ",")  # where nothing tells a mark, a point is one
         return (
             not self.grouped
             and _THOUSANDS[other].fullmatch(cell) is not None
-            and (_GROUPED[_OTHER[other]].fullmatch(cell) is None)
+            and (_GROUPED[OTHER[other]].fullmatch(cell) is None)
         )
 
 
@@ -255,7 +255,7 @@ def parse_cell(cell: str, mark: str) -> float | None:
     """
     if cell.lower() in MISSING:
         return math.nan
-    other = _OTHER.get(mark, "")
+    other = OTHER.get(mark, "")
     if other and other in cell:
         is_grouped = _GROUPED[mark].fullmatch(cell) or _THOUSANDS[other].fullmatch(cell)
         if is_grouped is None:
