@@ -270,7 +270,9 @@ class LogReader:
 
     def _learn_stamps(self, numbers: Sequence[int], lines: Sequence[str], layout: Layout) -> None:
         """Find the format of the times from the first one that can be read. Raises FileError."""
-        texts = [_stamp_text(self._dialect.cells(line), layout) for line in lines]
+        rows = zip(numbers, map(self._dialect.cells, lines), strict=True)
+        whole = [(number, cells) for number, cells in rows if len(cells) == self._dialect.width]
+        texts = [_stamp_text(cells, layout) for _, cells in whole]
         for k, text in enumerate(texts):
             value = self._dialect.parse_number(text)
             self._plain_times = value is not None and math.isfinite(value)
@@ -283,7 +285,7 @@ class LogReader:
                 self._stamps = stamps_of(texts[k:])
             if self._stamps is not None and is_ambiguous(text, self._stamps):
                 raise FileError(
-                    f"{self._source}, line {numbers[k]}: it is not known which number of {text!r} "
+                    f"{self._source}, line {whole[k][0]}: it is not known which number of {text!r} "
                     "is the month. Write dates as 2026-04-03"
                 )
             return
@@ -359,8 +361,7 @@ def numbers_of_texts(texts: Sequence[str], parse: Callable[[str], float | None])
 
 def _stamp_text(cells: Sequence[str], layout: Layout) -> str:
     """Return the text of a line's time stamp, behind that of a column of dates."""
-    columns = [k for k in (layout.date, layout.time) if k is not None and k < len(cells)]
-    return " ".join(cells[k] for k in columns)
+    return " ".join(cells[k] for k in (layout.date, layout.time) if k is not None)
 
 
 def samples_of_text(reader: LogReader, path: Path, largest: int, most: float) -> Samples:
