@@ -243,10 +243,7 @@ def _put_on_grid(log: Log, step: float, is_regular: bool, remarks: list[str]) ->
     at = np.round(np.interp(grid, times, np.arange(times.size)), 6)
     beside = np.array([np.floor(at), np.ceil(at)], int)
     silent = (y[beside] == 0).any(axis=0)  # between 0 and a reading lies none
-    new = (
-        y[beside[0]]
-        + (np.where(silent, np.rint(at), at) - beside[0]) * np.diff(y[beside], axis=0)[0]
-    )
+    new = np.interp(np.where(silent, np.rint(at), at), np.arange(y.size), y)
     apart = np.maximum(np.ptp(times[beside], axis=0), np.abs(grid - times[beside[0]]))
     if is_regular:
         near = apart < 0.5 * step
@@ -301,25 +298,18 @@ def round_to_steps(y: Floats, remarks: list[str]) -> Floats:
     if y.size < HARDLY_BY_CHANCE or np.mean(y[1:] == y[:-1]) > RARELY:  # noise does not repeat
         return y
     low, high = np.quantile(y, [RARELY, 1 - RARELY]).tolist()
-    if not 0.0 < high - low < math.inf:
-        return y
-    scaled = (y - low) / (high - low)
-    waves = np.arange(FEWEST_LEVELS - 1, MOST_LEVELS, 0.2)  # steps of the range
-    some = scaled[:: -(-y.size // SOME)]
+    waves = np.arange(FEWEST_LEVELS - 1, MOST_LEVELS, 0.2) / (high - low)
+    some = y[:: -(-y.size // SOME)] - low
     means = np.exp(2j * np.pi * np.outer(waves, some)).mean(axis=1)
     best = int(np.argmax(np.abs(means)))
     line = np.array([1.0, np.angle(means[best]) / (2 * np.pi)]) / waves[best]
     for _ in range(3):  # through the readings by their level
-        level = np.round((scaled - line[1]) / line[0])
-        if np.ptp(level) < FEWEST_LEVELS - 1:
-            return y
-        line = np.polyfit(level, scaled, 1)
-    step, offset = (high - low) * line + [0.0, low]
-    offset -= step * round(offset / step)
+        line = np.polyfit(np.round((y - low - line[1]) / line[0]), y - low, 1)
+    step = float(line[0])
+    offset = math.remainder(line[1] + low, step)
     level = np.round((y - offset) / step)
     noise = float(np.std(y - offset - step * level))
-    if abs(offset) < SURE * noise / math.sqrt(y.size):
-        offset = 0.0
+    offset *= abs(offset) >= SURE * noise / math.sqrt(y.size)
     rounded = offset + step * level
     gathered = np.cos(2 * np.pi * (y - rounded) / step)
     changes = np.flatnonzero(np.diff(level))

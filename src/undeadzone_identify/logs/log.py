@@ -112,7 +112,7 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         Raises:
             InputError: the option is not a width, two bounds or inf.
         """
-        text = self.right if side == "right" else self.left
+        text = getattr(self, side)
         if text is None:
             return (-math.inf, math.inf)
         bounds = _parse_one_or_two(text, ",", float)
@@ -241,6 +241,8 @@ def log_from_samples(samples: Samples, layout: Layout, source: str, strict: bool
     if layout.time is None:
         samples = samples._replace(t=np.arange(samples.t.size, dtype=float))
     samples, repeated = without_repeats(samples)
+    if repeated:
+        mended.append(f"{repeated} samples have the time of the one before, and are left out")
     if not strict:
         samples = _mend_times(_hold_inputs(samples, mended), mended)
     require_increasing(samples, source)
@@ -261,10 +263,6 @@ def log_from_samples(samples: Samples, layout: Layout, source: str, strict: bool
     if layout.reference is not None or not layout.is_certain:
         rest = f", not {layout.unused}" if layout.unused else ""
         remarks.insert(0, f'{source}: read as --columns "{layout.columns_text}"{rest}')
-    if repeated:
-        remarks.append(
-            f"{source}: {repeated} samples have the time of the one before, and are left out"
-        )
     return Log(
         samples.t,
         u,
@@ -274,7 +272,7 @@ def log_from_samples(samples: Samples, layout: Layout, source: str, strict: bool
         units.pop() if len(units) == 1 else "1",
         tuple(title.unit or "1" for title in layout.reading_titles),
         source,
-        layout.seconds is None or layout.time is None,
+        not layout.has_times,
         r,
         tuple(remarks),
         layout.time is not None,
@@ -301,11 +299,10 @@ def _mend_times(samples: Samples, remarks: list[str]) -> Samples:
     """
     rows = np.flatnonzero(np.isfinite(samples.t))
     t = samples.t[rows]
-    back = np.flatnonzero(np.diff(t) < 0)
-    is_late = np.append(t, np.inf)[back + 2] > t[back]
-    is_early = t[back + 1] > np.append(-np.inf, t)[back]
-    wrong = np.where(is_late, back + 1, back)[is_late | is_early]
-    rows = np.delete(rows, wrong)
+    before, after = np.append(-np.inf, t[:-1]), np.append(t[1:], np.inf)
+    wrong = (before < after) & ((t < before) | (t > after))
+    wrong[:-1] &= ~wrong[1:]  # of two, the later one
+    rows = rows[~wrong]
     between = np.diff(samples.t[rows])
     left_out, begun = samples.t.size - rows.size, int((between < 0).sum())
     if max(left_out, 10 * begun) > REPEATED * samples.t.size or not (between > 0).any():

@@ -73,12 +73,13 @@ def select_readings(grid: Grid, remarks: list[str]) -> UsableReadings:
     ends = range_ends(grid.y, ok, grid.quantum)
     at = ends.find_readings_at_ends(grid.y, ok)
     visits = [bounds_of_runs(at & side)[0].size for side in (grid.y > 0, grid.y < 0)]
-    if not ends.has_ends or max(visits) < VISITS:
-        return UsableReadings(ok, np.zeros_like(ok), NO_ENDS)
     between = ok & ~at
+    sticks = ends.has_ends and max(visits) >= VISITS
     stick = f"{ends.number} readings stick at the ends of the range {ends.range_text}"
-    if between.sum() < FEWEST_READINGS <= ok.sum():
+    are_few = between.sum() < FEWEST_READINGS <= ok.sum()
+    if sticks and are_few:
         remarks.append(f"{stick}: too few lie between them, and all of them count")
+    if are_few or not sticks:
         return UsableReadings(ok, np.zeros_like(ok), NO_ENDS)
     remarks.append(f"{stick}: there they only bound the output, and are taken as missing")
     apart = between & (np.convolve(at, np.ones(2 * NEAR + 1), "same") < 0.5)
@@ -88,12 +89,12 @@ def select_readings(grid: Grid, remarks: list[str]) -> UsableReadings:
 
 def _flag_spikes(grid: Grid, ok: Flags) -> Flags:
     """Return the flags of the few readings far beyond the rest, or beyond both neighbours (N)."""
+    from scipy.ndimage import median_filter
+
     y, size = grid.y, np.abs(grid.y)
     change = np.diff(y)
-    beside = np.array([change[:-1], change[1:]])
     known = ok & np.roll(ok, 1) & np.roll(ok, -1)
-    lone = np.zeros_like(y)
-    lone[1:-1] = (beside.prod(axis=0) < 0) * np.abs(beside).min(axis=0)
+    lone = np.abs(y - median_filter(y, 3, mode="nearest"))
     lone[~known | (y == 0)] = 0.0
     usual = size[known & (y * np.roll(y, 1) > 0)]
     beyond = PASSING * np.quantile(usual, 0.1) if usual.size else 0.0  # not a passage of an edge
@@ -112,24 +113,23 @@ def _flag_dropouts(grid: Grid, ok: Flags) -> Flags:
     silent from its edge, its least reading; so what counts is how far readings are beyond that.
     Where no silence lasts, noise leaves no reading at 0 exactly: there every lonely zero is one.
     """
-    y = grid.y
-    speaks = ok & (grid.y != 0)
+    y, size = grid.y, np.abs(grid.y)
+    side = np.sign(y) * ok
     beyond = np.zeros(y.size)
-    step = np.zeros(y.size + 1)
-    for side in (speaks & (y > 0), speaks & (y < 0)):
-        beyond += np.where(side, np.abs(y) - np.abs(y[side]).min(initial=np.inf), 0.0)
-        step[1:-1] += np.where(side[1:] & side[:-1], np.abs(np.diff(y)), 0.0)
+    for one in (1, -1):
+        beyond[side == one] = size[side == one] - size[side == one].min(initial=np.inf)
+    step = np.pad(np.abs(np.diff(y)) * (side[1:] * side[:-1] > 0), 1)
     usual = float(np.median(step[step > 0])) if step.any() else np.inf
     nearest = np.minimum(*(np.where(s > 0, s, np.inf) for s in (step[:-1], step[1:])))
     beyond[beyond > beyond[LOUD * nearest < beyond].max(initial=0.0)] = 0.0  # glitches
     dropped = np.zeros_like(ok)
-    for first, last in zip(*bounds_of_runs(ok & ~speaks), strict=True):
+    silent = ok & (side == 0)
+    for first, last in zip(*bounds_of_runs(silent), strict=True):
         before = max(first - 1, 0)
         after = min(last + 1, y.size - 1)
         moved = max(usual, abs(y[after] - y[before]), step[before], step[after + 1])
         loud = min(beyond[before], beyond[after]) > LOUD * moved
         dropped[first : last + 1] = loud and y[before] * y[after] > 0
-    silent = ok & ~speaks
     lasts = silent & (np.roll(silent, 1) | np.roll(silent, -1))
     if not grid.quantum and lasts.sum() <= LASTING * ok.sum():
         dropped |= silent & ~lasts
@@ -160,8 +160,8 @@ def _flag_stuck(grid: Grid, ok: Flags) -> Flags:
     is_frozen = is_rare and holds.size > 1 and np.median(jumps) > JUMPS * usual
     is_frozen &= not np.isin(y[first[holds]], limits).any()
     least = max(STUCK * count, LONGER * np.sort(lengths)[:-1].max(initial=1))
-    for k in holds if is_frozen else holds[lengths[holds] >= least]:
-        part = slice(int(first[k]) - 1, int(last[k]) + 1)
+    for k in holds:
+        part = slice(first[k] - 1, last[k] + 1)
         moved = grid.u[part].std(axis=0)
         is_long = least <= lengths[k] < count / 2 and (moved > MOVING * grid.u.std(axis=0)).any()
         stuck[part] = is_long or (is_frozen and moved.any())
