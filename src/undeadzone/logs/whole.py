@@ -22,6 +22,7 @@ from undeadzone.logs.kinds import Title, split_unit
 from undeadzone.logs.matlab73 import NUMERIC, is_matlab_73, load_matlab_73, unpacked_size
 from undeadzone.logs.names import Layout, layout_of_titles, numbers
 from undeadzone.logs.samples import (
+    Faults,
     LogReader,
     Samples,
     numbers_of_texts,
@@ -54,13 +55,15 @@ class WholeLog(NamedTuple):
         source: its name in messages.
         samples: all of them.
         layout: its columns; None: it has none.
-        reader: of its lines; None: it has no lines.
+        faults: of its lines.
+        ahead: lines ahead of the header that were skipped.
     """
 
     source: str
     samples: Samples
     layout: Layout | None
-    reader: LogReader | None = None
+    faults: Faults
+    ahead: int = 0
 
 
 def read_whole(
@@ -88,10 +91,10 @@ def read_whole(
     source = str(log) if is_path else "DataFrame"
     log = Path(log) if is_path else log
     if not is_path or log.suffix.lower() in BINARY:
-        return WholeLog(source, *samples_of(log, p, m, chosen, source))
+        return WholeLog(source, *samples_of(log, p, m, chosen, source), Faults(source, strict))
     reader = LogReader(source, p, m, chosen, strict)
     samples = samples_of_text(reader, log, largest, most)
-    return WholeLog(source, samples, reader.layout, reader)
+    return WholeLog(source, samples, reader.layout, reader.faults, reader.ahead)
 
 
 def samples_of(

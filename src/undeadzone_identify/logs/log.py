@@ -214,10 +214,9 @@ class Log(NamedTuple):
 
     def select_output(self, k: int) -> Log:
         """Return the log with a single output."""
+        one = slice(k, k + 1)
         return self._replace(
-            y=self.y[:, k : k + 1],
-            outputs=self.outputs[k : k + 1],
-            output_units=self.output_units[k : k + 1],
+            y=self.y[:, one], outputs=self.outputs[one], output_units=self.output_units[one]
         )
 
 
@@ -237,12 +236,10 @@ def log_from_samples(samples: Samples, layout: Layout, source: str, strict: bool
     Raises:
         FileError: times that do not increase, a missing input, readings that are all missing.
     """
-    mended: list[str] = []
     if layout.time is None:
         samples = samples._replace(t=np.arange(samples.t.size, dtype=float))
     samples, repeated = without_repeats(samples)
-    if repeated:
-        mended.append(f"{repeated} samples have the time of the one before, and are left out")
+    mended = [(repeated, "samples have the time of the one before, and are left out")]
     if not strict:
         samples = _mend_times(_hold_inputs(samples, mended), mended)
     require_increasing(samples, source)
@@ -259,7 +256,7 @@ def log_from_samples(samples: Samples, layout: Layout, source: str, strict: bool
             raise FileError(f"{source}: {name} holds no number: every one is missing")
     driving = layout.input_titles[: 1 if layout.has_current else None]
     units = {title.unit or "1" for title in driving}
-    remarks = [f"{source}: {remark}" for remark in mended]
+    remarks = [f"{source}: {count} {what}" for count, what in mended if count]
     if layout.reference is not None or not layout.is_certain:
         rest = f", not {layout.unused}" if layout.unused else ""
         remarks.insert(0, f'{source}: read as --columns "{layout.columns_text}"{rest}')
@@ -279,23 +276,30 @@ def log_from_samples(samples: Samples, layout: Layout, source: str, strict: bool
     )
 
 
-def _hold_inputs(samples: Samples, remarks: list[str]) -> Samples:
-    """Return samples whose missing inputs are those before, from the first known ones on."""
+def _hold_inputs(samples: Samples, mended: list[tuple[int, str]]) -> Samples:
+    """Return samples whose missing inputs are those before, from the first known ones on.
+
+    Args:
+        samples: of the log.
+        mended: counts of changes, with words, to which others are added.
+    """
     known = np.isfinite(samples.u)
     missing = int((~known).any(axis=1).sum())
-    if not missing:
-        return samples
-    remarks.append(f"{missing} inputs are missing, and count as held")
+    mended.append((missing, "inputs are missing, and count as held"))
     last = np.maximum.accumulate(known * np.arange(len(known))[:, None], axis=0)
     u = np.take_along_axis(samples.u, last, axis=0)
     begun = (np.isfinite(u) | ~known.any(axis=0)).all(axis=1)
     return samples._replace(u=u).select_rows(begun)
 
 
-def _mend_times(samples: Samples, remarks: list[str]) -> Samples:
+def _mend_times(samples: Samples, mended: list[tuple[int, str]]) -> Samples:
     """Return samples without single wrong times, sessions one after another, equal times spread.
 
     Too many wrong times stay as they are, and are refused.
+
+    Args:
+        samples: of the log.
+        mended: counts of changes, with words, to which others are added.
     """
     rows = np.flatnonzero(np.isfinite(samples.t))
     t = samples.t[rows]
@@ -309,12 +313,11 @@ def _mend_times(samples: Samples, remarks: list[str]) -> Samples:
         return samples
     usual = float(np.median(between[between > 0]))
     between[between < 0] = SESSIONS * usual
-    for count, what in (
+    mended += [
         (left_out, "samples have a missing or wrong time, and are left out"),
         (begun, "times the time begins anew: each session is a record"),
-        ((between == 0).sum(), "times repeat the one before, and are spread evenly"),
-    ):
-        remarks += [f"{count} {what}"] * bool(count)
+        (int((between == 0).sum()), "times repeat the one before, and are spread evenly"),
+    ]
     t = samples.t[rows[0]] + np.append(0.0, np.cumsum(between))
     first = np.flatnonzero(np.append(1.0, between))
     count = np.diff(np.append(first, t.size))
@@ -341,13 +344,12 @@ def read_log(source: Any, columns: str | None = None, strict: bool = False) -> L
         FileError: the fault, with file and line if there are any.
     """
     read = read_whole(source, None, None, parse_columns(columns), strict, LARGEST_TABLE)
-    samples, name, remarks = read.samples, read.source, list[str]()
+    samples, name, faults, remarks = read.samples, read.source, read.faults, list[str]()
     if read.layout is None or not samples.t.size:
         raise FileError(f"{name}: holds no samples")
-    if read.reader is not None and read.reader.ahead:
-        remarks.append(f"{name}: {count_in_words(read.reader.ahead)} ahead of the header skipped")
-    if read.reader is not None and read.reader.faults.unreadable:
-        faults = read.reader.faults
+    if read.ahead:
+        remarks.append(f"{name}: {count_in_words(read.ahead)} ahead of the header skipped")
+    if faults.unreadable:
         lines = f"{name}: {count_in_words(faults.unreadable)}"
         if faults.unreadable > MOST_UNREADABLE * samples.t.size:
             raise FileError(f"{lines} of {samples.t.size} cannot be read; {faults.why}")

@@ -428,12 +428,10 @@ def _settled_length(data: RecordData, orders: list[int], integrators: int) -> tu
 
 def _first_samples(start: Integers, size: int, length: int) -> Integers:
     """Return first samples of stretches of about so many samples of each record."""
-    ends = np.append(start[1:], size)
-    starts = []
-    for first, end in zip(start, ends, strict=True):
-        count = max(1, round((end - first) / length))
-        starts.append(first + np.arange(count) * (end - first) // count)
-    return np.concatenate(starts)
+    sizes = np.diff(start, append=size)
+    counts = np.fmax(np.rint(sizes / length), 1).astype(int)
+    records = zip(start, sizes, counts, strict=True)
+    return np.concatenate([first + np.arange(n) * long // n for first, long, n in records])
 
 
 def _width_limits(data: RecordData, options: Options) -> WidthLimits:
