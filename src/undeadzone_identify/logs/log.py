@@ -128,7 +128,6 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         hints = get_type_hints(Options)
         words = {name: get_args(hints[name]) for name in ("noise", "place", "kind")}
         late = self.delay.isdigit() and int(self.delay) <= MOST_LATE
-        threshold = self.threshold or 0.0
         for name, is_usable, expected in (
             *(
                 (name, getattr(self, name) in known, ", ".join(known))
@@ -142,7 +141,7 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
             ),
             ("zero", math.isfinite(self.zero), "a number"),
             ("held_out", 0.1 <= self.held_out <= 0.5, "0.1 to 0.5"),
-            ("threshold", 0 <= threshold < math.inf, "a number >= 0"),
+            ("threshold", 0 <= (self.threshold or 0.0) < math.inf, "a number >= 0"),
         ):
             if not is_usable:
                 raise InputError(f"{name}: expected {expected}, found {getattr(self, name)!r}")
@@ -284,7 +283,7 @@ def _hold_inputs(samples: Samples, mended: list[tuple[int, str]]) -> Samples:
         mended: counts of changes, with words, to which others are added.
     """
     known = np.isfinite(samples.u)
-    missing = int((~known).any(axis=1).sum())
+    missing = (~known).any(axis=1).sum()
     mended.append((missing, "inputs are missing, and count as held"))
     last = np.maximum.accumulate(known * np.arange(len(known))[:, None], axis=0)
     u = np.take_along_axis(samples.u, last, axis=0)
@@ -305,22 +304,22 @@ def _mend_times(samples: Samples, mended: list[tuple[int, str]]) -> Samples:
     t = samples.t[rows]
     before, after = np.append(-np.inf, t[:-1]), np.append(t[1:], np.inf)
     wrong = (before < after) & ((t < before) | (t > after))
-    wrong[:-1] &= ~wrong[1:]  # of two, the later one
+    wrong[:-1] &= ~wrong[1:] | (t[:-1] <= t[1:])  # of two about a fall, the later one
     rows = rows[~wrong]
     between = np.diff(samples.t[rows])
-    left_out, begun = samples.t.size - rows.size, int((between < 0).sum())
+    left_out, begun = samples.t.size - rows.size, (between < 0).sum()
     if max(left_out, 10 * begun) > REPEATED * samples.t.size or not (between > 0).any():
         return samples
-    usual = float(np.median(between[between > 0]))
+    usual = np.median(between[between > 0])
     between[between < 0] = SESSIONS * usual
     mended += [
         (left_out, "samples have a missing or wrong time, and are left out"),
         (begun, "times the time begins anew: each session is a record"),
-        (int((between == 0).sum()), "times repeat the one before, and are spread evenly"),
+        ((between == 0).sum(), "times repeat the one before, and are spread evenly"),
     ]
     t = samples.t[rows[0]] + np.append(0.0, np.cumsum(between))
     first = np.flatnonzero(np.append(1.0, between))
-    count = np.diff(np.append(first, t.size))
+    count = np.diff(first, append=t.size)
     width = np.minimum(np.diff(t[first], append=np.inf), usual) / count
     place = np.arange(t.size) - np.repeat(first, count)
     return samples.select_rows(rows)._replace(t=t + place * np.repeat(width, count))
