@@ -158,10 +158,10 @@ def shorten_log(grid: Grid, integrators: int = 0) -> Grid:
     )
     firsts = np.linspace(0, size - long, STRETCHES).astype(int)
     samples = np.concatenate([np.arange(first, first + long) for first in firsts])
-    begins = np.union1d(np.flatnonzero(np.isin(samples, grid.start)), long * np.arange(STRETCHES))
+    begins = np.isin(samples, np.append(grid.start, firsts))
     return grid._replace(
         **{name: getattr(grid, name)[samples] for name in ("t", "u", "r", "y", "ok")},
-        start=begins,
+        start=np.flatnonzero(begins),
         remarks=[*grid.remarks, remark],
     )
 
@@ -195,7 +195,7 @@ def find_sample_time(log: Log) -> tuple[float, bool]:
     if log.t.size < 3:
         raise FileError(f"{log.source}: {log.t.size} samples are too few")
     spacing = np.diff(log.t)
-    step = np.median(spacing)
+    step = float(np.median(spacing))
     spacing = spacing[spacing < (LONG + 0.5) * step]
     count = np.maximum(np.rint(spacing / step), 1.0)
     rounding = _print_error(log.t, step)
@@ -222,9 +222,8 @@ def _put_on_grid(log: Log, step: float, is_regular: bool, remarks: list[str]) ->
         remarks: list that is extended.
     """
     spacing = np.diff(log.t)
-    usual = max(step, np.median(spacing))
+    usual = np.maximum(step, np.median(spacing))
     if is_regular:
-        usual = step
         counts = np.maximum(np.rint(spacing / step), 1.0)
         odd = np.abs(spacing - counts * step) > MOST_SWAY * step + _print_error(log.t, step)
         spacing = step * np.where(odd, 2.0 * LONG, counts)
@@ -279,7 +278,7 @@ def find_quantum(y: Floats) -> float:
         As of `rounding_step`; 0 if the readings are many and different.
     """
     different = np.unique(np.append(np.abs(y), 0.0))
-    few = 4 <= different.size <= 0.5 * max(np.count_nonzero(y), 8)
+    few = 4 <= different.size <= 0.5 * np.maximum(np.count_nonzero(y), 8)
     return common_spacing(different) if few else 0.0
 
 
@@ -345,7 +344,7 @@ def printed_step(values: Floats) -> float:
 
 def last_decimal(values: Floats) -> float:
     """Return the unit of the last decimal that values (N) have, of six at most; else 0."""
-    off = 1e-9 * max(np.ptp(values), 1e-300) + np.spacing(np.abs(values).max())
+    off = 1e-9 * np.maximum(np.ptp(values), 1e-300) + np.spacing(np.abs(values).max())
     units = (10.0**-k for k in range(7) if np.abs(values - np.round(values, k)).max() < off)
     return next(units, 0.0)
 

@@ -127,7 +127,6 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         """Return these options if every value is usable. Raise InputError."""
         hints = get_type_hints(Options)
         words = {name: get_args(hints[name]) for name in ("noise", "place", "kind")}
-        late = self.delay.isdigit() and int(self.delay) <= MOST_LATE
         for name, is_usable, expected in (
             *(
                 (name, getattr(self, name) in known, ", ".join(known))
@@ -136,7 +135,8 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
             ("integrators", self.integrators in (0, 1, 2), "0, 1 or 2"),
             (
                 "delay",
-                late or self.delay in ("auto", AT_ONCE),
+                self.delay in ("auto", AT_ONCE)
+                or (self.delay.isdigit() and int(self.delay) <= MOST_LATE),
                 f"auto or {AT_ONCE} to {MOST_LATE} samples",
             ),
             ("zero", math.isfinite(self.zero), "a number"),

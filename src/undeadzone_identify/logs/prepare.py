@@ -40,9 +40,6 @@ MOVING = 0.3  # of its rms, by which the input moves meanwhile
 VISITS = 3  # of an end of the range, in a log that sticks there
 
 
-NO_ENDS = RangeEnds(-np.inf, np.inf, 0)
-
-
 class UsableReadings(NamedTuple):
     """Flags of the readings that count.
 
@@ -80,7 +77,7 @@ def select_readings(grid: Grid, remarks: list[str]) -> UsableReadings:
     if sticks and are_few:
         remarks.append(f"{stick}: too few lie between them, and all of them count")
     if are_few or not sticks:
-        return UsableReadings(ok, np.zeros_like(ok), NO_ENDS)
+        return UsableReadings(ok, np.zeros_like(ok), RangeEnds(-np.inf, np.inf, 0))
     remarks.append(f"{stick}: there they only bound the output, and are taken as missing")
     apart = between & (np.convolve(at, np.ones(2 * NEAR + 1), "same") < 0.5)
     most = apart if apart.sum() >= ENOUGH * between.sum() else between
@@ -121,7 +118,8 @@ def _flag_dropouts(grid: Grid, ok: Flags) -> Flags:
         beyond[side == one] = size[side == one] - size[side == one].min(initial=np.inf)
     step = np.pad(np.abs(np.diff(y)) * (side[1:] * side[:-1] > 0), 1)
     usual = np.median(step[step > 0]) if step.any() else np.inf
-    nearest = np.minimum(*(np.where(s > 0, s, np.inf) for s in (step[:-1], step[1:])))
+    moves = np.where(step > 0, step, np.inf)
+    nearest = np.minimum(moves[:-1], moves[1:])
     beyond[beyond > beyond[LOUD * nearest < beyond].max(initial=0.0)] = 0.0  # glitches
     dropped = np.zeros_like(ok)
     silent = ok & (side == 0)
