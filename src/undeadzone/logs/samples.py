@@ -15,10 +15,11 @@ import numpy.typing as npt
 
 from undeadzone.errors import FileError
 from undeadzone.logs.names import Layout, layout_of_numbers, layout_of_titles
-from undeadzone.logs.stamps import Stamps, is_ambiguous, over_midnight, since_1970, stamps_of
+from undeadzone.logs.stamps import Stamps, is_ambiguous, over_midnight, stamps_of, to_seconds
 from undeadzone.logs.text import (
     LARGEST,
     LONGEST_LINE,
+    OTHER,
     PREAMBLE,
     Dialect,
     Text,
@@ -170,7 +171,7 @@ class LogReader:
         self._m = m
         self._chosen = chosen
         self._text = Text(source)
-        self._dialect: Dialect | None = None
+        self._dialect: Dialect  # once the first lines are known
         self._first: Numbered = []  # lines that wait for the dialect to be known
         self._stamps: Stamps | None = None  # how times are written that are no numbers
         self._plain_times = False  # whether they are numbers
@@ -190,29 +191,28 @@ class LogReader:
         """
         self.latest = []
         numbered = self._first + self._number_lines(self._text.feed(data, last))
-        self._first = []
-        if self._dialect is None and numbered:
-            ahead = self._lines_ahead([line for _, line in numbered[:PREAMBLE]])
-            if ahead is None and not last and len(numbered) < PREAMBLE:
-                self._first = numbered  # the header may follow, or its first line of numbers
+        if not numbered:
+            return self._none()
+        numbers, lines = zip(*numbered, strict=True)
+        if self.layout is None:
+            ahead = self._lines_ahead(lines[:PREAMBLE])
+            below = lines[ahead or 0 :]
+            # Of a live log as few lines as possible determine the dialect.
+            count = 1 + bool(dialect_of(below[:1]).heads) if self._live else FIRST
+            self._dialect = dialect_of(below[:count])
+            heads = self._dialect.heads
+            # The header may follow, or its first line of numbers, or a line of units.
+            waits = (ahead is None and len(lines) < PREAMBLE) or (heads and len(below) < 2)
+            self._first = numbered if waits and not last else []
+            if self._first:
                 return self._none()
             self.ahead = ahead or 0
-            numbered = numbered[self.ahead :]
-            lines = self._select_dialect_lines([line for _, line in numbered[:FIRST]])
-            dialect = dialect_of(lines)
-            if dialect.heads and len(lines) < 2 and not last:
-                self._first = numbered  # a line of units may follow
-                return self._none()
-            lines_below = [line for _, line in numbered[dialect.heads :]]
-            dialect = self._dialect = self._with_mark(dialect, lines_below)
-            self.layout = self._layout(dialect, lines_below)
-            self._require_readable(dialect, self.layout, numbered[dialect.heads :])
-            numbered = numbered[dialect.heads :]
-        if not numbered or self._dialect is None or self.layout is None:
-            return self._none()
-        if self._live and not self._dialect.mark:
-            self._dialect = self._with_mark(self._dialect, [line for _, line in numbered])
-        return self._samples(numbered, self._dialect, self.layout)
+            numbers, lines = numbers[self.ahead + heads :], below[heads:]
+        if not self._dialect.mark and (self._live or self.layout is None):
+            mark, grouped = decimal_mark(lines, self._dialect.separator, self._live, self._source)
+            self._dialect = self._dialect._replace(mark=mark, grouped=grouped)
+        self.layout = self.layout or self._layout(lines)
+        return self._samples(numbers, lines, self.layout)
 
     def _lines_ahead(self, lines: Sequence[str]) -> int | None:
         """Return the number of lines ahead of the header; None if a live log has not shown it yet.
@@ -228,17 +228,6 @@ class LogReader:
         answers = (lines_ahead(lines[: count + 1]) for count in range(len(lines)))
         return next((ahead for ahead in answers if ahead is not None), None)
 
-    def _with_mark(self, dialect: Dialect, lines: Sequence[str]) -> Dialect:
-        """Return the dialect with the decimal mark of these lines. Raises FileError."""
-        mark, grouped = decimal_mark(lines, dialect.separator, self._live, self._source)
-        return dialect._replace(mark=mark, grouped=grouped)
-
-    def _select_dialect_lines(self, lines: list[str]) -> list[str]:
-        """Return the first lines that determine the dialect; of a live log as few as possible."""
-        if not self._live:
-            return lines
-        return lines[:2] if dialect_of(lines[:1]).heads else lines[:1]
-
     def _number_lines(self, lines: Sequence[str]) -> Numbered:
         """Return the lines with content, with their numbers."""
         first = self._count + 1
@@ -246,92 +235,70 @@ class LogReader:
         numbered = enumerate((line[: LONGEST_LINE + 1] for line in lines), first)
         return [(k, line) for k, line in numbered if is_content(line)]
 
-    def _layout(self, dialect: Dialect, lines: Sequence[str]) -> Layout:
+    def _layout(self, lines: Sequence[str]) -> Layout:
         """Return the columns of the signals. Raises FileError."""
-        values = None if self._live else _values_of(dialect, lines)
+        values = None if self._live else _values_of(self._dialect, lines)
         others = (self._p, self._m, self._chosen, self._source, values)
-        if dialect.titles is not None:
-            return layout_of_titles(dialect.titles, *others)
-        return layout_of_numbers(dialect.width, *others)
-
-    def _require_readable(self, dialect: Dialect, layout: Layout, lines: Numbered) -> None:
-        """Raise FileError if the first line without a header cannot be read."""
-        if dialect.titles is None and lines:
-            number, line = lines[0]
-            found = self._row(number, line, dialect, layout)
-            if isinstance(found, Fault):
-                raise FileError(f"{self._source}, line {number}: {found.why}")
+        if self._dialect.titles is not None:
+            return layout_of_titles(self._dialect.titles, *others)
+        return layout_of_numbers(self._dialect.width, *others)
 
     def _none(self) -> Samples:
         """Return samples of length 0."""
-        shapes = (np.empty(0), np.empty((0, self._p or 1)), np.empty((0, self._m or 1)))
-        return Samples(*shapes, np.empty(0, np.int64))
+        shapes = (0, (0, self._p or 1), (0, self._m or 1))
+        return Samples(*[np.empty(shape) for shape in shapes], np.empty(0, np.int64))
 
-    def _samples(self, numbered: Numbered, dialect: Dialect, layout: Layout) -> Samples:
-        """Return the samples of numbered lines."""
-        values = _at_once([line for _, line in numbered], dialect, layout)
+    def _samples(self, numbers: Sequence[int], lines: Sequence[str], layout: Layout) -> Samples:
+        """Return the samples of lines with these numbers."""
+        values = _at_once(lines, self._dialect, layout)
         if values is not None:
             self._plain_times = self._plain_times or bool(np.isfinite(values[:, 0]).any())
         else:
             if self._stamps is None and not self._plain_times:
-                self._learn_stamps(numbered, dialect, layout)
-            values = self._one_by_one(numbered, dialect, layout)
-        values[np.isinf(values)] = np.nan
-        first = 0
-        t = np.full(len(values), np.nan)
-        if layout.time is not None:
-            first = 1
-            t = self._in_seconds(values[:, 0], layout)
-        end = first + len(layout.readings)
-        lines = np.array([number for number, _ in numbered], np.int64)
-        return Samples(t, values[:, first:end], values[:, end:], lines)
+                self._learn_stamps(numbers, lines, layout)
+            values = self._one_by_one(numbers, lines, layout)
+        samples = split_signals(values, layout, np.array(numbers, np.int64))
+        return samples._replace(t=self._in_seconds(samples.t, layout))
 
     def _in_seconds(self, t: Floats, layout: Layout) -> Floats:
         """Return the times of a log (N) in seconds; sample numbers stay as they are."""
-        if layout.seconds is None:
-            return t
         if self._stamps is None:
-            return since_1970(t) if layout.seconds == 1.0 else t * layout.seconds
-        if not self._stamps.dated and np.isfinite(t).any():
+            return to_seconds(t, layout.seconds)
+        if not self._stamps.dated:
             t = over_midnight(t, self._latest_time)
-            self._latest_time = float(t[np.isfinite(t)][-1])
+            self._latest_time = float(np.append(self._latest_time, t[np.isfinite(t)])[-1])
         return t
 
-    def _learn_stamps(self, numbered: Numbered, dialect: Dialect, layout: Layout) -> None:
+    def _learn_stamps(self, numbers: Sequence[int], lines: Sequence[str], layout: Layout) -> None:
         """Find the format of the times from the first one that can be read. Raises FileError."""
-        for k, (number, line) in enumerate(numbered):
-            cells = dialect.cells(line)
-            if len(cells) != dialect.width or layout.time is None:
-                continue
-            value = dialect.parse_number(cells[layout.time])
-            if value is not None and math.isfinite(value):
-                self._plain_times = True
+        rows = zip(numbers, map(self._dialect.cells, lines), strict=True)
+        whole = [(number, cells) for number, cells in rows if len(cells) == self._dialect.width]
+        texts = [_stamp_text(cells, layout) for _, cells in whole]
+        for k, text in enumerate(texts):
+            value = self._dialect.parse_number(text)
+            self._plain_times = value is not None and math.isfinite(value)
+            if self._plain_times:
                 return
-            text = _join_date_and_time(cells, layout)
-            if stamps_of([text]) is None:
+            self._stamps = stamps_of([text])
+            if self._stamps is None:
                 continue
-            others = [] if self._live else [dialect.cells(line) for _, line in numbered[k:]]
-            whole = [
-                _join_date_and_time(cells, layout)
-                for cells in others
-                if len(cells) == dialect.width
-            ]
-            self._stamps = stamps_of([text, *whole])
+            if not self._live:
+                self._stamps = stamps_of(texts[k:])
             if self._stamps is not None and is_ambiguous(text, self._stamps):
                 raise FileError(
-                    f"{self._source}, line {number}: it is not known which number of {text!r} "
+                    f"{self._source}, line {whole[k][0]}: it is not known which number of {text!r} "
                     "is the month. Write dates as 2026-04-03"
                 )
             return
 
-    def _one_by_one(self, numbered: Numbered, dialect: Dialect, layout: Layout) -> Floats:
+    def _one_by_one(self, numbers: Sequence[int], lines: Sequence[str], layout: Layout) -> Floats:
         """Read line by line: return the columns in use, NaN for an unreadable line.
 
         It is slower than reading a block at once, but finds the faults of each line.
         """
-        values = np.full((len(numbered), len(layout.columns)), np.nan)
-        for row, (number, line) in enumerate(numbered):
-            found = self._row(number, line, dialect, layout)
+        values = np.full((len(lines), len(layout.columns)), np.nan)
+        for row, line in enumerate(lines):
+            found = self._row(numbers[row], line, layout)
             if isinstance(found, Fault):
                 self.faults.add(found)
                 self.latest.append(found)
@@ -339,19 +306,18 @@ class LogReader:
                 values[row] = found
         return values
 
-    def _row(
-        self, number: int, line: str, dialect: Dialect, layout: Layout
-    ) -> list[float | None] | Fault:
+    def _row(self, number: int, line: str, layout: Layout) -> list[float | None] | Fault:
         """Return the numbers of a line in the columns that are used, or why it cannot be read."""
         kind, why = flaw(line)
         if why:
             return Fault(number, kind, why)
+        dialect = self._dialect
         cells = dialect.cells(line)
         if len(cells) != dialect.width:
             return Fault(number, "values", f"expected {dialect.width} values, found {len(cells)}")
         found = [dialect.parse_number(cells[k]) for k in layout.columns]
         if self._stamps is not None:
-            found[0] = self._stamps.seconds(_join_date_and_time(cells, layout))
+            found[0] = self._stamps.seconds(_stamp_text(cells, layout))
         if None in found:
             text = cells[layout.columns[found.index(None)]]
             why = f"expected a number or nothing, found {text!r:.40}"
@@ -359,6 +325,19 @@ class LogReader:
                 why = f"nothing tells whether the mark in {text!r:.40} is the decimal mark"
             return Fault(number, "number", why)
         return found
+
+
+def split_signals(values: Floats, layout: Layout, lines: Lines) -> Samples:
+    """Return the samples in the columns in use (N x K), with times as they are written.
+
+    Args:
+        values: numbers in `layout.columns`.
+        layout: columns of the signals.
+        lines: number of each line in the log (N).
+    """
+    first = int(layout.time is not None)
+    t, y, u = np.split(values, [first, first + len(layout.readings)], axis=1)
+    return Samples(t[:, 0] if first else np.full(len(values), np.nan), y, u, lines)
 
 
 def _values_of(dialect: Dialect, lines: Sequence[str]) -> Floats | None:
@@ -381,11 +360,9 @@ def numbers_of_texts(texts: Sequence[str], parse: Callable[[str], float | None])
     return np.array(values if stamps is None else list(map(stamps.seconds, texts)), float)
 
 
-def _join_date_and_time(cells: list[str], layout: Layout) -> str:
+def _stamp_text(cells: Sequence[str], layout: Layout) -> str:
     """Return the text of a line's time stamp, behind that of a column of dates."""
-    assert layout.time is not None
-    time = cells[layout.time]
-    return time if layout.date is None else f"{cells[layout.date]} {time}"
+    return " ".join(cells[k] for k in (layout.date, layout.time) if k is not None)
 
 
 def samples_of_text(reader: LogReader, path: Path, largest: int, most: float) -> Samples:
@@ -429,24 +406,22 @@ def count_in_words(count: int) -> str:
     return "1 line" if count == 1 else f"{count} lines"
 
 
-def _at_once(lines: list[str], dialect: Dialect, layout: Layout) -> Floats | None:
+def _at_once(lines: Sequence[str], dialect: Dialect, layout: Layout) -> Floats | None:
     """Return the numbers of the columns that are used, read by NumPy; None if a line is not
     plain.
     """
     if dialect.separator == " " or any(len(line) > LONGEST_LINE for line in lines):
         return None
-    between = {line.count(dialect.separator) for line in lines}
-    if between != {dialect.width - 1}:
+    if {line.count(dialect.separator) for line in lines} != {dialect.width - 1}:
         return None
-    plain = lines
-    other = {".": ",", ",": "."}.get(dialect.mark, ",")
-    if dialect.separator != "," and any(other in line for line in lines):
-        return None  # thousands, or nothing tells it
-    if dialect.separator != "," and any("," in line for line in lines):
-        plain = [line.replace(",", ".") for line in lines]
+    if dialect.separator != ",":
+        other = OTHER.get(dialect.mark, ",")
+        if any(other in line for line in lines):
+            return None  # thousands, or nothing tells it
+        lines = [line.replace(",", ".") for line in lines]
     try:
         values = np.loadtxt(
-            plain, delimiter=dialect.separator, usecols=layout.columns, comments=None, ndmin=2
+            lines, delimiter=dialect.separator, usecols=layout.columns, comments=None, ndmin=2
         )
     except ValueError:
         return None
@@ -597,13 +572,11 @@ def fill_gaps(samples: Regular, steps: Floats, step: float) -> Regular:
     if total == samples.t.size:
         return samples
     at = np.cumsum(steps).astype(int) - 1
-    full = Regular(*[np.full((total, *part.shape[1:]), np.nan) for part in samples])
-    for whole, part in zip(full, samples, strict=True):
-        whole[at] = part
-    following = at[np.searchsorted(at, np.arange(total))]
-    behind = np.arange(total) - following  # steps before the next sample, 0 at samples
-    full.t[:] = full.t[following] + behind * step
-    return full
+    following = np.searchsorted(at, np.arange(total))
+    behind = np.arange(total) - at[following]  # steps before the next sample, 0 at samples
+    full = Regular(*[part[following] for part in samples])
+    full.y[behind < 0] = full.u[behind < 0] = np.nan
+    return full._replace(t=full.t + behind * step)
 
 
 def usual_step(intervals: Floats) -> float | None:

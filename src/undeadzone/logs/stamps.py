@@ -5,7 +5,6 @@ Numbers in a unit of time are none of these: see `names.SECONDS`.
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterable
 from datetime import date
@@ -19,15 +18,15 @@ DAY: Final = 86_400.0  # [s]
 NOON: Final = 12  # [h]
 LONGEST_NIGHT: Final = 3600.0  # [s] over midnight without a sample; else a time is wrong
 FIRST_DAY: Final = date(1970, 1, 1).toordinal()
-# Times without a unit that are at least so large count parts of a second since 1970, of this length
-# [s].
-SINCE_1970: Final = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))
+# Least times without a unit that count ms, us and ns since 1970.
+SINCE_1970: Final = (1e11, 1e14, 1e17)
+PARTS: Final = np.array([1.0, 1e-3, 1e-6, 1e-9])  # [s]
 _DATE: Final = r"(?P<a>\d{1,4})(?P<dot>[-./])(?P<b>\d{1,2})(?P=dot)(?P<c>\d{1,4})"
 _CLOCK: Final = (
     r"(?P<h>\d{1,2}):(?P<min>\d{2})(?::(?P<s>\d{2}(?:[.,]\d+)?))?\s*(?P<half>[AaPp][Mm])?"
     r"\s*(?P<zone>[Zz]|[-+]\d{2}:?\d{2})?"
 )
-STAMP: Final = re.compile(rf"(?:{_DATE})?(?:(?:^|[Tt ]\s*){_CLOCK})?")
+STAMP: Final = re.compile(rf"(?=.)(?:{_DATE})?(?:(?:^|[Tt ]\s*){_CLOCK})?")
 
 
 class Stamps(NamedTuple):
@@ -48,7 +47,7 @@ class Stamps(NamedTuple):
             text: date and time of day as written; what has no zone counts as UTC.
         """
         found = STAMP.fullmatch(text.strip())
-        if found is None or not found[0] or (found["a"] is not None) != self.dated:
+        if found is None or (found["a"] is not None) != self.dated:
             return None
         day = _day(found, self.day_first) if self.dated else 0
         of_day = _of_day(found)
@@ -61,15 +60,14 @@ def stamps_of(texts: Iterable[str]) -> Stamps | None:
     Args:
         texts: the first ones.
     """
-    found = [STAMP.fullmatch(text.strip()) for text in texts]
-    first = next((one for one in found if one is not None and one[0]), None)
-    if first is None:
+    found = list(filter(None, (STAMP.fullmatch(text.strip()) for text in texts)))
+    if not found:
         return None
     day_first = None
     for one in found:
-        if one is not None and one["a"] is not None and max(int(one["a"]), int(one["b"])) > NOON:
+        if one["a"] is not None and max(int(one["a"]), int(one["b"])) > NOON:
             day_first = int(one["a"]) > NOON
-    return Stamps(first["a"] is not None, day_first)
+    return Stamps(found[0]["a"] is not None, day_first)
 
 
 def is_ambiguous(text: str, stamps: Stamps) -> bool:
@@ -80,27 +78,29 @@ def is_ambiguous(text: str, stamps: Stamps) -> bool:
     return found["dot"] != "." and len(found["a"]) < 4
 
 
-def since_1970(t: Floats) -> Floats:
-    """Times without a unit [s]: as large as ms, us or ns since 1970 are, they are these."""
-    out = np.array(t)
-    for least, length in reversed(SINCE_1970):
-        out[np.abs(t) >= least] = t[np.abs(t) >= least] * length
-    return out
+def to_seconds(t: Floats, unit: float | None) -> Floats:
+    """Return times in seconds: as large as ms, us or ns since 1970 are, they are these.
+
+    Args:
+        t: times (N).
+        unit: length of their unit [s], 1 without one; None: they count samples, and stay.
+    """
+    if unit == 1.0:
+        return t * PARTS[np.digitize(np.abs(t), SINCE_1970)]
+    return t * (unit or 1.0)
 
 
 def over_midnight(t: Floats, before: float) -> Floats:
-    """Times of day that go on after midnight [s].
+    """Return times of day that go on after midnight [s].
 
     Args:
         t: times of day (N) [s]; NaN if one is missing.
         before: the last time before these [s], days counted; NaN: there is none.
     """
-    out = np.array(t)
-    days = 0.0 if math.isnan(before) else math.floor(before / DAY)
-    for k in np.flatnonzero(np.isfinite(t)):
-        if t[k] + days * DAY < before - (DAY - LONGEST_NIGHT):
-            days += 1
-        out[k] = before = t[k] + days * DAY
+    known = np.isfinite(t)
+    falls = np.diff(t[known], prepend=before % DAY) < LONGEST_NIGHT - DAY
+    out = t.copy()
+    out[known] += DAY * (np.nan_to_num(before // DAY) + np.cumsum(falls))
     return out
 
 
@@ -143,6 +143,4 @@ def _zone(text: str | None) -> float:
     """How far a zone's clocks are ahead of UTC [s]."""
     if text is None or text in "Zz":
         return 0.0
-    digits = text[1:].replace(":", "")
-    ahead = 3600.0 * int(digits[:2]) + 60.0 * int(digits[2:])
-    return -ahead if text[0] == "-" else ahead
+    return 3600.0 * int(text[:3]) + 60.0 * int(text[0] + text[-2:])

@@ -6,6 +6,7 @@ That is its separator, its decimal comma, its remarks, its header.
 from __future__ import annotations
 
 import codecs
+import itertools
 import math
 import re
 from collections.abc import Iterator, Sequence
@@ -27,8 +28,6 @@ MISSING: Final = frozenset(
 )
 LARGEST: Final = 1e50  # beyond this no unit makes sense
 _BLANKS_BETWEEN: Final = re.compile(r"\d,\d+ +[-+]?\d")
-_WITH_COMMA: Final = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?")
-_WITH_POINT: Final = re.compile(r"[-+]?\d*\.\d+(?:[eE][-+]?\d+)?")
 # Groups of three digits, and what only such a number can be.
 _THOUSANDS: Final = {
     ",": re.compile(r"[-+]?[1-9]\d{0,2}(?:,\d{3})+"),
@@ -38,12 +37,19 @@ _GROUPED: Final = {
     ".": re.compile(r"[-+]?[1-9]\d{0,2}(?:(?:,\d{3})+\.\d+|(?:,\d{3}){2,})"),
     ",": re.compile(r"[-+]?[1-9]\d{0,2}(?:(?:\.\d{3})+,\d+|(?:\.\d{3}){2,})"),
 }
+# Numbers that show the decimal mark: no group of three digits behind it, or groups ahead of it.
+_TELLING: Final = {
+    mark: re.compile(
+        rf"(?!{_THOUSANDS[mark].pattern}$)[-+]?\d*\{mark}\d+(?:[eE][-+]?\d+)?|{grouped.pattern}"
+    )
+    for mark, grouped in _GROUPED.items()
+}
 _BLANKS: Final = re.compile("[ \t]+")
-_OTHER: Final = {".": ",", ",": "."}
+OTHER: Final = {".": ",", ",": "."}
 TELLING_MARK: Final = 5000  # lines that tell the decimal mark
 PREAMBLE: Final = 60  # lines among which the header is looked for
 _ESCAPED: Final = re.compile("[\udc80-\udcff]+")
-BRACKETED: Final = re.compile(r"^\[.*\]$|^\(.*\)$")
+_UNIT: Final = re.compile(r"\[.*\]|\(.*\)|")  # cell of a line of units
 
 
 def blocks_of(path: Path, largest: int) -> Iterator[tuple[bytes, bool]]:
@@ -189,11 +195,11 @@ class Dialect(NamedTuple):
         """Return whether the only mark in a cell may stand before decimals or between thousands."""
         if self.separator == ",":
             return False
-        other = _OTHER.get(self.mark, ",")  # where nothing tells a mark, a point is one
+        other = OTHER.get(self.mark, ",")  # where nothing tells a mark, a point is one
         return (
             not self.grouped
             and _THOUSANDS[other].fullmatch(cell) is not None
-            and (_GROUPED[_OTHER[other]].fullmatch(cell) is None)
+            and (_GROUPED[OTHER[other]].fullmatch(cell) is None)
         )
 
 
@@ -211,19 +217,26 @@ def dialect_of(lines: Sequence[str]) -> Dialect:
     """
     separator = _separator(lines)
     first = split_cells(lines[0], separator)
-    heads = _heads(lines, separator)
-    if heads == 0:
+    if not any(first) or _count_numbers(first):
         return Dialect(separator, len(first), None, 0)
+    heads = 1
     titles = [split_unit(cell) for cell in first]
-    if heads == 2:
-        units = split_cells(lines[1], separator)
-        titles = [
-            Title(title.name, title.unit or unit.strip("[]() "))
-            for title, unit in zip(titles, units, strict=True)
-        ]
+    for line in lines[1:2]:
+        units = split_cells(line, separator)
+        if any(units) and all(map(_UNIT.fullmatch, units)) and len(units) == len(first):
+            heads = 2
+            titles = [
+                Title(title.name, title.unit or unit.strip("[]() "))
+                for title, unit in zip(titles, units, strict=True)
+            ]
     if titles[-1].name == "":
         titles.pop()
     return Dialect(separator, len(titles), tuple(titles), heads)
+
+
+def _count_numbers(cells: Sequence[str]) -> int:
+    """Return the number of cells with a number, or with a word for a missing one."""
+    return sum(parse_cell(cell, "") is not None for cell in cells if cell)
 
 
 def split_cells(line: str, separator: str) -> list[str]:
@@ -242,7 +255,7 @@ def parse_cell(cell: str, mark: str) -> float | None:
     """
     if cell.lower() in MISSING:
         return math.nan
-    other = _OTHER.get(mark, "")
+    other = OTHER.get(mark, "")
     if other and other in cell:
         is_grouped = _GROUPED[mark].fullmatch(cell) or _THOUSANDS[other].fullmatch(cell)
         if is_grouped is None:
@@ -272,23 +285,13 @@ def decimal_mark(lines: Sequence[str], separator: str, live: bool, source: str) 
     """
     if separator == ",":
         return ".", False
-    counts = {",": 0, ".": 0}
-    grouped = {",": False, ".": False}
-    open_one = ""
-    for line in lines[:TELLING_MARK]:
-        if "," not in line and "." not in line:
-            continue
-        for cell in split_cells(line, separator):
-            for mark, shape in ((",", _WITH_COMMA), (".", _WITH_POINT)):
-                plain = shape.fullmatch(cell) and not _THOUSANDS[mark].fullmatch(cell)
-                has_groups = _GROUPED[mark].fullmatch(cell) is not None
-                grouped[mark] = grouped[mark] or has_groups
-                counts[mark] += bool(plain or has_groups)
-            if not open_one and _THOUSANDS[","].fullmatch(cell):
-                open_one = cell
-    if counts[","] or counts["."]:
-        mark = "," if counts[","] > counts["."] else "."
-        return mark, grouped[mark]
+    rows = (split_cells(line, separator) for line in lines[:TELLING_MARK])
+    cells = list(itertools.chain.from_iterable(rows))
+    counts = {mark: len([*filter(shape.fullmatch, cells)]) for mark, shape in _TELLING.items()}
+    mark = "," if counts[","] > counts["."] else "."
+    if counts[mark]:
+        return mark, any(map(_GROUPED[mark].fullmatch, cells))
+    open_one = next(filter(_THOUSANDS[","].fullmatch, cells), "")
     if open_one and not live:
         whole = open_one.replace(",", "")
         decimal = open_one.replace(",", ".")
@@ -308,26 +311,18 @@ def lines_ahead(lines: Sequence[str]) -> int | None:
     Args:
         lines: the first lines with content.
     """
-    first = split_cells(lines[0], _separator(lines))
-    if all(parse_cell(cell, "") is not None for cell in first if cell):
-        return 0
-    for k, line in enumerate(lines[:-1]):
-        behind = lines[k + 1 :]
+    for k, line in enumerate(lines):
         separator = _separator(lines[k:])
         cells = split_cells(line, separator)
         named = [cell for cell in cells if cell]
-        if len(named) < 2 or len({*named}) < len(named):
+        count = _count_numbers(cells)
+        if k == 0 and count == len(named):
+            return 0
+        if count or len({*named}) < max(2, len(named)):
             continue
-        if any(parse_cell(cell, "") is not None for cell in named):
-            continue
-        rows = [split_cells(other, separator) for other in behind]
-        alike = [
-            row
-            for row in rows
-            if len(row) - (not row[-1] and len(row) > len(cells)) == len(cells)
-            and any(cell and parse_cell(cell, "") is not None for cell in row)
-        ]
-        if 2 * len(alike) >= len(rows):
+        rows = map(Dialect(separator, len(cells), None, 0).cells, lines[k + 1 :])
+        alike = [row for row in rows if len(row) == len(cells) and _count_numbers(row)]
+        if alike and 2 * len(alike) >= len(lines) - k - 1:
             return k
     return None
 
@@ -347,20 +342,3 @@ def _separator(lines: Sequence[str]) -> str:
             best = candidate
             most = len(holding)
     return best
-
-
-def _heads(lines: Sequence[str], separator: str) -> int:
-    """How many lines come before the numbers: 0, 1 (names) or 2 (names, units)."""
-    first = split_cells(lines[0], separator)
-    mark = "." if separator == "," else ""
-    if any(parse_cell(cell, mark) is not None for cell in first if cell):
-        return 0
-    if not any(first):
-        return 0
-    if len(lines) > 1:
-        second = split_cells(lines[1], separator)
-        named = [cell for cell in second if cell]
-        bracketed = all(BRACKETED.match(cell) for cell in named)
-        if named and bracketed and len(second) == len(first):
-            return 2
-    return 1

@@ -22,13 +22,15 @@ from undeadzone.logs.kinds import Title, split_unit
 from undeadzone.logs.matlab73 import NUMERIC, is_matlab_73, load_matlab_73, unpacked_size
 from undeadzone.logs.names import Layout, layout_of_titles, numbers
 from undeadzone.logs.samples import (
+    Faults,
     LogReader,
     Samples,
     numbers_of_texts,
     oldest_first,
     samples_of_text,
+    split_signals,
 )
-from undeadzone.logs.stamps import since_1970
+from undeadzone.logs.stamps import to_seconds
 from undeadzone.logs.text import LARGEST, parse_cell
 from undeadzone.util.arrays import Floats
 from undeadzone.util.files import (
@@ -53,13 +55,15 @@ class WholeLog(NamedTuple):
         source: its name in messages.
         samples: all of them.
         layout: its columns; None: it has none.
-        reader: of its lines; None: it has no lines.
+        faults: of its lines.
+        ahead: lines ahead of the header that were skipped.
     """
 
     source: str
     samples: Samples
     layout: Layout | None
-    reader: LogReader | None = None
+    faults: Faults
+    ahead: int = 0
 
 
 def read_whole(
@@ -87,10 +91,10 @@ def read_whole(
     source = str(log) if is_path else "DataFrame"
     log = Path(log) if is_path else log
     if not is_path or log.suffix.lower() in BINARY:
-        return WholeLog(source, *samples_of(log, p, m, chosen, source))
+        return WholeLog(source, *samples_of(log, p, m, chosen, source), Faults(source, strict))
     reader = LogReader(source, p, m, chosen, strict)
     samples = samples_of_text(reader, log, largest, most)
-    return WholeLog(source, samples, reader.layout, reader)
+    return WholeLog(source, samples, reader.layout, reader.faults, reader.ahead)
 
 
 def samples_of(
@@ -111,21 +115,13 @@ def samples_of(
     if not columns:
         raise FileError(f"{source}: holds no columns of numbers")
     titles = [title for title, _ in columns]
-    values = [column for _, column in columns]
-    sizes = {column.size for column in values}
-    seen = np.column_stack(values) if len(sizes) == 1 and min(sizes) > 1 else None
+    values = np.column_stack([column for _, column in columns])
+    seen = values if len(values) > 1 else None
     layout = layout_of_titles(titles, p, m, chosen, source, seen)
-    length = values[layout.readings[0]].size
-    for k in layout.columns:
-        if values[k].size != length:
-            raise FileError(f"{source}: {titles[k].name!r} has not as many rows as the readings")
-    t = np.full(length, np.nan)
-    if layout.time is not None:
-        t = values[layout.time]
-        t = since_1970(t) if layout.seconds == 1.0 else t * (layout.seconds or 1.0)
-    y = np.column_stack([values[k] for k in layout.readings])
-    u = np.column_stack([values[k] for k in layout.driving])
-    return oldest_first(_usable(t, y, u)), layout
+    used = values[:, layout.columns]
+    used[np.abs(used) > LARGEST] = np.nan
+    samples = split_signals(used, layout, np.arange(1, len(used) + 1))
+    return oldest_first(samples._replace(t=to_seconds(samples.t, layout.seconds))), layout
 
 
 def samples_of_arrays(
@@ -163,18 +159,6 @@ def _columns(log: Any) -> Columns:
     return of_npz(log) if log.suffix.lower() == ".npz" else of_mat(log)
 
 
-def _usable(t: Floats, y: Floats, u: Floats) -> Samples:
-    """Samples whose numbers without meaning are missing."""
-    lines = np.arange(1, len(t) + 1)
-    return Samples(t, _sensible(y), _sensible(u), lines)
-
-
-def _sensible(values: Floats) -> Floats:
-    """Return the values, NaN in place of infinite or too large ones."""
-    with np.errstate(invalid="ignore"):
-        return np.where(np.abs(values) <= LARGEST, values, np.nan)
-
-
 def of_frame(frame: Any) -> Columns:
     """Return the numeric columns of a DataFrame; times of day become seconds since the first."""
     titled = [(str(title), np.asarray(frame[title])) for title in frame.columns]
@@ -184,8 +168,8 @@ def of_frame(frame: Any) -> Columns:
     columns = []
     for title, values in titled:
         if values.dtype.kind == "M":
-            values = (values - values[0]) / np.timedelta64(1, "ns") * 1e-9
-        elif values.dtype.kind == "m":
+            values = values - values[0]
+        if values.dtype.kind == "m":
             values = values / np.timedelta64(1, "ns") * 1e-9
         if values.dtype.kind in "iufb":
             columns.append((split_unit(title), values.astype(float)))
@@ -282,22 +266,20 @@ def _columns_of(arrays: dict[str, Any], path: Path | str) -> Columns:
 
     Raises FileError.
     """
-    longest = 0
-    for array in arrays.values():
-        if isinstance(array, np.ndarray) and array.dtype.kind in "iuf" and array.ndim <= 2:
-            longest = max(longest, *array.shape, 0)
+    usable = {
+        name: np.atleast_2d(array)
+        for name, array in arrays.items()
+        if isinstance(array, np.ndarray) and array.dtype.kind in "iuf" and array.ndim in (1, 2)
+    }
+    longest = max((max(array.shape) for array in usable.values()), default=0)
     columns: Columns = []
-    for name, array in arrays.items():
-        usable = isinstance(array, np.ndarray) and array.dtype.kind in "iuf"
-        if not usable or array.ndim not in (1, 2) or longest not in array.shape:
-            continue
-        flat = array.ndim == 1 or 1 in array.shape
-        rows = array.reshape(longest, 1) if flat else array
-        if rows.shape[0] != longest:
-            rows = rows.T
-        for k in range(rows.shape[1]):
-            title = name if rows.shape[1] == 1 else f"{name}[{k}]"
-            columns.append((Title(title, ""), rows[:, k].astype(float)))
+    for name, array in usable.items():
+        rows = array if len(array) == longest else array.T
+        names = [name] if rows.shape[1] == 1 else [f"{name}[{k}]" for k in range(rows.shape[1])]
+        if len(rows) == longest:
+            columns += [
+                (Title(one, ""), x) for one, x in zip(names, rows.T.astype(float), strict=True)
+            ]
     if not columns:
         raise FileError(f"{path}: holds no arrays of numbers. It should hold t, y and u")
     return columns

@@ -143,7 +143,7 @@ class _Log(NamedTuple):
         source: its name in messages.
         placed: its samples, one step apart.
         layout: its columns (None: it has none).
-        faults: the lines that cannot be read (None: it has no lines).
+        faults: the lines that cannot be read (None for arrays).
     """
 
     source: str
@@ -162,8 +162,7 @@ def _read_any_log(
         require_units(read.layout, scenario.units, read.source)
     timed = read.layout is not None and read.layout.has_times
     on_steps = place_on_steps(read.samples, timed, scenario.simulation.step, read.source)
-    faults = None if read.reader is None else read.reader.faults
-    return _Log(read.source, on_steps, read.layout, faults)
+    return _Log(read.source, on_steps, read.layout, read.faults)
 
 
 # --- Looking back

@@ -135,9 +135,9 @@ def find_spikes(values: Floats, known: Flags) -> Flags:
         known: which of them there are.
     """
     size = np.abs(values)
-    usual = float(np.quantile(size[known], 0.99)) if known.any() else 0.0
+    usual = np.quantile(size[known], 0.99) if known.any() else 0.0
     found = known & (size > SPIKE * usual)
-    return found & bool(usual > 0 and found.sum() <= max(1, RARE * known.sum()))
+    return found & (usual > 0) & (found.sum() <= max(1, RARE * known.sum()))
 
 
 def shorten_log(grid: Grid, integrators: int = 0) -> Grid:
@@ -158,10 +158,10 @@ def shorten_log(grid: Grid, integrators: int = 0) -> Grid:
     )
     firsts = np.linspace(0, size - long, STRETCHES).astype(int)
     samples = np.concatenate([np.arange(first, first + long) for first in firsts])
-    begins = np.union1d(np.flatnonzero(np.isin(samples, grid.start)), long * np.arange(STRETCHES))
+    begins = np.isin(samples, np.append(grid.start, firsts))
     return grid._replace(
         **{name: getattr(grid, name)[samples] for name in ("t", "u", "r", "y", "ok")},
-        start=begins,
+        start=np.flatnonzero(begins),
         remarks=[*grid.remarks, remark],
     )
 
@@ -222,15 +222,14 @@ def _put_on_grid(log: Log, step: float, is_regular: bool, remarks: list[str]) ->
         remarks: list that is extended.
     """
     spacing = np.diff(log.t)
-    usual = max(step, float(np.median(spacing)))
+    usual = np.maximum(step, np.median(spacing))
     if is_regular:
-        usual = step
         counts = np.maximum(np.rint(spacing / step), 1.0)
         odd = np.abs(spacing - counts * step) > MOST_SWAY * step + _print_error(log.t, step)
         odd &= spacing > BRIDGED * step  # below, a neighbour is early or late
         spacing = step * np.where(odd, 2.0 * LONG, counts)
     t = np.append(0.0, np.cumsum(spacing))
-    first = np.append(0, np.flatnonzero(spacing > (LONG + 0.5) * usual) + 1)
+    first = np.flatnonzero(np.append(np.inf, spacing) > (LONG + 0.5) * usual)
     lengths = t[np.append(first[1:], t.size) - 1] - t[first]
     if not lengths.sum() / (20 * t.size) <= step < t[-1]:
         raise InputError(
@@ -244,20 +243,19 @@ def _put_on_grid(log: Log, step: float, is_regular: bool, remarks: list[str]) ->
     at = np.round(np.interp(grid, times, np.arange(times.size)), 6)
     beside = np.array([np.floor(at), np.ceil(at)], int)
     silent = (y[beside] == 0).any(axis=0)  # between 0 and a reading lies none
-    new = (
-        y[beside[0]]
-        + (np.where(silent, np.rint(at), at) - beside[0]) * np.diff(y[beside], axis=0)[0]
-    )
+    new = np.interp(np.where(silent, np.rint(at), at), np.arange(y.size), y)
     apart = np.maximum(np.ptp(times[beside], axis=0), np.abs(grid - times[beside[0]]))
     if is_regular:
         near = apart < 0.5 * step
-        notes = {
-            f"readings missing in gaps of {log.source}; the input is held there": grid.size
-            - t.size,
-            f"gaps of {log.source} are longer than {LONG} steps or no multiple of one; a new record"
-            " begins after each": first.size - 1,
-        }
-        remarks += [f"{count} {words}" for words, count in notes.items() if count]
+        notes = (
+            (grid.size - t.size, "readings missing in gaps of {}; the input is held there"),
+            (
+                first.size - 1,
+                f"gaps of {{}} are longer than {LONG} steps or no multiple of one; a new record"
+                " begins after each",
+            ),
+        )
+        remarks += [f"{count} {words.format(log.source)}" for count, words in notes if count]
     else:
         near = apart <= BRIDGED * usual * (1 + JITTER)
         quantum = find_quantum(y)
@@ -280,9 +278,9 @@ def find_quantum(y: Floats) -> float:
     Returns:
         As of `rounding_step`; 0 if the readings are many and different.
     """
-    different = np.unique(np.append(np.abs(y), 0.0)).size
-    few = 4 <= different <= 0.5 * max(int(np.count_nonzero(y)), 8)
-    return rounding_step(y) if few else 0.0
+    different = np.unique(np.append(np.abs(y), 0.0))
+    few = 4 <= different.size <= 0.5 * np.maximum(np.count_nonzero(y), 8)
+    return common_spacing(different) if few else 0.0
 
 
 def round_to_steps(y: Floats, remarks: list[str]) -> Floats:
@@ -301,26 +299,19 @@ def round_to_steps(y: Floats, remarks: list[str]) -> Floats:
     """
     if y.size < HARDLY_BY_CHANCE or np.mean(y[1:] == y[:-1]) > RARELY:  # noise does not repeat
         return y
-    low, high = np.quantile(y, [RARELY, 1 - RARELY]).tolist()
-    if not 0.0 < high - low < math.inf:
-        return y
-    scaled = (y - low) / (high - low)
-    waves = np.arange(FEWEST_LEVELS - 1, MOST_LEVELS, 0.2)  # steps of the range
-    some = scaled[:: -(-y.size // SOME)]
+    low, high = np.quantile(y, [RARELY, 1 - RARELY])
+    waves = np.arange(FEWEST_LEVELS - 1, MOST_LEVELS, 0.2) / (high - low)
+    some = y[:: 1 + y.size // SOME] - low
     means = np.exp(2j * np.pi * np.outer(waves, some)).mean(axis=1)
-    best = int(np.argmax(np.abs(means)))
+    best = np.argmax(np.abs(means))
     line = np.array([1.0, np.angle(means[best]) / (2 * np.pi)]) / waves[best]
     for _ in range(3):  # through the readings by their level
-        level = np.round((scaled - line[1]) / line[0])
-        if np.ptp(level) < FEWEST_LEVELS - 1:
-            return y
-        line = np.polyfit(level, scaled, 1)
-    step, offset = (high - low) * line + [0.0, low]
-    offset -= step * round(offset / step)
+        line = np.polyfit(np.round((y - low - line[1]) / line[0]), y - low, 1)
+    step = float(line[0])
+    offset = math.remainder(line[1] + low, step)
     level = np.round((y - offset) / step)
-    noise = float(np.std(y - offset - step * level))
-    if abs(offset) < SURE * noise / math.sqrt(y.size):
-        offset = 0.0
+    noise = np.std(y - offset - step * level)
+    offset *= abs(offset) >= SURE * noise / math.sqrt(y.size)
     rounded = offset + step * level
     gathered = np.cos(2 * np.pi * (y - rounded) / step)
     changes = np.flatnonzero(np.diff(level))
@@ -354,7 +345,7 @@ def printed_step(values: Floats) -> float:
 
 def last_decimal(values: Floats) -> float:
     """Return the unit of the last decimal that values (N) have, of six at most; else 0."""
-    off = 1e-9 * max(float(np.ptp(values)), 1e-300) + float(np.spacing(np.abs(values).max()))
+    off = 1e-9 * np.maximum(np.ptp(values), 1e-300) + np.spacing(np.abs(values).max())
     units = (10.0**-k for k in range(7) if np.abs(values - np.round(values, k)).max() < off)
     return next(units, 0.0)
 
@@ -370,7 +361,7 @@ def common_spacing(values: Floats) -> float:
     spacing = spacing[spacing > EXACT * moves[-1]]
     if not spacing.size:
         return 0.0
-    quantum = float(spacing.min())
+    quantum = spacing.min()
     counts = np.round(moves / quantum)
     quantum = float(moves @ counts / (counts @ counts))
     odd = np.abs(moves / quantum - np.round(moves / quantum))

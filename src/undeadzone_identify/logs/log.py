@@ -112,7 +112,7 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         Raises:
             InputError: the option is not a width, two bounds or inf.
         """
-        text = self.right if side == "right" else self.left
+        text = getattr(self, side)
         if text is None:
             return (-math.inf, math.inf)
         bounds = _parse_one_or_two(text, ",", float)
@@ -127,8 +127,6 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         """Return these options if every value is usable. Raise InputError."""
         hints = get_type_hints(Options)
         words = {name: get_args(hints[name]) for name in ("noise", "place", "kind")}
-        late = self.delay.isdigit() and int(self.delay) <= MOST_LATE
-        threshold = self.threshold or 0.0
         for name, is_usable, expected in (
             *(
                 (name, getattr(self, name) in known, ", ".join(known))
@@ -137,12 +135,13 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
             ("integrators", self.integrators in (0, 1, 2), "0, 1 or 2"),
             (
                 "delay",
-                late or self.delay in ("auto", AT_ONCE),
+                self.delay in ("auto", AT_ONCE)
+                or (self.delay.isdigit() and int(self.delay) <= MOST_LATE),
                 f"auto or {AT_ONCE} to {MOST_LATE} samples",
             ),
             ("zero", math.isfinite(self.zero), "a number"),
             ("held_out", 0.1 <= self.held_out <= 0.5, "0.1 to 0.5"),
-            ("threshold", 0 <= threshold < math.inf, "a number >= 0"),
+            ("threshold", 0 <= (self.threshold or 0.0) < math.inf, "a number >= 0"),
         ):
             if not is_usable:
                 raise InputError(f"{name}: expected {expected}, found {getattr(self, name)!r}")
@@ -214,10 +213,9 @@ class Log(NamedTuple):
 
     def select_output(self, k: int) -> Log:
         """Return the log with a single output."""
+        one = slice(k, k + 1)
         return self._replace(
-            y=self.y[:, k : k + 1],
-            outputs=self.outputs[k : k + 1],
-            output_units=self.output_units[k : k + 1],
+            y=self.y[:, one], outputs=self.outputs[one], output_units=self.output_units[one]
         )
 
 
@@ -237,10 +235,10 @@ def log_from_samples(samples: Samples, layout: Layout, source: str, strict: bool
     Raises:
         FileError: times that do not increase, a missing input, readings that are all missing.
     """
-    mended: list[str] = []
     if layout.time is None:
         samples = samples._replace(t=np.arange(samples.t.size, dtype=float))
     samples, repeated = without_repeats(samples)
+    mended = [(repeated, "samples have the time of the one before, and are left out")]
     if not strict:
         samples = _mend_times(_hold_inputs(samples, mended), mended)
     require_increasing(samples, source)
@@ -257,14 +255,10 @@ def log_from_samples(samples: Samples, layout: Layout, source: str, strict: bool
             raise FileError(f"{source}: {name} holds no number: every one is missing")
     driving = layout.input_titles[: 1 if layout.has_current else None]
     units = {title.unit or "1" for title in driving}
-    remarks = [f"{source}: {remark}" for remark in mended]
+    remarks = [f"{source}: {count} {what}" for count, what in mended if count]
     if layout.reference is not None or not layout.is_certain:
         rest = f", not {layout.unused}" if layout.unused else ""
         remarks.insert(0, f'{source}: read as --columns "{layout.columns_text}"{rest}')
-    if repeated:
-        remarks.append(
-            f"{source}: {repeated} samples have the time of the one before, and are left out"
-        )
     return Log(
         samples.t,
         u,
@@ -274,53 +268,58 @@ def log_from_samples(samples: Samples, layout: Layout, source: str, strict: bool
         units.pop() if len(units) == 1 else "1",
         tuple(title.unit or "1" for title in layout.reading_titles),
         source,
-        layout.seconds is None or layout.time is None,
+        not layout.has_times,
         r,
         tuple(remarks),
         layout.time is not None,
     )
 
 
-def _hold_inputs(samples: Samples, remarks: list[str]) -> Samples:
-    """Return samples whose missing inputs are those before, from the first known ones on."""
+def _hold_inputs(samples: Samples, mended: list[tuple[int, str]]) -> Samples:
+    """Return samples whose missing inputs are those before, from the first known ones on.
+
+    Args:
+        samples: of the log.
+        mended: counts of changes, with words, to which others are added.
+    """
     known = np.isfinite(samples.u)
-    missing = int((~known).any(axis=1).sum())
-    if not missing:
-        return samples
-    remarks.append(f"{missing} inputs are missing, and count as held")
+    missing = (~known).any(axis=1).sum()
+    mended.append((missing, "inputs are missing, and count as held"))
     last = np.maximum.accumulate(known * np.arange(len(known))[:, None], axis=0)
     u = np.take_along_axis(samples.u, last, axis=0)
     begun = (np.isfinite(u) | ~known.any(axis=0)).all(axis=1)
     return samples._replace(u=u).select_rows(begun)
 
 
-def _mend_times(samples: Samples, remarks: list[str]) -> Samples:
+def _mend_times(samples: Samples, mended: list[tuple[int, str]]) -> Samples:
     """Return samples without single wrong times, sessions one after another, equal times spread.
 
     Too many wrong times stay as they are, and are refused.
+
+    Args:
+        samples: of the log.
+        mended: counts of changes, with words, to which others are added.
     """
     rows = np.flatnonzero(np.isfinite(samples.t))
     t = samples.t[rows]
-    back = np.flatnonzero(np.diff(t) < 0)
-    is_late = np.append(t, np.inf)[back + 2] > t[back]
-    is_early = t[back + 1] > np.append(-np.inf, t)[back]
-    wrong = np.where(is_late, back + 1, back)[is_late | is_early]
-    rows = np.delete(rows, wrong)
+    before, after = np.append(-np.inf, t[:-1]), np.append(t[1:], np.inf)
+    wrong = (before < after) & ((t < before) | (t > after))
+    wrong[:-1] &= ~wrong[1:] | (t[:-1] <= t[1:])  # of two about a fall, the later one
+    rows = rows[~wrong]
     between = np.diff(samples.t[rows])
-    left_out, begun = samples.t.size - rows.size, int((between < 0).sum())
+    left_out, begun = samples.t.size - rows.size, (between < 0).sum()
     if max(left_out, 10 * begun) > REPEATED * samples.t.size or not (between > 0).any():
         return samples
-    usual = float(np.median(between[between > 0]))
+    usual = np.median(between[between > 0])
     between[between < 0] = SESSIONS * usual
-    for count, what in (
+    mended += [
         (left_out, "samples have a missing or wrong time, and are left out"),
         (begun, "times the time begins anew: each session is a record"),
         ((between == 0).sum(), "times repeat the one before, and are spread evenly"),
-    ):
-        remarks += [f"{count} {what}"] * bool(count)
+    ]
     t = samples.t[rows[0]] + np.append(0.0, np.cumsum(between))
     first = np.flatnonzero(np.append(1.0, between))
-    count = np.diff(np.append(first, t.size))
+    count = np.diff(first, append=t.size)
     width = np.minimum(np.diff(t[first], append=np.inf), usual) / count
     place = np.arange(t.size) - np.repeat(first, count)
     return samples.select_rows(rows)._replace(t=t + place * np.repeat(width, count))
@@ -344,13 +343,12 @@ def read_log(source: Any, columns: str | None = None, strict: bool = False) -> L
         FileError: the fault, with file and line if there are any.
     """
     read = read_whole(source, None, None, parse_columns(columns), strict, LARGEST_TABLE)
-    samples, name, remarks = read.samples, read.source, list[str]()
+    samples, name, faults, remarks = read.samples, read.source, read.faults, list[str]()
     if read.layout is None or not samples.t.size:
         raise FileError(f"{name}: holds no samples")
-    if read.reader is not None and read.reader.ahead:
-        remarks.append(f"{name}: {count_in_words(read.reader.ahead)} ahead of the header skipped")
-    if read.reader is not None and read.reader.faults.unreadable:
-        faults = read.reader.faults
+    if read.ahead:
+        remarks.append(f"{name}: {count_in_words(read.ahead)} ahead of the header skipped")
+    if faults.unreadable:
         lines = f"{name}: {count_in_words(faults.unreadable)}"
         if faults.unreadable > MOST_UNREADABLE * samples.t.size:
             raise FileError(f"{lines} of {samples.t.size} cannot be read; {faults.why}")

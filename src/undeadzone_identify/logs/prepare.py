@@ -40,9 +40,6 @@ MOVING = 0.3  # of its rms, by which the input moves meanwhile
 VISITS = 3  # of an end of the range, in a log that sticks there
 
 
-NO_ENDS = RangeEnds(-np.inf, np.inf, 0)
-
-
 class UsableReadings(NamedTuple):
     """Flags of the readings that count.
 
@@ -67,19 +64,20 @@ def select_readings(grid: Grid, remarks: list[str]) -> UsableReadings:
     ok = grid.ok.copy()
     for find, words in LEFT_OUT:
         bad = find(grid, ok)
-        k = int(bad.argmax())
+        k = bad.argmax()
         remarks += [words.format(bad.sum(), grid.t[k], grid.y[k])] * bool(bad.any())
         ok[bad] = False
     ends = range_ends(grid.y, ok, grid.quantum)
     at = ends.find_readings_at_ends(grid.y, ok)
     visits = [bounds_of_runs(at & side)[0].size for side in (grid.y > 0, grid.y < 0)]
-    if not ends.has_ends or max(visits) < VISITS:
-        return UsableReadings(ok, np.zeros_like(ok), NO_ENDS)
     between = ok & ~at
+    sticks = ends.has_ends and max(visits) >= VISITS
     stick = f"{ends.number} readings stick at the ends of the range {ends.range_text}"
-    if between.sum() < FEWEST_READINGS <= ok.sum():
+    are_few = between.sum() < FEWEST_READINGS <= ok.sum()
+    if sticks and are_few:
         remarks.append(f"{stick}: too few lie between them, and all of them count")
-        return UsableReadings(ok, np.zeros_like(ok), NO_ENDS)
+    if are_few or not sticks:
+        return UsableReadings(ok, np.zeros_like(ok), RangeEnds(-np.inf, np.inf, 0))
     remarks.append(f"{stick}: there they only bound the output, and are taken as missing")
     apart = between & (np.convolve(at, np.ones(2 * NEAR + 1), "same") < 0.5)
     most = apart if apart.sum() >= ENOUGH * between.sum() else between
@@ -88,18 +86,19 @@ def select_readings(grid: Grid, remarks: list[str]) -> UsableReadings:
 
 def _flag_spikes(grid: Grid, ok: Flags) -> Flags:
     """Return the flags of the few readings far beyond the rest, or beyond both neighbours (N)."""
+    from scipy.ndimage import median_filter
+
     y, size = grid.y, np.abs(grid.y)
     change = np.diff(y)
-    beside = np.array([change[:-1], change[1:]])
+    before = np.roll(y, 1)
     known = ok & np.roll(ok, 1) & np.roll(ok, -1)
-    lone = np.zeros_like(y)
-    lone[1:-1] = (beside.prod(axis=0) < 0) * np.abs(beside).min(axis=0)
+    lone = np.abs(y - median_filter(y, 3, mode="nearest"))
     lone[~known | (y == 0)] = 0.0
-    usual = size[known & (y * np.roll(y, 1) > 0)]
+    usual = size[known & (y * before > 0)]
     beyond = PASSING * np.quantile(usual, 0.1) if usual.size else 0.0  # not a passage of an edge
     steps = np.abs(change[known[1:] & (change != 0)])
-    least = SPIKE * max(float(np.quantile(lone, 0.99)), np.median(steps) if steps.size else 0.0)
-    alone = (lone > least) & ((size > beyond) | (np.roll(y, 1) != 0))
+    least = SPIKE * max(np.quantile(lone, 0.99), np.median(steps) if steps.size else 0.0)
+    alone = (lone > least) & ((size > beyond) | (before != 0))
     alone &= alone.sum() <= max(1, RARE * alone.size)
     return find_spikes(y, ok) | alone
 
@@ -112,24 +111,24 @@ def _flag_dropouts(grid: Grid, ok: Flags) -> Flags:
     silent from its edge, its least reading; so what counts is how far readings are beyond that.
     Where no silence lasts, noise leaves no reading at 0 exactly: there every lonely zero is one.
     """
-    y = grid.y
-    speaks = ok & (grid.y != 0)
+    y, size = grid.y, np.abs(grid.y)
+    side = np.sign(y) * ok
     beyond = np.zeros(y.size)
-    step = np.zeros(y.size + 1)
-    for side in (speaks & (y > 0), speaks & (y < 0)):
-        beyond += np.where(side, np.abs(y) - np.abs(y[side]).min(initial=np.inf), 0.0)
-        step[1:-1] += np.where(side[1:] & side[:-1], np.abs(np.diff(y)), 0.0)
-    usual = float(np.median(step[step > 0])) if step.any() else np.inf
-    nearest = np.minimum(*(np.where(s > 0, s, np.inf) for s in (step[:-1], step[1:])))
+    for one in (1, -1):
+        beyond[side == one] = size[side == one] - size[side == one].min(initial=np.inf)
+    step = np.pad(np.abs(np.diff(y)) * (side[1:] * side[:-1] > 0), 1)
+    usual = np.median(step[step > 0]) if step.any() else np.inf
+    moves = np.where(step > 0, step, np.inf)
+    nearest = np.minimum(moves[:-1], moves[1:])
     beyond[beyond > beyond[LOUD * nearest < beyond].max(initial=0.0)] = 0.0  # glitches
     dropped = np.zeros_like(ok)
-    for first, last in zip(*bounds_of_runs(ok & ~speaks), strict=True):
+    silent = ok & (side == 0)
+    for first, last in zip(*bounds_of_runs(silent), strict=True):
         before = max(first - 1, 0)
         after = min(last + 1, y.size - 1)
         moved = max(usual, abs(y[after] - y[before]), step[before], step[after + 1])
         loud = min(beyond[before], beyond[after]) > LOUD * moved
         dropped[first : last + 1] = loud and y[before] * y[after] > 0
-    silent = ok & ~speaks
     lasts = silent & (np.roll(silent, 1) | np.roll(silent, -1))
     if not grid.quantum and lasts.sum() <= LASTING * ok.sum():
         dropped |= silent & ~lasts
@@ -156,12 +155,11 @@ def _flag_stuck(grid: Grid, ok: Flags) -> Flags:
     steps = np.append(np.abs(change[known & ~unchanged]), np.inf)
     usual = np.quantile(steps, 0.9, method="lower")
     jumps = np.abs(change[np.minimum(last[holds] + 1, y.size - 1)])
-    limits = (y[ok].min(), y[ok].max())
     is_frozen = is_rare and holds.size > 1 and np.median(jumps) > JUMPS * usual
-    is_frozen &= not np.isin(y[first[holds]], limits).any()
+    is_frozen &= not np.isin(y[first[holds]], np.quantile(y[ok], [0, 1])).any()
     least = max(STUCK * count, LONGER * np.sort(lengths)[:-1].max(initial=1))
-    for k in holds if is_frozen else holds[lengths[holds] >= least]:
-        part = slice(int(first[k]) - 1, int(last[k]) + 1)
+    for k in holds:
+        part = slice(first[k] - 1, last[k] + 1)
         moved = grid.u[part].std(axis=0)
         is_long = least <= lengths[k] < count / 2 and (moved > MOVING * grid.u.std(axis=0)).any()
         stuck[part] = is_long or (is_frozen and moved.any())
@@ -267,8 +265,8 @@ def prepare_log(grid: Grid, options: Options) -> PreparedLog:
     if options.threshold is not None:
         threshold = options.threshold
     side = 1 * (y > threshold) - 1 * (y < -threshold)
-    _require_informative(grid, y[ok], side, "; ".join(["", *remarks]))
     orders = _require_order(int(ok.sum()), options, remarks)
+    _require_informative(grid, y[ok], side)
     ahead = _is_noise_ahead(y[ok], side[ok] == 0, options)
     u_scale, y_scale = grid.u.std(axis=0), root_mean_square(y[ok])
     u = grid.u / u_scale
@@ -307,38 +305,39 @@ def find_silent_level(grid: Grid) -> float:
     if values.size < 3:
         return 0.0
     next_most, most = np.argsort(counts)[-2:]
-    value, count = float(values[most]), int(counts[most])
+    value, count = values[most], counts[most]
     low, high = np.quantile(y[y != value], [0.05, 0.95])
     returns = low < value < high and bounds_of_runs(grid.ok & (grid.y == value))[0].size > 1
-    is_often = count > ZEROS * y.size and count > OFTEN * counts[next_most]
+    is_often = count > max(ZEROS * y.size, OFTEN * counts[next_most])
     return value if returns and is_often else 0.0
 
 
-def require_readings(count: int, remarks: str = "") -> None:
+def require_readings(count: int, remarks: str = "", order: int = 1) -> None:
     """Require as many readings as the smallest plant needs. Raise InputError.
 
     Args:
         count: of readings.
         remarks: on readings that are left out.
+        order: of the plant.
     """
-    if count < FEWEST_READINGS:
-        needed = f"order 1 needs {FEWEST_READINGS}"
-        raise InputError(f"log: {count} readings are too few; {needed}{remarks}")
+    needed = PER_NUMBER * (order + 1)
+    if count < needed:
+        raise InputError(
+            f"log: {count} readings are too few; order {order} needs {needed}{remarks}"
+        )
 
 
-def _require_informative(grid: Grid, y: Floats, side: Integers, remarks: str) -> None:
+def _require_informative(grid: Grid, y: Floats, side: Integers) -> None:
     """Require a log that contains information on plant and zone.
 
     Args:
         grid: the log.
         y: the readings that there are.
         side: of all samples (N).
-        remarks: on readings that are left out.
 
     Raises:
         InputError: information is lacking.
     """
-    require_readings(y.size, remarks)
     for size in (*np.abs(grid.u).max(axis=0, initial=0.0), np.abs(y).max()):
         if 0 < size < LEAST:
             raise InputError(f"log: values of {size:.3g} vanish once squared. Use another unit")
@@ -346,7 +345,7 @@ def _require_informative(grid: Grid, y: Floats, side: Integers, remarks: str) ->
     if not moves.any():
         raise InputError("log: the input is constant: nothing can be learnt about the plant")
     if not moves.all():
-        name = grid.inputs[int(np.argmin(moves))]
+        name = grid.inputs[np.argmin(moves)]
         raise InputError(f"log: input {name!r} is constant. Leave it out by --columns")
     if not side.any():
         raise InputError("log: the sensor never speaks, all is silent. Record with a larger input")
@@ -366,11 +365,7 @@ def feasible_orders(count: int, options: Options) -> list[int]:
 def _require_order(count: int, options: Options, remarks: list[str]) -> list[int]:
     """Return the orders that the number of readings allows. Raise InputError."""
     requested, orders = options.parse_orders(), feasible_orders(count, options)
-    if not orders:
-        raise InputError(
-            f"log: {count} readings are too few for order {requested[0]}. It needs"
-            f" {PER_NUMBER * (requested[0] + 1)}"
-        )
+    require_readings(count, "; ".join(["", *remarks]), requested[0])
     if len(orders) < len(requested):
         remarks.append(
             f"the log is long enough for order {orders[-1]} at most ({PER_NUMBER} readings a pole)"
@@ -387,17 +382,17 @@ def _is_noise_ahead(y: Floats, silent: Flags, options: Options) -> bool:
         )
     if options.noise != "auto":
         return options.noise == "before"
-    is_given = options.threshold is not None
-    return bool(silent.sum() > ZEROS * silent.size and (is_given or _has_lasting_zeros(y)))
+    lasts = options.threshold is not None or _has_lasting_zeros(y)
+    return bool(lasts and silent.sum() > ZEROS * silent.size)
 
 
 def _has_lasting_zeros(y: Floats) -> bool:
     """Return whether 0 recurs and lasts; noise would round to neighbouring values as well."""
-    values, counts = np.unique(y, return_counts=True)
-    zero = int(np.searchsorted(values, 0.0))
-    beside = np.isin(y, values[max(zero - 1, 0) : zero + 2]) & (y != 0)
-    blips = beside[1:-1] & (y[:-2] == 0) & (y[2:] == 0)
-    return bool(counts[zero] > max(OFTEN * beside.sum() / 2, blips.sum() / BLIPS))
+    values, place = np.unique(y, return_inverse=True)
+    beside = np.abs(place - np.searchsorted(values, 0.0)) == 1
+    zeros = y == 0
+    blips = beside[1:-1] & zeros[:-2] & zeros[2:]
+    return bool(zeros.sum() > max(OFTEN * beside.sum() / 2, blips.sum() / BLIPS))
 
 
 def _settled_length(data: RecordData, orders: list[int], integrators: int) -> tuple[int, bool]:
@@ -410,7 +405,7 @@ def _settled_length(data: RecordData, orders: list[int], integrators: int) -> tu
     """
     order = max(integrators + 1, min(orders))
     length = STRETCH
-    most = int(np.diff(np.append(data.start, data.y.size)).max())
+    most = np.diff(data.start, append=data.y.size).max()
     while True:
         cut = data._replace(start=_first_samples(data.start, data.y.size, length))
         fit = fit_linear(PlantSimulator(cut, order, integrators), data.ok)
@@ -424,12 +419,10 @@ def _settled_length(data: RecordData, orders: list[int], integrators: int) -> tu
 
 def _first_samples(start: Integers, size: int, length: int) -> Integers:
     """Return first samples of stretches of about so many samples of each record."""
-    ends = np.append(start[1:], size)
-    starts = []
-    for first, end in zip(start, ends, strict=True):
-        count = max(1, round((end - first) / length))
-        starts.append(first + np.arange(count) * (end - first) // count)
-    return np.concatenate(starts)
+    sizes = np.diff(start, append=size)
+    counts = np.fmax(np.rint(sizes / length), 1).astype(int)
+    records = zip(start, sizes, counts, strict=True)
+    return np.concatenate([first + np.arange(n) * long // n for first, long, n in records])
 
 
 def _width_limits(data: RecordData, options: Options) -> WidthLimits:
@@ -513,7 +506,7 @@ def jump_edge_below(least: Floats) -> JumpEdge:
 
     used = least[: min(NEAREST, max(FEWEST, least.size // 4))]
     k = used.size
-    gap = float(used[-1] - used[0]) / (k - 1)  # mean spacing: x_1 - d is one more
+    gap = float(np.ptp(used)) / (k - 1)  # mean spacing: x_1 - d is one more
     first = float(used[0])
     low, lowest = first - gap * f.ppf(1 - np.array([SURE, SUREST]), 2, 2 * (k - 1))
     return JumpEdge(first - gap, float(low), first, float(lowest))
