@@ -177,7 +177,7 @@ def run_snippet_chain(lost: Lost, signal: Floats, folder: Path) -> FirmwareChain
         "axis off": f"up to {texts[0]} of an axis simulated with this gap, {texts[1]} with the C",
     }
     numbers = {"axis_off": errors[0], "axis_off_with_code": errors[1]}
-    return FirmwareChain(words, numbers, [Path(one) for one in report["written"]], True)
+    return FirmwareChain(words, numbers, list(map(Path, report["written"])), True)
 
 
 def firmware_errors(scenario: Scenario, found: Estimation, code: Code) -> tuple[float, float]:

@@ -154,7 +154,7 @@ def identify(
         require_own_file(target, force)
     keep = partial_file(folder, "identify.json", resume)
     with progress("identifying", None) as advance:
-        names = [str(path) for path in logs]
+        names = list(map(str, logs))
         answer = identified(names, progress=advance, keep=keep, resume=resume, **options)
         motion = answer if isinstance(answer, IdentifiedMotion | IdentifiedAtRest) else None
         written: list[Path] = [] if folder is None else [answer.save(folder / "identify.json")]

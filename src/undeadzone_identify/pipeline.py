@@ -252,7 +252,7 @@ def _identify_with_cache(
 
 def _cache_key(logs: list[Log], options: Options) -> dict[str, Any]:
     """Return the data and options that a fit depends on, arrays as digests."""
-    digests = [[array_digest(part) for part in (log.t, log.u, log.y)] for log in logs]
+    digests = [list(map(array_digest, (log.t, log.u, log.y))) for log in logs]
     return {"logs": digests, "options": msgspec.to_builtins(options)}
 
 
@@ -288,7 +288,7 @@ def _identify_logs(
         advance(1)
     if motion is not None and is_conclusive:
         return IdentifiedMotion(motion)
-    logs = [without_drive(log) for log in logs]
+    logs = list(map(without_drive, logs))
     if len(logs) == len(names) == 1 and not is_named_loop(logs[0]) and options == Options():
         looks = look_at(logs[0])
         at_once = account_at_once(logs[0], looks)

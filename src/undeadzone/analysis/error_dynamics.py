@@ -48,7 +48,7 @@ class Dynamics(NamedTuple):
             return [np.zeros((p, p))]
         if not (self.gamma - np.diag(np.diag(self.gamma))).any():
             return [self.Ts * np.diag(np.diag(self.gamma).reshape(p, 2).max(axis=1))]
-        patterns = [branch_pattern(sides) for sides in itertools.product((1, -1), repeat=p)]
+        patterns = list(map(branch_pattern, itertools.product((1, -1), repeat=p)))
         return [self.Ts * S @ self.gamma @ S.T for S in patterns]
 
     @property

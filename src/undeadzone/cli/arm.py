@@ -71,7 +71,7 @@ def arm(
 def _parse_numbers(text: str) -> list[float]:
     """Return the numbers of an option. Raises InputError."""
     try:
-        return [float(word) for word in text.split(",")]
+        return list(map(float, text.split(",")))
     except ValueError:
         raise InputError(
             f"at: expected numbers with commas between, such as 0,-1.57,1.57, found {text!r:.60}"

@@ -267,7 +267,7 @@ def print_json(value: Mapping[str, Any], written: Sequence[Path] | None = None) 
         value: the result.
         written: files, that are named at its end (None: the command writes none).
     """
-    files = {} if written is None else {"files": [str(path) for path in written]}
+    files = {} if written is None else {"files": list(map(str, written))}
     click.echo(to_json_text(add_schema(value) | files))
 
 

@@ -49,7 +49,7 @@ class ColdPaths:
         everything = required_nodes(itertools.chain(*self._results))
         inputs = [node.text for node in everything if node.op == "input"]
         self._read = sorted(int(text[1:]) for text in inputs if text[0] == "s")
-        self._uses = [self._steady_uses(part) for part in range(len(parts))]
+        self._uses = list(map(self._steady_uses, range(len(parts))))
         self.steady = list(dict.fromkeys(itertools.chain(*self._uses)))
 
     @property
@@ -81,7 +81,7 @@ class ColdPaths:
         Returns:
             The label of the last block, and the names of the states after it.
         """
-        marks = [text.any_lane(flag) for flag in flags]
+        marks = list(map(text.any_lane, flags))
         some = marks[0]
         for mark in marks[1:]:
             some = text.add(f"or i1 {some}, {mark}")

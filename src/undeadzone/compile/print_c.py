@@ -156,7 +156,7 @@ class Expressions:
             return Text(self.inputs[node.text])
         if node.op == "const":
             return self.style.language.constant(node)
-        return self._compose_instruction(node, [self.write_node(arg) for arg in node.args])
+        return self._compose_instruction(node, list(map(self.write_node, node.args)))
 
     def _compose_instruction(self, node: Node, args: list[Text]) -> Text:
         """Return the expression of an instruction on its operands."""

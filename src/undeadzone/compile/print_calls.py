@@ -134,7 +134,7 @@ class CalledPart:
         """
         if not row[0].is_real:
             return ("",)
-        places = [self._places.get(node) for node in row]
+        places = list(map(self._places.get, row))
         known = [place for place in places if place is not None]
         if len(known) < len(row) or len({place.array for place in known}) > 1:
             return ("",)

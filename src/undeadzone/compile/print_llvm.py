@@ -146,7 +146,7 @@ class Text:
         if node.op == "part":
             place = self._calls[node.args[0]] + int(node.text)
             return self.load(self.address_of("%frame", place))
-        args = [names(arg) for arg in node.args]
+        args = list(map(names, node.args))
         last = node.args[-1]
         if node.op == "apply":
             return self._print_apply(node, args)
@@ -354,7 +354,7 @@ def print_lanes(
         """Return the source of names for a group."""
         return lambda node: operand(node, group)
 
-    namers = [namer(group) for group in range(len(sources))]
+    namers = list(map(namer, range(len(sources))))
     for node in order:
         if isinstance(node, Branch):
             _print_branch(text, node, have[0], namers[0])

@@ -464,7 +464,7 @@ def _truths_of_difference(number: Node) -> tuple[Node, ...]:
     """Return the truth values a and b of a number [a] - [b]; an empty tuple for another number."""
     if number.op != "sub":
         return ()
-    conditions = [to_condition(arg) for arg in number.args]
+    conditions = list(map(to_condition, number.args))
     return tuple(truth for truth in conditions if truth is not None) if all(conditions) else ()
 
 

@@ -140,7 +140,7 @@ def _evaluate_riccati(equation: _Equation, P: Floats) -> Riccati:
         K = np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A)
         terms = (A.T @ P @ A, -P, -(A.T @ P @ B) @ K, Q)
     left = sum(terms[1:], terms[0])
-    scale = max(sum(np.linalg.norm(term) for term in terms), 1e-300)
+    scale = max(sum(map(np.linalg.norm, terms)), 1e-300)
     return Riccati(P, K, float(np.linalg.norm(left) / scale), left)
 
 

@@ -291,7 +291,7 @@ class _Header(NamedTuple):
         """Return the column of times; none if there is none. Raises FileError."""
         if "t" in self.chosen:
             return [self.column_of_name("t")]
-        ranks = np.array([time_rank(title) for title in self.titles])
+        ranks = np.array(list(map(time_rank, self.titles)))
         best = np.flatnonzero((ranks >= 0) & (ranks == ranks[ranks >= 0].min(initial=99)))
         if self.values is not None:
             rising = np.mean(np.diff(self.values, axis=0) >= 0, axis=0) > 0.9
@@ -318,7 +318,7 @@ class _Header(NamedTuple):
         used = [*y, *u, *time]
         free = np.array([k not in used and time_rank(t) < 0 for k, t in enumerate(self.titles)])
         if self.is_open and self.values is not None:
-            counts = np.array([increases_evenly(x) for x in self.values.T]) & (ranks == 0)
+            counts = np.array(list(map(increases_evenly, self.values.T))) & (ranks == 0)
             for out in (np.ptp(np.nan_to_num(self.values), axis=0) == 0, counts):
                 fewer = free & (~out | (np.abs(ranks) >= EXACT))
                 free = fewer if fewer.sum() + len(y + u) > 1 else free
@@ -342,7 +342,7 @@ class _Header(NamedTuple):
 
     def ranks(self, given: list[int]) -> Floats:
         """Return the rank of each column (K), by its name and by those beside it."""
-        ranks = np.array([rank_of(title) for title in self.titles])
+        ranks = np.array(list(map(rank_of, self.titles)))
         ranks[[title.name.lower() in ("y", "u") for title in self.titles]] *= 1.01
         outputs = np.array([split_words(title.name) in ("output", "out") for title in self.titles])
         drives = (ranks > 17) | np.isin(np.arange(ranks.size), given)
@@ -392,7 +392,7 @@ class _Header(NamedTuple):
             if key not in self.chosen:
                 count = len(required)
                 raise InputError(f"columns: {key} is missing. Expected {count} of {signal}")
-        return [self.column_of_name(key) for key in required]
+        return list(map(self.column_of_name, required))
 
     def group(self, signal: str, column: int, count: int | None) -> list[int]:
         """Return the columns of a signal: those that differ by an index alone, or one.

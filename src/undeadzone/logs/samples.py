@@ -342,7 +342,7 @@ def split_signals(values: Floats, layout: Layout, lines: Lines) -> Samples:
 
 def _values_of(dialect: Dialect, lines: Sequence[str]) -> Floats | None:
     """Return the numbers of all columns (N x K) in the first and last lines; None for a few."""
-    rows = [dialect.cells(line) for line in (*lines[:SEEN], *lines[SEEN:][-SEEN:])]
+    rows = list(map(dialect.cells, (*lines[:SEEN], *lines[SEEN:][-SEEN:])))
     columns = zip(*(row for row in rows if len(row) == dialect.width), strict=True)
     values = [numbers_of_texts(texts, dialect.parse_number) for texts in columns]
     return np.column_stack(values) if values and values[0].size >= FEWEST_SEEN else None
@@ -390,7 +390,7 @@ def samples_of_text(reader: LogReader, path: Path, largest: int, most: float) ->
 
 def join_samples(blocks: Iterable[Samples]) -> Samples:
     """Join the samples of blocks."""
-    return Samples(*[np.concatenate(parts) for parts in zip(*blocks, strict=True)])
+    return Samples(*list(map(np.concatenate, zip(*blocks, strict=True))))
 
 
 def oldest_first(samples: Samples) -> Samples:

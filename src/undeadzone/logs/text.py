@@ -220,7 +220,7 @@ def dialect_of(lines: Sequence[str]) -> Dialect:
     if not any(first) or _count_numbers(first):
         return Dialect(separator, len(first), None, 0)
     heads = 1
-    titles = [split_unit(cell) for cell in first]
+    titles = list(map(split_unit, first))
     for line in lines[1:2]:
         units = split_cells(line, separator)
         if any(units) and all(map(_UNIT.fullmatch, units)) and len(units) == len(first):

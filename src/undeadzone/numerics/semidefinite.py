@@ -37,7 +37,7 @@ def minimise_semidefinite(cost: Floats, blocks: Callable[[Floats], list[Floats]]
         cost,
         sparse.csc_matrix(np.stack(columns, axis=1)),
         right,
-        [_clarabel_cone(block) for block in constant],
+        list(map(_clarabel_cone, constant)),
         settings,
     )
     solution = solver.solve()
@@ -69,7 +69,7 @@ def _clarabel_cone(block: Floats) -> Any:
 
 def _stack_blocks(blocks: list[Floats]) -> Floats:
     """Return all blocks in a single vector."""
-    return np.concatenate([_block_to_vector(block) for block in blocks])
+    return np.concatenate(list(map(_block_to_vector, blocks)))
 
 
 def _block_to_vector(block: Floats) -> Floats:

@@ -209,7 +209,7 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
                     f"observer.groups: expected one or {MOST_COUPLED} different names of "
                     f"{', '.join(names)}, found {list(group)!r:.80}"
                 )
-            found.append(tuple(sorted(names.index(name) for name in group)))
+            found.append(tuple(sorted(map(names.index, group))))
         joints_of_groups = [*chain.from_iterable(found)]
         if len({*joints_of_groups}) != len(joints_of_groups):
             raise InputError("observer.groups: a joint belongs to one group alone")
@@ -495,7 +495,7 @@ def _step_contact_filter(
             apply_gear_impulses(groups, filters, whole.news, arm)
             for filters in zip(*each, strict=True)
         ]
-        each = [list(filters) for filters in zip(*updated, strict=True)]
+        each = list(map(list, zip(*updated, strict=True)))
         ones = list(map(mix_posteriors, each, shares))
         parts = update_group_numbers(groups, setup.ones, drives, parts, ones, arm)
         coupling = ca.fmax(coupling, group_couplings(groups, arm))

@@ -184,7 +184,7 @@ class Extended(Options, frozen=True, kw_only=True, tag="extended"):
         augmentation = build_unknown_inputs(
             model, colour, rms, bias, 0.0, read_named_parameters(model, self.uncertain)
         )
-        places = tuple(model.names.index(name) for name in self.uncertain)
+        places = tuple(map(model.names.index, self.uncertain))
         return augmentation._replace(parameters=places)
 
 

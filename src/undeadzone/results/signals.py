@@ -273,4 +273,4 @@ def output_names(joints: Sequence[str], count: int) -> list[str]:
     both = [*joints, *(f"motor of {joint}" for joint in joints)]
     if len(joints) == count:
         return list(joints)
-    return both if len(both) == count else [str(i) for i in range(count)]
+    return both if len(both) == count else list(map(str, range(count)))

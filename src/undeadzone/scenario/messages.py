@@ -171,7 +171,7 @@ def _choices(root: type[msgspec.Struct], key: str, data: dict[str, Any]) -> list
     words = []
     for struct in _chosen_variants(root, parent, data):
         annotation = typing.get_type_hints(struct).get(name)
-        words += [str(word) for word in _literals(annotation)]
+        words += list(map(str, _literals(annotation)))
     return words
 
 
@@ -266,7 +266,7 @@ def _chosen_variants(root: type[msgspec.Struct], key: str, data: dict[str, Any])
     structs = _at(root, key)
     if not isinstance(table, dict):
         return structs
-    chosen = [table.get(chooser) for chooser in CHOOSERS]
+    chosen = list(map(table.get, CHOOSERS))
     return [struct for struct in structs if struct.__struct_config__.tag in chosen] or structs
 
 

@@ -374,7 +374,7 @@ def _info(
         integration_error=None if error is None else error.largest,
         integration_share=None if error is None else error.share,
         scales=[*map(float, scales.states), scales.output, scales.input],
-        identifiable=[_as_json(verdict) for verdict in verdicts],
+        identifiable=list(map(_as_json, verdicts)),
         seconds=time.perf_counter() - began,
         units=scenario.units,
         uncertain={name: _parameter(plant, name) for name in traits.uncertain},

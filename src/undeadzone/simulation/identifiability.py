@@ -305,7 +305,7 @@ def _with_false_actuator(problem: Problem, verdict: WidthIdentifiability) -> Wid
     true = np.stack([actuator.right, actuator.left])
     assumed = np.stack([belief.drive.right, belief.drive.left])
     if actuator.is_play or belief.drive.is_play:
-        true, assumed = (_gaps_or_widths(one) for one in (actuator, belief.drive))
+        true, assumed = map(_gaps_or_widths, (actuator, belief.drive))
     if _meets_assumptions(true, assumed, belief.ranges).all():
         return verdict
     reason = f"a false claim: model.actuator excludes the actuator's widths, {true.tolist()}"

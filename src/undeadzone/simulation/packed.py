@@ -74,6 +74,6 @@ def graph(problem: Problem) -> str:
         controller.init(p[1]),
     )
     inputs = [p_column, s_column, t_column, u, y, side, x]
-    function = ca.Function("graph", inputs, [tree.stack_leaves(result) for result in results])
+    function = ca.Function("graph", inputs, list(map(tree.stack_leaves, results)))
     plan = () if controller.plan is None else tree.pack_tree(controller.plan.params).tolist()
     return str(function.serialize()) + str((tree.number_addresses((observer.params, like)), plan))

@@ -105,7 +105,7 @@ def to_grid(logs: list[Log], resample: float | None = None) -> Grid:
         )
     if known < max(log.r.shape[1] for log in logs):
         remarks.append("not every log has a reference: it is not used")
-    t, u, y, begins = (np.concatenate(parts) for parts in zip(*pieces, strict=True))
+    t, u, y, begins = map(np.concatenate, zip(*pieces, strict=True))
     first, ok = logs[0], np.isfinite(y)
     u, r = np.split(u, [first.u.shape[1]], axis=1)
     y[ok] = round_to_steps(y[ok], remarks)

@@ -162,7 +162,7 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 def _parse_one_or_two(text: str, between: str, kind: Callable[[str], T]) -> list[T]:
     """Return a number or a pair of numbers; empty if the text has another form."""
     try:
-        numbers = [kind(part) for part in text.split(between)]
+        numbers = list(map(kind, text.split(between)))
     except ValueError:
         return []
     return numbers if len(numbers) in (1, 2) else []

@@ -136,7 +136,7 @@ class _Fit:
         before = [float(np.var(self.weights * one)) for one in (self.torque, signless)]
         explained, gain = (1 - left[-1] / max(one, 1e-300) for one in before)
         alike = [model for model, one in zip(models, left, strict=True) if one <= LIKE * left[-1]]
-        found = [self.interval(model) for model in alike]
+        found = list(map(self.interval, alike))
         low = min(*halves, *(one.low for one in found))
         high = max(*halves, *(one.high for one in found))
         if min(explained - EXPLAINED, gain - PAYS, low) <= 0:

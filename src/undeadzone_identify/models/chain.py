@@ -108,7 +108,7 @@ def limit_rates(u: Floats, limits: Floats) -> Floats:
 @cache
 def build_rate_kernel() -> lanes.Kernel:
     """Return the compiled step of a rate limiter, whose limit is the parameter of a lane."""
-    value, target, limit = (ca.SX.sym(name) for name in ("s", "u", "p"))
+    value, target, limit = map(ca.SX.sym, ("s", "u", "p"))
     after = ca.fmin(ca.fmax(target, value - limit), value + limit)
     step = ca.Function("rate", [value, target, limit], [after, after])
     return lanes.build_kernel(step, params=[0])
@@ -312,7 +312,7 @@ class ChainModel:
         p = theta[self.inputs]
         steps = perturbation_steps(p)
         points = perturb_each(p, np.arange(p.size), steps)[1:]
-        passed = np.reshape([self._pass_records(point) for point in points], (-1, z.size))
+        passed = np.reshape(list(map(self._pass_records, points)), (-1, z.size))
         # The plant is linear: the change of its input passes it.
         by_input = self.simulator.respond_from_rest(theta, central_differences(passed, steps).T)
         return np.hstack([by_plant, by_input])

@@ -73,7 +73,7 @@ class PlayModel:
         self.size = self.base + 4
         fitted = [True, not self.tied, zone, zone]
         self.free: Integers = np.flatnonzero(np.append(np.ones(self.base, bool), fitted))
-        self.start_levels = [self._first_reading(part) for part in self.data.record_slices()]
+        self.start_levels = list(map(self._first_reading, self.data.record_slices()))
 
     def _first_reading(self, part: slice) -> Floats:
         """Return the initial level of a record (1); that of the log if it has no reading."""

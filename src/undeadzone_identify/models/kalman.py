@@ -255,7 +255,7 @@ class KalmanObjective:
 
     def kernel_outputs(self, points: Floats, moments: bool = False) -> Floats:
         """Return the kernel's outputs (K x N x outputs) for K parameter sets (K x P)."""
-        rows = np.array([self.lane_numbers(p) for p in points])
+        rows = np.array(list(map(self.lane_numbers, points)))
         compiled = build_kalman_kernel(self.layout.n, self.layout.m, self.model, moments)
         return estimates.run_lanes_along(compiled, self.exogenous, rows)[0]
 
@@ -334,7 +334,7 @@ class KalmanObjective:
         scale = 1 / np.sqrt(np.diag(outer) + 1e-12)
         steps = np.minimum(3e-2 * scale, 0.05)
         points = estimates.perturb_each(p, self.free, steps)[1:]
-        score_steps = [self._score_steps(point) for point in points]
+        score_steps = list(map(self._score_steps, points))
         score_points = [
             estimates.perturb_each(point, self.free, small)[1:]
             for point, small in zip(points, score_steps, strict=True)

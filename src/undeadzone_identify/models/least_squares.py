@@ -164,7 +164,7 @@ class LeastSquares(Generic[M]):
 
         The derivatives are by the F free parameters; theta must be admissible.
         """
-        e, rows = (self.whiten(columns) for columns in self.residual_and_slopes(theta))
+        e, rows = map(self.whiten, self.residual_and_slopes(theta))
         variance, hessian = self._gauss_newton_hessian(e, rows)
         return self._value_of_residual(e), rows.T @ e / variance, hessian
 
@@ -194,7 +194,7 @@ class LeastSquares(Generic[M]):
 
     def robust_covariance(self, theta: Floats) -> estimates.EstimateCovariance:
         """Return the robust covariance (I1) of the free parameters (F x F)."""
-        e, rows = (self.whiten(columns) for columns in self.residual_and_slopes(theta))
+        e, rows = map(self.whiten, self.residual_and_slopes(theta))
         variance, hessian = self._gauss_newton_hessian(e, rows)
         return estimates.sandwich_covariance(rows * e[:, None] / variance, hessian)
 

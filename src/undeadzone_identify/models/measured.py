@@ -71,7 +71,7 @@ def measure_levels(
     for place, (target, theta) in enumerate(stages):
         rows = WIDTHS @ level_slopes(levels, theta, target.free)
         spread = target.robust_covariance(theta)
-        halves.append([spread.half_and_degrees(row) for row in rows])
+        halves.append(list(map(spread.half_and_degrees, rows)))
         values.append(WIDTHS @ levels(theta))
         if place == 0 and misfits:
             moved = np.abs(rows @ np.array(misfits).T).max(axis=1)
@@ -115,4 +115,4 @@ def level_slopes(levels: Callable[[Floats], Floats], theta: Floats, free: Intege
     """
     steps = STEP * np.maximum(np.abs(theta[free]), 0.02)
     points = perturb_each(theta, free, steps)[1:]
-    return central_differences(np.array([levels(one) for one in points]), steps).T
+    return central_differences(np.array(list(map(levels, points))), steps).T

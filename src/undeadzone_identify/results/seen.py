@@ -69,7 +69,7 @@ def _grade(seen: FrictionLevel | FreePlay | Valley) -> str:
 def _account_of_map(seen: RestMap, by: str, units: tuple[str, str]) -> Account:
     """Return the account of a map at rest: its parts, else a bound."""
     by = f"{by} ({seen.x.size} levels of the command)"
-    parts = [_effect_of_part(part) for part in seen.flats]
+    parts = list(map(_effect_of_part, seen.flats))
     effects: dict[str, Numbers] = {}
     for effect, numbers in parts:
         effects.setdefault(effect, numbers)

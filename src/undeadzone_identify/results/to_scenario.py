@@ -57,9 +57,7 @@ def scenario_text(answers: Sequence[Answer], title: str) -> str:
         InputError: no plant in continuous time fits, outputs whose delays differ, or a zone that
             does not hold z = 0.
     """
-    plants, spreads_A, spreads_B = zip(
-        *[_plant_with_spread(answer) for answer in answers], strict=True
-    )
+    plants, spreads_A, spreads_B = zip(*list(map(_plant_with_spread, answers)), strict=True)
     first = answers[0]
     plant = _join_plants(plants)
     step = first.case.grid.step
@@ -127,7 +125,7 @@ def _zone_fields(answers: Sequence[Answer]) -> dict[str, str]:
     if first.verdict == "input_play":
         empty = dict.fromkeys(("sensor", "told_sensor", "told_actuator"), "")
         return empty | {"actuator": _gap_of_actuator(first)}
-    own = _width_lines([_require_edges(answer) for answer in answers]), _prior_range_lines(answers)
+    own = _width_lines(list(map(_require_edges, answers))), _prior_range_lines(answers)
     sensor, actuator = (none, own) if first.verdict == "input_zone" else (own, none)
     if first.verdict == "input_zone" and first.at_rest is not None:
         lines, ranges = actuator
@@ -250,7 +248,7 @@ def _join_plants(plants: Sequence[Matrices]) -> Matrices:
 
 def _toml_numbers(values: Iterable[float]) -> str:
     """Return the numbers of all outputs in TOML: a number, or a list."""
-    return _toml_list([_toml_number(value) for value in values])
+    return _toml_list(list(map(_toml_number, values)))
 
 
 def _interval_remark(edges: Sequence[Interval]) -> str:
@@ -318,7 +316,7 @@ def _noise_fields(answers: Sequence[Answer]) -> dict[str, str]:
         answers: the answer of each output (p).
     """
     cases = [answer.case for answer in answers]
-    rms = np.array([_noise_rms_pair(answer) for answer in answers]).T
+    rms = np.array(list(map(_noise_rms_pair, answers))).T
     quanta = np.array([rounding_step(case.grid.y[case.grid.ok]) for case in cases])
     quanta = np.where(quanta > REPEATED * rms.max(axis=0), quanta, 0.0)
     thresholds = [max(0.5 * case.grid.quantum, case.options.threshold or 0.0) for case in cases]
@@ -377,7 +375,7 @@ def _run_duration(answers: Sequence[Answer], A: Floats) -> float:
 
 def _disturbance_fields(answers: Sequence[Answer]) -> dict[str, str]:
     """Return the input disturbance for the observer: the strongest of all outputs."""
-    priors = [_disturbance_prior(answer) for answer in answers]
+    priors = list(map(_disturbance_prior, answers))
     known = [prior for prior in priors if prior is not None]
     if len(known) < len(priors):
         return {"disturbance": ""}  # something disturbs z: the observer's own default

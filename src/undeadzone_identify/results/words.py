@@ -199,7 +199,7 @@ def answer_numbers(answer: Answer, account: Account) -> dict[str, Any]:
 
 def _interval_list(interval: Interval | None) -> list[float] | None:
     """Return [value, low, high], or None."""
-    return None if interval is None else [float(number) for number in interval]
+    return None if interval is None else list(map(float, interval))
 
 
 # --- Words

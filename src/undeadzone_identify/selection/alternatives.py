@@ -867,7 +867,7 @@ def _may_be_neutral(fit: ChainFit) -> bool:
     if not away.size:
         return False
     covariance = fit.squares.robust_covariance(fit.theta)
-    halves = [covariance.half_width(row) for row in np.eye(model.free.size)[model.inputs]]
+    halves = list(map(covariance.half_width, np.eye(model.free.size)[model.inputs]))
     return bool(np.all(away < halves))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.stats import chi2
@@ -74,7 +74,7 @@ def find_widths(
         Values of the last stage, with the widest of the stages' intervals.
     """
     fits: list[ZoneFit | KalmanFit] = [chosen.fit, *filter(None, [kalman])]
-    stages = [_to_stage(one) for one in fits]
+    stages = list(map(_to_stage, fits))
     first, last = stages[0].edges, stages[-1].edges
     intervals, degrees, apart = {}, {}, False
     for name, row in DIRECTIONS.items():
@@ -196,7 +196,7 @@ def profile_likelihood(fit: ZoneFit, side: str, values: Floats) -> Floats:
     for direction in (range(centre, values.size), range(centre - 1, -1, -1)):
         theta = fit.theta
         for k in direction:
-            fixed = dict.fromkeys(sides, (float(values[k]), float(values[k])))
+            fixed: dict[str, Any] = dict.fromkeys(sides, (float(values[k]), float(values[k])))
             limits = WidthLimits(*objective.limits[:2])._replace(**fixed)
             held = ZoneObjective(objective.simulator, objective.kind, limits, objective.readings.ok)
             top = maximise_likelihood(held, theta, STEPS)

@@ -331,7 +331,7 @@ def covariance_of(found: ServoGap, quantity: Callable[[Floats], Any]) -> Any:
     free = one.structure.free_places(found.log.ticks, False)
     steps = perturbation_steps(one.theta[free])
     points = perturb_each(one.theta, free, steps)[1:]
-    slopes = central_differences(np.array([quantity(theta) for theta in points]), steps)
+    slopes = central_differences(np.array(list(map(quantity, points))), steps)
     return slopes.T @ found.covariance @ slopes
 
 

@@ -259,7 +259,7 @@ class ServoLikelihood:
         """
         moves = [step_sizes(*one)[0] for one in zip(points, free, strict=True)]
         rows = [perturb_each(*one) for one in zip(points, free, moves, strict=True)]
-        counts = [len(one) for one in rows]
+        counts = list(map(len, rows))
         seen, _ = self._run_kernel(self.kernel(), np.concatenate(rows), np.repeat(lag, counts))
         found = []
         for steps, own in zip(moves, np.split(seen, np.cumsum(counts)[:-1]), strict=True):

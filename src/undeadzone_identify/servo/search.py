@@ -222,7 +222,7 @@ def neighbour_servos(one: Servo, step: float) -> list[Servo]:
             if name == "pole":  # what a pole is late
                 more[At.DELAY] = max(more[At.DELAY] - math.exp(-value) / step, 0.0)
             numbers.append(more)
-        every = [structure.disable_absent_parts(theta) for theta in numbers]
+        every = list(map(structure.disable_absent_parts, numbers))
         found += [Servo(structure, theta) for theta in every]
     return found
 

@@ -306,7 +306,7 @@ def describe_design(design: Mapping[str, Any]) -> dict[str, Any]:
         "gamma": format_gains(best["gamma"]),
         "certified": describe_margin(design["margin"], design["frequency"]),
         "rate": f"{best['rate']:.4g} 1/s along the reference",
-        "proof P": [format_gains(row) for row in design["P"]],
+        "proof P": list(map(format_gains, design["P"])),
         "proof W": format_gains(design["W"]),
         "trade": _describe_trade_off(best, design["present"]),
     }

@@ -43,7 +43,7 @@ class _Cuts(NamedTuple):
 
     def join_cuts(self, others: _Cuts) -> _Cuts:
         """Return the cuts of both sets."""
-        return _Cuts(*(np.vstack(rows) for rows in zip(self, others, strict=True)))
+        return _Cuts(*map(np.vstack, zip(self, others, strict=True)))
 
 
 def margin_of_weights(errors: Dynamics, W: Floats) -> tuple[float, float]:

@@ -183,7 +183,7 @@ def state_identifiability(
         append_gap_states(linear, schedule.Ts), visited, schedule.Ts, twofold.bias
     )
     hidden = hidden.exclude_known(gap_prior_rows(linear, readings, 1.0))
-    return [hidden.is_state_known(i) for i in range(n)]
+    return list(map(hidden.is_state_known, range(n)))
 
 
 def _gap_and_width_direction(

@@ -32,9 +32,9 @@ def use_gear_estimates(
     if gears is None:
         return controller
     N = gears.joint_count
-    places = [model.names.index(name) for name in uncertain]
+    places = list(map(model.names.index, uncertain))
     halves, centres = ([f"{name}{i + 1}" for i in range(N)] for name in ("half", "centre"))
-    gaps = [model.names.index(name) for name in (*halves, *centres)]
+    gaps = list(map(model.names.index, (*halves, *centres)))
 
     def step(p: Any, s: Any, estimate: Estimate, target: Target) -> tuple[Any, Any]:
         """Return the state and u (m) of the controller with the estimated parameters."""

@@ -241,7 +241,7 @@ def contact_balance(drive: Drive, posterior: Posterior) -> Any:
         posterior: posterior of one filter, or of several filters in sequence.
     """
     filters = len(posterior.chances) // len(drive.layout.contact_combinations)
-    sides = filters * [list(mode) for mode in drive.layout.contact_combinations]
+    sides = filters * list(map(list, drive.layout.contact_combinations))
     return ca.DM(sides).T @ ca.vertcat(*posterior.chances)
 
 
@@ -708,6 +708,6 @@ def _link_variances(belief: Gaussian, size: int) -> Any:
     """
     layout = Layout(size)
     variances = ca.diag(belief.cov)
-    motor, link, half = (layout.slice_of(name) for name in ("motor", "link", "half"))
+    motor, link, half = map(layout.slice_of, ("motor", "link", "half"))
     bound = belief.mean[half] ** 2 + variances[half] + variances[motor]
     return ca.fmin(variances[link], bound)

@@ -150,9 +150,9 @@ def share_step_graph(
     out = _flatten_leaves(result)
     whence = _places_of_equals([out])
     options = {"never_inline": ca.Function("count", [w], [out]).n_instructions() > long}
-    firsts = [whence.index(k) for k in range(1 + max(whence))]
+    firsts = list(map(whence.index, range(1 + max(whence))))
     graph = ca.Function("member", [w], [out[firsts]], ["w"], ["out"], options)
-    begins = [places.index(k) for k in range(w.numel())]
+    begins = list(map(places.index, range(w.numel())))
     each = (graph(column[begins])[whence] for column in columns)
     return [tree.rebuild_tree(result, _split_leaves(sparsities, one)) for one in each]
 

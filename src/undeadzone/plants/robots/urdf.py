@@ -113,7 +113,7 @@ def _collect_bodies(
             centre = place + turn @ body.centre
             inertia = turn @ body.inertia @ turn.T
             groups[before[-1]].append(Body(body.mass, centre, inertia))
-    return [_join_bodies(group) for group in groups.values()]
+    return list(map(_join_bodies, groups.values()))
 
 
 def _join_bodies(bodies: list[Body]) -> Body:

@@ -228,7 +228,7 @@ def _parse_attribute_vector(
     if element is None or text is None:
         return np.array(otherwise)
     try:
-        numbers = to_float_array([float(word) for word in text.split()])
+        numbers = to_float_array(list(map(float, text.split())))
     except ValueError:
         numbers = np.empty(0)
     if numbers.size != len(otherwise):
@@ -297,7 +297,7 @@ def _parse_robot(root: Element) -> Robot:
         raise ValueError("holds xacro macros: expand them first (xacro arm.xacro > arm.urdf)")
     elements = root.findall("link")
     links = {require_element_name(element): parse_body(element) for element in elements}
-    joints = [parse_joint(element) for element in root.findall("joint")]
+    joints = list(map(parse_joint, root.findall("joint")))
     if len(elements) != len(links):
         raise ValueError("two links have the same name")
     if len(joints) != len({joint.name for joint in joints}):
