@@ -56,7 +56,8 @@ class InputElement(NamedTuple):
         passes: (u (N), p) -> output of the element (N).
         low, high: bounds of its parameters p.
         scanned: parameters of the scan for start points.
-        words: format of its description, with the parameters inserted.
+        words: format of its description: of its parameters p, of the first one in the unit of the
+            input (size), and of the rms of the input (u_scale).
         neutral: parameters with which its output is a multiple of u, or () if no finite ones are.
     """
 
@@ -114,13 +115,14 @@ def build_rate_kernel() -> lanes.Kernel:
     return lanes.build_kernel(step, params=[0])
 
 
+CURVED = "the input acts by a smooth curve ({}); no zone is needed"
 INPUTS = {
     "power": InputElement(
         power_of_input,
         (0.2,),
         (4.0,),
         ((0.5,), (1.5,), (2.0,), (3.0,)),
-        "sign(u) |u|^{0:.2g}",
+        CURVED.format("sign(u) |u|^{p[0]:.2g} fits"),
         (1.0,),
     ),
     "cubic": InputElement(
@@ -128,7 +130,7 @@ INPUTS = {
         (-3.0, -3.0),
         (3.0, 3.0),
         ((0.0, 0.1), (0.0, 0.5), (0.3, 0.1), (-0.3, 0.1)),
-        "u {0:+.2g} u^2 {1:+.2g} u^3",
+        CURVED.format("u {p[0]:+.2g} u^2 {p[1]:+.2g} u^3 fits, u over {u_scale:.4g}"),
         (0.0, 0.0),
     ),
     "exponential": InputElement(
@@ -136,18 +138,22 @@ INPUTS = {
         (-3.0,),
         (3.0,),
         ((0.4,), (1.0,), (-0.4,), (-1.0,)),
-        "exp({0:.2g} u)",
+        CURVED.format("exp({p[0]:.2g} u) fits, u over {u_scale:.4g}"),
         (0.0,),
     ),
     "rate": InputElement(
-        rate_of_input, (1e-3,), (4.0,), tuple((limit,) for limit in (0.02, 0.05, 0.12, 0.3)), ""
+        rate_of_input,
+        (1e-3,),
+        (4.0,),
+        tuple((limit,) for limit in (0.02, 0.05, 0.12, 0.3)),
+        "the drive follows the input by at most {size:.4g} a sample",
     ),
     "play": InputElement(
         play_of_input,
         (0.0,),
         (8.0,),
         tuple((gap,) for gap in (0.1, 0.25, 0.5, 0.9, 1.4, 2)),
-        "",
+        "play between input and plant, ahead of its lags, explains the log: {size:.4g}",
         (0.0,),
     ),
 }
@@ -395,16 +401,9 @@ class ChainModel:
             u_scale: rms of u [u].
             y_scale: rms of y [y].
         """
-        if self.element in CURVES:
-            shape = self.input.words.format(*theta[self.inputs])
-            of = "" if self.element == "power" else f", u over {u_scale:.4g}"
-            return f"the input acts by a smooth curve ({shape} fits{of}); no zone is needed"
-        if self.element == "play":
-            gap = theta[self.inputs][0] * u_scale
-            return f"play between input and plant, ahead of its lags, explains the log: {gap:.4g}"
-        if self.element == "rate":
-            limit = theta[self.inputs][0] * u_scale
-            return f"the drive follows the input by at most {limit:.4g} a sample"
+        if self.element is not None:
+            p = theta[self.inputs]
+            return self.input.words.format(p=p, size=p[0] * u_scale, u_scale=u_scale)
         right, left = theta[self.edges] * y_scale
         late = f"behind it a filter that is late by {self.lag(theta):.2g} samples"
         if not self.shaped:

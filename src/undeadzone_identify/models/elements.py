@@ -364,22 +364,15 @@ class MapModel:
         """
         if self.shape not in (saturation_map, limited_zone_map):
             return ""
-        *widths, high, low = theta[self.base :] * y_scale
-        z = self.output(theta) * y_scale
-        passed = dead_zone(z, *widths) if widths else z
-        level = 0.0  # of the readings, limits included
-        if self.has_level:
-            data = self.simulator.data
-            above = data.y - self.noise_free_readings(self.output(theta), theta)
-            level = y_scale * float(above[data.ok].mean())
-        ends = []
-        for end, beyond in ((-low, passed < -low), (high, passed > high)):
-            if np.count_nonzero(beyond) >= FEWEST:
-                ends.append(f"{end + level:.3g}")
-        zone = ""
-        if sum(widths) > 0 and ends:
-            zone = ", behind a dead zone of about {:.3g} right and {:.3g} left".format(*widths)
-        return f"the readings end at {' and '.join(ends)}{zone}" if ends else ""
+        *widths, high, low = theta[self.base :]
+        data, read = self.simulator.data, self.noise_free_readings(self.output(theta), theta)
+        level = self.has_level * float((data.y - read)[data.ok].mean())  # limits included
+        reached = (end for end in (-low, high) if np.count_nonzero(read == end) >= FEWEST)
+        ends = " and ".join(f"{(end + level) * y_scale:.3g}" for end in reached)
+        if sum(widths) > 0:
+            right, left = np.multiply(widths, y_scale)
+            ends += f", behind a dead zone of about {right:.3g} right and {left:.3g} left"
+        return f"the readings end at {ends}" if ends else ""
 
     def slopes(self, theta: Floats) -> tuple[Floats, Floats]:
         """Return the readings (N), and their derivatives by the free parameters (N x F)."""
@@ -483,11 +476,10 @@ def best_of_each(models: Iterable[tuple[str, float, T]]) -> dict[str, T]:
     Args:
         models: name, BIC and model.
     """
-    best: dict[str, tuple[float, T]] = {}
-    for name, bic, model in models:
-        if name not in best or bic < best[name][0]:
-            best[name] = (bic, model)
-    return {name: model for name, (_, model) in best.items()}
+    best: dict[str, T] = {}
+    for name, _, model in sorted(models, key=lambda one: one[1]):
+        best.setdefault(name, model)
+    return best
 
 
 # Name, map, and start points: a plant, the factor of its gain, the map's parameters.

@@ -300,17 +300,12 @@ class KalmanObjective:
         white = max(math.sqrt(1 - share) * fit.disturbance_rms, 2 * QUIETEST)
         phi = min(max(fit.rho, 0.5), 0.99)
         colour = phi if self.model == AT_INPUT else 0.0
-        layout = self.layout
-        gain = math.sqrt(
-            input_noise_gain(p[layout.denominator], p[layout.numerators], layout.n, colour)
-        )
-        root = math.sqrt(1 - phi * phi)
-        if self.model == AT_OUTPUT:
-            log_q = math.log(disturbance * root)
-        elif self.model == AT_INPUT:
-            log_q = math.log(disturbance * root / gain)
-        else:
-            log_q = math.log(disturbance / gain)
+        layout, power = self.layout, 1.0  # of the disturbance at z for q = 1
+        if self.model != AT_OUTPUT:
+            power = input_noise_gain(p[layout.denominator], p[layout.numerators], layout.n, colour)
+        if self.model:
+            power /= 1 - phi * phi
+        log_q = math.log(disturbance / math.sqrt(power))
         p[self.log_q : self.log_q + 4] = log_q, math.log(white), fit.right, fit.left
         if self.model:
             p[-1] = math.atanh(phi)

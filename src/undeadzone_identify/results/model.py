@@ -16,8 +16,8 @@ from undeadzone.util.arrays import Floats
 from undeadzone_identify.logs.log import Log
 from undeadzone_identify.results.assemble import Answer
 from undeadzone_identify.results.to_continuous import observer_matrices
+from undeadzone_identify.selection.alternatives import AHEAD
 
-AHEAD = ("input_zone", "input_play")  # whose widths act on the input
 LINEAR = ("none", "operating_point")
 SENSORS = {"dead_zone": sensor.deadzone, "jump": sensor.jump}
 

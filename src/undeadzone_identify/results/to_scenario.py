@@ -14,7 +14,7 @@ from scipy.linalg import block_diag
 
 from undeadzone.errors import InputError
 from undeadzone.linalg.matrices import Matrices
-from undeadzone.util.arrays import Floats
+from undeadzone.util.arrays import Floats, to_scalar_or_list
 from undeadzone.util.text import escape_controls, fill_words
 from undeadzone_identify.logs.grid import rounding_step
 from undeadzone_identify.logs.prepare import FAR_EDGE
@@ -64,7 +64,7 @@ def scenario_text(answers: Sequence[Answer], title: str) -> str:
     driven = plant.B.shape[1] >= len(answers)
     words: dict[str, Any] = {
         "title": json.dumps(title, ensure_ascii=False),
-        **{name.lower(): _toml_matrix(matrix) for name, matrix in plant._asdict().items()},
+        **{name.lower(): _to_toml(matrix) for name, matrix in plant._asdict().items()},
         "delay": _common_delay(answers),
         "kind": first.verdict if first.verdict in ("jump", "play") else "",
         **_point_fields(answers),
@@ -76,12 +76,12 @@ def scenario_text(answers: Sequence[Answer], title: str) -> str:
         "range": _range_field(answers),
         "driven": driven,
         "amplitude": _toml_numbers(np.quantile(np.abs(one.z_from_rest), 0.98) for one in answers),
-        "frequency": _toml_number(_reference_frequency(first, plant.A)),
+        "frequency": _to_toml(_reference_frequency(first, plant.A)),
         **_disturbance_fields(answers),
         "tolerance": _tolerance_table(
             block_diag(*spreads_A), np.vstack(spreads_B), first.verdict == "input_play"
         ),
-        "duration": _toml_number(_run_duration(answers, plant.A)),
+        "duration": _to_toml(_run_duration(answers, plant.A)),
         "step": repr(float(f"{step:.12g}")),
         "output": _toml_text(first.case.grid.output_unit),
         "input": _toml_text(first.case.grid.input_unit),
@@ -144,7 +144,7 @@ def _gap_of_actuator(answer: Answer) -> str:
     gap = answer.width
     if gap is None or answer.element is None:
         raise InputError("scenario: no plant that settles fits behind the play; record longer")
-    half = _toml_number(gap.value / 2)
+    half = _to_toml(gap.value / 2)
     first_line = (
         f"right = {half}  # gap {gap.value:.6g}, 95 %: {_interval_remark([gap])}; even sides"
     )
@@ -197,9 +197,7 @@ def _range_lines(ranges: Sequence[Sequence[tuple[float, float]]], where: str = "
     """Return the lines with the ranges of the widths of all outputs, right and left."""
     lines = []
     for side, own in zip(SIDES, ranges, strict=True):
-        lines.append(
-            f"{side} = {_toml_list([_toml_pair(*one) for one in own])}  # 99.9 % interval{where}"
-        )
+        lines.append(f"{side} = {_toml_numbers(own)}  # 99.9 % interval{where}")
     return "\n".join(lines)
 
 
@@ -213,9 +211,9 @@ def _gap_fields(answer: Answer) -> dict[str, str]:
         raise InputError("scenario: both widths must be known")
     low, high = prior_element_range(element, gap)
     return {
-        "gap": _toml_pair(gap.value / 2, gap.value / 2),
+        "gap": _to_toml([gap.value / 2] * 2),
         "gap_interval": _interval_remark([gap]),
-        "told_gap": _toml_pair(low / 2, high / 2),
+        "told_gap": _to_toml([low / 2, high / 2]),
     }
 
 
@@ -246,9 +244,9 @@ def _join_plants(plants: Sequence[Matrices]) -> Matrices:
     )
 
 
-def _toml_numbers(values: Iterable[float]) -> str:
-    """Return the numbers of all outputs in TOML: a number, or a list."""
-    return _toml_list(list(map(_toml_number, values)))
+def _toml_numbers(values: Iterable[Any]) -> str:
+    """Return numbers, or ranges, of all outputs in TOML: that of one output, or a list."""
+    return _to_toml(to_scalar_or_list([*values]))
 
 
 def _interval_remark(edges: Sequence[Interval]) -> str:
@@ -256,16 +254,6 @@ def _interval_remark(edges: Sequence[Interval]) -> str:
     if all(edge.low == edge.high for edge in edges):
         return "none: it is known, or so far away that it is no edge"
     return "; ".join(f"{edge.low:.6g} to {edge.high:.6g}" for edge in edges)
-
-
-def _toml_pair(low: float, high: float) -> str:
-    """Return two numbers in TOML."""
-    return f"[{_toml_number(low)}, {_toml_number(high)}]"
-
-
-def _toml_list(texts: Sequence[str]) -> str:
-    """Return a single text unchanged, several as a list in TOML."""
-    return texts[0] if len(texts) == 1 else f"[{', '.join(texts)}]"
 
 
 def _require_edges(answer: Answer) -> tuple[Interval, Interval]:
@@ -332,7 +320,8 @@ def _range_field(answers: Sequence[Answer]) -> str:
     """Return the text of the measuring ranges of all outputs; empty if no reading saturates."""
     ends = [one.case.fitted.prepared.ends for one in answers]
     has_ends = any(one.has_ends for one in ends)
-    return has_ends * _toml_list([one.range_text for one in ends])
+    texts = [one.range_text for one in ends]
+    return has_ends * (texts[0] if len(texts) == 1 else f"[{', '.join(texts)}]")
 
 
 def _noise_rms_pair(answer: Answer) -> tuple[float, float]:
@@ -380,7 +369,7 @@ def _disturbance_fields(answers: Sequence[Answer]) -> dict[str, str]:
     if len(known) < len(priors):
         return {"disturbance": ""}  # something disturbs z: the observer's own default
     rms, time = max(known)
-    return {"disturbance": _toml_number(rms), "correlation_time": _toml_number(time)}
+    return {"disturbance": _to_toml(rms), "correlation_time": _to_toml(time)}
 
 
 def _disturbance_prior(answer: Answer) -> tuple[float, float] | None:
@@ -449,14 +438,9 @@ def _tolerance_table(spread_A: Floats, spread_B: Floats, is_loop: bool) -> str:
     return "{ " + ", ".join(entries) + " }"
 
 
-def _toml_matrix(matrix: Any) -> str:
-    """Return a matrix in TOML."""
-    return str(np.asarray(matrix, dtype=float).tolist())
-
-
-def _toml_number(value: float) -> str:
-    """Return a number in TOML with all digits."""
-    return repr(float(value))
+def _to_toml(numbers: Any) -> str:
+    """Return a number, or a matrix, in TOML with all digits."""
+    return str(np.asarray(numbers, dtype=float).tolist())
 
 
 def _toml_text(value: str) -> str:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.polynomial.hermite_e import hermegauss
 from scipy.signal import lfilter
 
-from undeadzone.util.arrays import Flags, Floats
+from undeadzone.util.arrays import Flags, Floats, rows_since_start, shift_rows
 from undeadzone_identify.models import least_squares
 from undeadzone_identify.models.chain import ChainModel, limit_rates
 from undeadzone_identify.models.least_squares import (
@@ -31,12 +31,13 @@ from undeadzone_identify.models.least_squares import (
 )
 from undeadzone_identify.models.place import PlaceModel
 
-SHARE = 0.045  # of the innovations' variance, from which a direction is real
+SHARE = 0.045  # of the innovations' variance, from which a direction is real if p is below CHANCE
 # The same of directions of few columns.
 OF_FEW = dict.fromkeys(("beside", "ahead", "spring", "repetition"), 0.025)
-LARGE_SHARE, PERHAPS = 0.1, 0.02  # the same for a large share, of which p may be larger
-NOTABLE_SHARE, HARDLY_BY_CHANCE = 0.05, 0.003  # and for one between both
-MOST, HARDLY = 0.5, 0.1  # and for most of the residual that is not white
+LARGE_SHARE = 0.1
+MOST, HARDLY = 0.5, 0.1  # the same for most of the residual that is not white, and its largest p
+# The same of a large share, and of one between both, of which p may be larger.
+REAL = ((MOST, HARDLY), (LARGE_SHARE, 0.02), (0.05, 0.003))
 BLURRED = 0.2  # largest rms of a residual that may be a disturbance of z [rms of the readings]
 NODES = 7  # of a mean over that disturbance
 BEGIN = 12  # samples of a record whose innovations lack a past
@@ -123,11 +124,8 @@ class Remainder(NamedTuple):
     @property
     def is_real(self) -> bool:
         """Return whether a model that leaves this is wrong."""
-        if self.is_most:
-            return True
-        is_large = self.share > LARGE_SHARE and self.chance < PERHAPS
-        is_large |= self.share > NOTABLE_SHARE and self.chance < HARDLY_BY_CHANCE
-        return is_large or (self.share > OF_FEW.get(self.on, SHARE) and self.chance < CHANCE)
+        rows = (*REAL, (OF_FEW.get(self.on, SHARE), CHANCE))
+        return any(self.share > share and self.chance < chance for share, chance in rows)
 
     def in_words(self, model: str) -> tuple[str, str]:
         """Return the finding, and the recording that shows its cause.
@@ -210,9 +208,7 @@ def _residual_and_own(fit: FittedModel[Model]) -> tuple[Flags, Floats, Floats]:
     (N x P) and its residual (N).
     """
     data = fit.squares.data
-    use = data.ok.copy()
-    for part in data.record_slices():
-        use[part.start : part.start + BEGIN] = False
+    use = data.ok & (rows_since_start(data.start, data.y.size) >= BEGIN)
     e, rows = fit.squares.residual_and_slopes(fit.theta)
     own = np.column_stack([rows, np.ones(len(rows)), _blurred_readings(fit)])
     return use, own, e
@@ -296,8 +292,8 @@ def _directions(fit: FittedModel[Model]) -> dict[str, Floats]:
     directions["rate of the input"] = through_plant(theta, _late_by_rate(u))
     directions["rate of the output"] = _late_by_rate(z)
     if float(np.std(read - z)) > 0:  # else these are more poles of the plant
-        lags = [_late(read, k) for k in range(1, BEHIND + 1)]
-        lags += [_late(read - z, k) for k in range(1, 4)]
+        lags = [shift_rows(read, k, data.start) for k in range(1, BEHIND + 1)]
+        lags += [shift_rows(read - z, k, data.start) for k in range(1, 4)]
         directions["behind"] = np.column_stack(lags)
     if model.name == "jump":  # a sensor of equal steps has one about 0, which the fit narrows
         angle = 2 * np.pi * z[:, None] / (model.levels(theta).sum() * np.array(WIDER))
@@ -343,11 +339,6 @@ def _late_by_rate(signal: Floats) -> Floats:
     speed = np.abs(np.diff(signal, prepend=signal[0]))  # a lag that differs by direction
     late = limit_rates(signal, usual * np.array(RATES)) - signal[:, None]
     return np.column_stack([late, speed])
-
-
-def _late(signal: Floats, lag: int) -> Floats:
-    """Return a signal some samples late (N)."""
-    return np.append(np.full(lag, signal[0]), signal[:-lag])
 
 
 def _lag_by(signal: Floats, samples: float) -> Floats:

@@ -121,10 +121,7 @@ ON_EACH = 0.05  # of the readings, that each of two levels has at least
 SPREAD = 0.04  # of the distance of two levels: median distance of readings from their level
 FAR_AWAY, BETWEEN = 7.0, 0.01  # times that; of the readings that may lie farther from both levels
 UNSEEN = 0.1  # of the readings' noise: what a disturbance makes of z, and no log of this kind shows
-AHEAD = {  # remarks on elements of the input, by word
-    "input_zone": "the widths are those of the input, in its unit",
-    "input_play": "the gap is that of the input, in its unit; both sides are half of it",
-}
+AHEAD = ("input_zone", "input_play")  # words of elements of the input
 OF_INPUT = ("friction", *AHEAD)  # words of widths in the input's unit
 MEASURED = {  # what is known of an element, by word
     "friction": ("right", "left", "width"),
@@ -462,16 +459,11 @@ def _describe_hidden_gap(rms: float) -> str:
 def _add_zone_widths(element: Element, gap: PlayGap, scale: float) -> Element:
     """Return the element with the widths of a play and of the dead zone after it."""
     shown = {name: interval.scale_by(scale) for name, interval in gap.intervals.items()}
-    zone = shown["zone"]
-    remark = (
-        f"the play's gap is the width above; the dead zone's, d_r + d_l, is {zone.value:.4g}"
-        f" [{zone.low:.4g}, {zone.high:.4g}]; of both centres only the sum shows"
-    )
     return element._replace(
         widths=element.widths | {"width": shown["width"]},
-        zone=zone,
+        zone=shown["zone"],
         edges=(shown["zone_right"], shown["zone_left"]),
-        remarks=[remark],
+        remarks=["of both centres only the sum shows"],
     )
 
 
@@ -733,7 +725,7 @@ def _element_of_fit(word: str, fit: FittedModel[Any], model: Any, theta: Floats)
         noise=noise,
         degrees=math.inf,
         rms=rms,
-        remarks=[AHEAD[word]] if word in AHEAD else [],
+        remarks=[],
         level=is_offset * level,
     )
 
@@ -959,18 +951,8 @@ def validate_element(element: Element, held_out: float) -> HeldOutScore:
     """
     if isinstance(element.fit, ServoGap):
         return _validate_servo(element, element.fit, held_out)
-    return held_out_error_of_fit(element.fit, held_out)
-
-
-def held_out_error_of_fit(fit: FittedModel[Any], held_out: float) -> HeldOutScore:
-    """Score a model that simulates the readings on held-out blocks.
-
-    Args:
-        fit: the model.
-        held_out: share of the samples that are held out.
-    """
-    e, test = held_out_residual(fit, held_out)
-    data = fit.squares.data
+    e, test = held_out_residual(element.fit, held_out)
+    data = element.fit.squares.data
     return score_held_out(e, data, test, predict_one_step(e, test, test, data.start))
 
 
