@@ -45,7 +45,7 @@ _PRINTED_NAMES: Final = 12  # names in a message
 
 
 def numbers(key: str, value: Any, kinds: str) -> Floats:
-    """Return an array of floats, NaN and infinite ones among them.
+    """Return an array of floats, possibly with NaN and infinity.
 
     Args:
         key: name for messages.
@@ -337,7 +337,7 @@ class _Header(NamedTuple):
         return y, u or self.group("u", i, m)
 
     def ranks(self, given: list[int]) -> Floats:
-        """Return the rank of each column (K), by its name and by those beside it."""
+        """Return the rank of each column (K), by its name and by the names of its neighbours."""
         ranks = np.array([rank_of(title) for title in self.titles])
         ranks[[title.name.lower() in ("y", "u") for title in self.titles]] *= 1.01
         outputs = np.array([split_words(title.name) in ("output", "out") for title in self.titles])
@@ -382,7 +382,7 @@ class _Header(NamedTuple):
         return [self.column_of_name(key) for key in required]
 
     def group(self, signal: str, column: int, count: int | None) -> list[int]:
-        """Return the columns of a signal: those that differ by an index alone, or one.
+        """Return the columns of a signal: all that differ by an index alone, or a single column.
 
         Raises FileError if they are not as many as expected.
 
