@@ -174,7 +174,7 @@ class Clock:
             yield self._piece(samples, runs)
 
     def _runs(self, samples: Samples, last: bool) -> Iterator[Run]:
-        """Yield the lines by kind, in order; one that needs the line after it may have to wait."""
+        """Yield the lines by kind, in order; the last line may have to wait for the next."""
         t = samples.t
         size = len(samples.t)
         k = 0
@@ -220,7 +220,7 @@ class Clock:
         return whole_steps(np.subtract(t, before), self._step)
 
     def _piece(self, samples: Samples, runs: Sequence[Run]) -> Piece:
-        """Runs as one piece, with missing samples in the gaps before them."""
+        """Join runs to a piece, with missing samples in the gaps."""
         rows = np.concatenate([np.arange(run.rows.start, run.rows.stop) for run in runs])
         lengths = [run.rows.stop - run.rows.start for run in runs]
         steps = np.ones(rows.size)

@@ -1,4 +1,4 @@
-"""What a column may hold, by the words and the unit of its name: one table for all that ask.
+"""Kinds and ranks of columns, by the words and the units of their names, in a single table.
 
 A name opens candidates: `names` compares them by what their columns do.
 """
@@ -57,7 +57,8 @@ _TABLE: Final = tuple(
         (r"^(y|output|out)( \d+)?$", "", -EXACT),
         (
             r"^(op|co|mv|controller output|stellgr(ö|oe)(ß|ss)e)$|\w op$|\bpid\b.*\bout\b",
-            *("op", 19.0),
+            "op",
+            19.0,
         ),
         (r"\bpv\b|^process (value|variable)$", "pv", -19.0),
         (r"^u \w+$", "", 17.0),
@@ -67,7 +68,8 @@ _TABLE: Final = tuple(
         (
             r"battery|supply|mass\b|\bsnr\b|delta|\bdt\b|^stat(e|us) \d|moving|\bpin\b|\bbus\b"
             r"|\bvcc\b|\berror\b|\bwanted time\b|\bindex\b|\bid\b|^(n|no|nr)$",
-            *("other", 0.0),
+            "other",
+            0.0,
         ),
         (r"\bsp\b", "sp", REFERENCE),
         (r"^(r|ref|reference|set ?point|sollwert|consigne|consigna)$", "goal", REFERENCE),
@@ -81,29 +83,34 @@ _TABLE: Final = tuple(
         (
             r"\b(goal|target\w*|desired|set ?point|ref(erence)?|wanted|demand(ed)?|command(ed)?|cmd"
             r"|set|sp|actions?|des|requested|ziel)\b|\bsoll|consigne|consigna|vorgabe",
-            *("goal", 12.0),
+            "goal",
+            12.0,
         ),
         (
             r"torque|\btau|\bcurrent\b(?! (pos|angle|speed|vel|temp|val))|effort|moment\b|strom\b"
             r"|courant|couple\b|\bamps?\b|ampere|\biq\b",
-            *("torque", 8.0),
+            "torque",
+            8.0,
         ),
         (
             r"measured|sensor|\bcell\b|\badc|feedback|\bfb\b|reading|\bhx\b|response|\bist\b"
             r"|\braw\b(?! d)|\bcode\b|observ|mesur|gemessen",
-            *("", -12.0),
+            "",
+            -12.0,
         ),
         (
             r"pwm|volt|spannung|tension|duty|throttle|joystick|pulse|guide distance|valve|ventil"
             r"|vanne|heater|heiz|chauff|pump|\bfan\b|\bdac\b|stick\b|drive\b",
-            *("drive", 14.0),
+            "drive",
+            14.0,
         ),
         (r"^dec( raw|$)", "position", -9.0),
         (r"^ra( raw|$)", "position", -8.5),
         (
             r"speed|veloc|\bvel\b|\brpm\b|drehzahl|geschw|vitesse|omega|\bd ?d?q\b|\bqd\b|gyro|"
             r"tach|\bupm\b|\[(k?rpm|upm|[^]]*/s)\]",
-            *("speed", -8.1),
+            "speed",
+            -8.1,
         ),
         (
             r"accel|beschl|thrust|flow|level|pressure|\btemp|durchfl|druck|stand\b|niveau|débit|pression|"
@@ -127,7 +134,8 @@ _TABLE: Final = tuple(
             r"\bpos|position|angle|winkel|encoder|\benc\b|theta|\bphi\b|^q( \d+)?$|distance|height|"
             r"tilt|lage\b|stellung|auslenk|pitch|roll\b|yaw|ticks|state|"
             r"\[(deg|rad|mrad|°|mm|cm|m|in|um|µm|px|ticks|counts|arcsec|arcmin)\]",
-            *("position", -8.0),
+            "position",
+            -8.0,
         ),
         (r"\[(m?a|nm)\]", "torque", 8.0),
         (r"\[(k?n|kip|lbf?|kg)\]", "force", 4.0),
@@ -161,7 +169,7 @@ def split_unit(text: str) -> Title:
 
 
 def add_unit(title: Title) -> Title:
-    """Return a title with the unit at the end of its name, unless it has another."""
+    """Return a title with the unit at the end of its name, unless it has a unit already."""
     found = _WITH_UNIT.fullmatch(title.name)
     return Title(title.name, found[2]) if found and not title.unit else title
 
@@ -173,7 +181,7 @@ def split_words(name: str) -> str:
 
 
 def kind_of(name: str, unit: str = "") -> str:
-    """Return what a column may hold, of the kinds in the table, or "other".
+    """Return the kind of quantity in a column, of the kinds in the table, or "other".
 
     The kinds are goal, position, speed, torque, drive, op, pv, sp and force.
 
@@ -199,7 +207,7 @@ def _rows_of(title: Title) -> list[tuple[re.Pattern[str], str, float]]:
 
 
 def time_rank(title: Title) -> int:
-    """Return the rank of a name among those of times, 0 the best; -1: it is that of no time."""
+    """Return the rank of a name among the names of times, 0 the best; -1 for any other name."""
     words = " ".join(_WORDS.findall(title.name)).lower()
     return next((k for k, name in enumerate(_TIMES) if name.search(words)), -1)
 

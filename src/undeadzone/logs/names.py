@@ -47,7 +47,7 @@ _PRINTED_NAMES: Final = 12  # names in a message
 
 
 def numbers(key: str, value: Any, kinds: str) -> Floats:
-    """Return an array of floats, NaN and infinite ones among them.
+    """Return an array of floats, possibly with NaN and infinity.
 
     Args:
         key: name for messages.
@@ -341,7 +341,7 @@ class _Header(NamedTuple):
         return y, u or self.group("u", i, m)
 
     def ranks(self, given: list[int]) -> Floats:
-        """Return the rank of each column (K), by its name and by those beside it."""
+        """Return the rank of each column (K), by its name and by the names of its neighbours."""
         ranks = np.array(list(map(rank_of, self.titles)))
         ranks[[title.name.lower() in ("y", "u") for title in self.titles]] *= 1.01
         outputs = np.array([split_words(title.name) in ("output", "out") for title in self.titles])
@@ -395,7 +395,7 @@ class _Header(NamedTuple):
         return list(map(self.column_of_name, required))
 
     def group(self, signal: str, column: int, count: int | None) -> list[int]:
-        """Return the columns of a signal: those that differ by an index alone, or one.
+        """Return the columns of a signal: all that differ by an index alone, or a single column.
 
         Raises FileError if they are not as many as expected.
 

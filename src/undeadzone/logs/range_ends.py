@@ -1,4 +1,4 @@
-"""Limits of the measuring range of a log: largest or least readings at which it saturates."""
+"""Limits of the measuring range of a log: largest or least readings, where readings saturate."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class RunningEnds:
         self._lower.add(-y, ok)
 
     def find_range_ends(self, quantum: float = 0.0) -> RangeEnds:
-        """Return the limits of the range at which readings saturate, -inf and inf without them.
+        """Return the limits of the range at which readings saturate, -inf and inf without limits.
 
         Readings repeat at a limit. They also repeat at the turning point of a slow motion, but
         there the motion before has no speed. Therefore the readings must reach a limit with at

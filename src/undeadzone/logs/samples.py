@@ -245,8 +245,8 @@ class LogReader:
 
     def _none(self) -> Samples:
         """Return samples of length 0."""
-        shapes = (0, (0, self._p or 1), (0, self._m or 1))
-        return Samples(*[np.empty(shape) for shape in shapes], np.empty(0, np.int64))
+        shapes = (np.empty(0), np.empty((0, self._p or 1)), np.empty((0, self._m or 1)))
+        return Samples(*shapes, np.empty(0, np.int64))
 
     def _samples(self, numbers: Sequence[int], lines: Sequence[str], layout: Layout) -> Samples:
         """Return the samples of lines with these numbers."""

@@ -105,7 +105,7 @@ def over_midnight(t: Floats, before: float) -> Floats:
 
 
 def _day(found: re.Match[str], day_first: bool | None) -> int | None:
-    """Return days since 1970; None if there is no such day, or if it is ambiguous."""
+    """Return days since 1970; None for an impossible or ambiguous date."""
     if len(found["a"]) == 4:
         order = "abc"
     elif found["dot"] == "." or day_first:

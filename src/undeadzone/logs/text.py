@@ -303,7 +303,7 @@ def decimal_mark(lines: Sequence[str], separator: str, live: bool, source: str) 
 
 
 def lines_ahead(lines: Sequence[str]) -> int | None:
-    """Return how many lines stand ahead of the header, which have another content.
+    """Return the number of lines of other content ahead of the header.
 
     None: no line is a header so far. The header has two names or more, no number, and as many
     cells as most lines behind it.
@@ -328,7 +328,7 @@ def lines_ahead(lines: Sequence[str]) -> int | None:
 
 
 def _separator(lines: Sequence[str]) -> str:
-    """Return the separator: of `;`, tab, `,` the one that most of these lines hold, else blanks.
+    """Return the separator: of `;`, tab, `,` the most frequent in the lines, else blanks.
 
     Commas in numbers with blanks between are decimal commas.
     """

@@ -178,7 +178,7 @@ def of_frame(frame: Any) -> Columns:
 
 @contextlib.contextmanager
 def _naming(path: Path) -> Iterator[None]:
-    """Name the file in the errors of its decoders, which raise any if it is damaged."""
+    """Name the file in the errors of its decoders, of any type for a damaged file."""
     try:
         yield
     except InputError:

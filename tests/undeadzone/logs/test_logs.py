@@ -113,6 +113,9 @@ def test_without_a_header_the_user_says_the_columns() -> None:
     assert layout_of_numbers(4, None, None, parse_columns("y=4,u=2"), "log").columns == [3, 1]
     with pytest.raises(FileError, match="without a header the order"):
         layout_of_numbers(3, 1, 1, {}, "log")
+    reader = LogReader("log", 1, 1, parse_columns("t=1,y=2,u=3"))
+    samples = reader.feed(b"12:00:00,1,2\n12:00:01,3,4\n", last=True)
+    assert np.diff(samples.t) == 1.0, "its times may be stamps"
 
 
 @pytest.mark.parametrize(
