@@ -113,7 +113,8 @@ def account_of_answer(answer: Answer) -> Account:
         effects["friction"] = {"level": answer.found.friction}
     element = answer.element
     if element is not None and element.input:
-        effects["input loss"] = {name: element.input[name] for name in (*SIDES, "width")}
+        known = filter(element.input.get, (*SIDES, "width"))
+        effects["input loss"] = {name: element.input[name] for name in known}
     if element is not None and element.zone is not None:
         effects["output loss"] = {"width": element.zone}
     limits = {} if effects else _find_limits(answer)
