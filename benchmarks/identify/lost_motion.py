@@ -51,7 +51,7 @@ def ask(log: MotionLog) -> Outcome:
     seconds = time.process_time() - began
     word = "right" if found.verdict in log.right else "wrong"
     word = "withheld" if found.verdict in NO_NAME else word
-    odds = found.numbers()["odds"]
+    odds = found.numbers().get("odds", {})
     is_sure = max(odds.values(), default=0.0) > SURE
     if log.lost is None or word == "withheld" or not isinstance(found, uz.IdentifiedMotion):
         return Outcome(word, is_sure, None, np.nan, None, seconds)

@@ -65,9 +65,11 @@ def outcome_of(log: NamedLog) -> Outcome:
         return known | {"verdict": "refused", "why": str(error), "odds": {}, "widths": []}
     numbers = found.numbers()
     truth = {"right": log.widths[0], "left": log.widths[1], "width": sum(log.widths)}
-    widths = [[numbers[name], truth[name]] for name in MEASURED.get(log.truth, ()) if numbers[name]]
+    widths = [
+        [numbers[name], truth[name]] for name in MEASURED.get(log.truth, ()) if numbers.get(name)
+    ]
     spent = time.process_time() - began
-    selected = {key: numbers[key] for key in ("verdict", "odds", "reasons", "remarks")}
+    selected = {key: numbers.get(key, {}) for key in ("verdict", "odds", "reasons", "remarks")}
     return known | selected | {"widths": widths, "seconds": round(spent, 2)}
 
 

@@ -69,7 +69,7 @@ def outcome_of(report: Report, path: Path) -> Outcome:
     if width is not None and report.width is not None and word == "right":
         holds = bool(width[1] <= report.width <= width[2])
     reasons = numbers.get("reasons") or [""]
-    odds = max((numbers["odds"] or {}).values(), default=0.0)
+    odds = max((numbers.get("odds") or {}).values(), default=0.0)
     return Outcome(verdict, word, odds, width, holds, spent, reasons[0])
 
 

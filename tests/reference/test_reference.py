@@ -242,4 +242,4 @@ def test_wrong_sign_is_found(
     monkeypatch.setattr(lost_motion, "_sum_squares_by_start", lambda found: -squares(found))
     words = ["--compare", "--only", "lost_motion/d*", "--jobs", "1"]
     assert command.main(words) == command.DIFFERS
-    assert "worse   lost_motion/dial gauge  word: right -> withheld" in capsys.readouterr().out
+    assert "worse   lost_motion/dial gauge  word: right -> wrong" in capsys.readouterr().out
