@@ -19,10 +19,11 @@ SKIPPED = {  # pattern of keys: why their values are no answer
         (
             *("found", "reasons", "remarks", "*.reasons", "*.remarks", "cures", "why_unreadable"),
             *(f"claims.*.{key}" for key in ("where", "words", "claim", "quantity", "measured")),
-            *("claims.*.why", "letters"),
+            *("claims.*.why", "letters", "answer.by", "answer.doubts", "answer.remedies"),
         ),
         "prose, which may be worded anew",
     ),
+    **dict.fromkeys(("answer.units*", "answer.never_tried"), "of the log, beside others of it"),
     **dict.fromkeys(
         ("*alternatives", "*levels", "*left_over", "*offsets", "*orders", "*stages"),
         "steps of today's identification, which another method has not",
