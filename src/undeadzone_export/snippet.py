@@ -348,8 +348,19 @@ def lost_of_answer(found: dict[str, Any], path: str, name: str) -> Lost:
             f"{path}: the {absent[0]} edge of the actuator's dead zone is not known, and half a "
             "compensation pulls to one side. Record an input that passes both edges"
         )
+    if kind == "sensor" and found.get("output_zero"):
+        _require_backlash(kind, path)
     gone = "".join(absent)
     return Lost(kind, right, left, width, unit, name, silent, gone, verdict == "input_play")
+
+
+def _require_backlash(kind: str, path: str | Path) -> None:
+    """Raise InputError if a zone is to be compensated about another point than 0."""
+    if kind != "backlash":
+        raise InputError(
+            f"{path}: operating_point: the few lines act about 0. Export the observer with its"
+            " controller by --to c or --to st, which count from the point"
+        )
 
 
 def _edges(found: dict[str, Any]) -> tuple[Triple, Triple, Triple]:
@@ -392,11 +403,8 @@ def _of_scenario(scenario: Scenario, path: Path) -> Lost:
         kind = "backlash"
     is_ahead = kind == "backlash" and not is_sensor
     width = _triple([a + b for a, b in zip(right, left, strict=True)])
-    if scenario.operating_point is not None and kind != "backlash":
-        raise InputError(
-            f"{path}: operating_point: the few lines act about 0. Export the observer with its"
-            " controller by --to c or --to st, which count from the point"
-        )
+    if scenario.operating_point is not None:
+        _require_backlash(kind, path)
     silent = 0.5 * max(_numbers(scenario.sensor.quantum), default=0.0)
     return Lost(kind, right, left, width, unit, path.name, silent, is_ahead=is_ahead)
 

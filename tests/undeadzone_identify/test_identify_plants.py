@@ -207,6 +207,32 @@ def test_an_offset_behind_the_zone_is_named() -> None:
     assert exact.answer.case.options.zero == 1.25
 
 
+def test_the_level_of_a_silent_sensor_is_followed_to_its_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The scenario and the commands that are printed count from it; lines about 0 are none."""
+    monkeypatch.chdir(tmp_path)
+    u, z = driven()
+    table = np.column_stack([STEP * np.arange(u.size), u, 1.25 + dead_zone(z, 0.5, 0.3)])
+    np.savetxt("log.csv", table, delimiter=",", header="t,u,y", comments="")
+    run = CliRunner()
+    words = ["identify", "log.csv", "--order", "2", "--delay", "0", "--no-figures", "--out", "o"]
+    found = run.invoke(group, words)
+    assert found.exit_code == 0, found.output
+    assert "the reading 1.25 comes back exactly" in " ".join(found.output.split())
+    assert "static float" not in found.output
+    point = tomllib.loads(Path("o/log.toml").read_text())["operating_point"]
+    assert point["output"] == [1.25]
+    advised = re.search(r"undeadzone (estimate [^,]+)", found.output)
+    assert advised is not None
+    estimated = run.invoke(group, [*advised[1].split(), "--no-figures", "--out", "e"])
+    assert estimated.exit_code == 0, estimated.output
+    assert "consistent yes" in " ".join(estimated.output.split())
+    refused = run.invoke(group, ["export", "o/identify.json", "--to", "snippet"])
+    assert isinstance(refused.exception, InputError)
+    assert "the few lines act about 0" in str(refused.exception)
+
+
 def test_a_spring_that_stiffens_is_no_zone() -> None:
     rng = np.random.default_rng(2)
     u = steps(rng, 800, 8)

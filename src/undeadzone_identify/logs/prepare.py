@@ -305,7 +305,7 @@ def find_silent_level(grid: Grid) -> float:
     if values.size < 3:
         return 0.0
     next_most, most = np.argsort(counts)[-2:]
-    value, count = values[most], counts[most]
+    value, count = float(values[most]), counts[most]
     low, high = np.quantile(y[y != value], [0.05, 0.95])
     returns = low < value < high and bounds_of_runs(grid.ok & (grid.y == value))[0].size > 1
     is_often = count > max(ZEROS * y.size, OFTEN * counts[next_most])

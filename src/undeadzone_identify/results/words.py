@@ -192,6 +192,7 @@ def answer_numbers(answer: Answer, account: Account) -> dict[str, Any]:
             "quantum": grid.quantum,
         },
         "input_zero": grid.zero,
+        "output_zero": answer.case.options.zero or None,
         "units": {"input": grid.input_unit, "output": grid.output_unit},
         "remarks": answer.remarks,
     }
