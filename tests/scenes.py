@@ -49,6 +49,17 @@ def tables_of(text: str) -> dict[str, Any]:
     return tomllib.loads(text)
 
 
+COUPLED = tables_of("""
+plant.A = [[-1.0, 0.4], [0.3, -2.0]]
+plant.B = [[1.0, 0.2], [0.0, 1.5]]
+plant.C = [[1.0, 0.3], [0.0, 1.0]]
+sensor = { right = [0.5, 0.2], left = [0.3, 0.6] }
+reference = { kind = "sine", amplitude = [2.0, 1.5], frequency = 0.5, phase = [0.0, 1.0] }
+observer = { method = "certified", gamma = [2.0, 3.0], L = [[0.2, 0.0], [0.1, 0.3]] }
+""")
+"""A plant whose two inputs and outputs act on each other, with its observer."""
+
+
 def table(text: str = "", **changes: Any) -> dict[str, Any]:
     """The tables of `PAPER` with those of a text and with changes.
 

@@ -28,10 +28,11 @@ from benchmarks.markdown import head, row
 from benchmarks.results import share
 from undeadzone.util.arrays import Floats
 from undeadzone.util.progress import terminal_progress
-from undeadzone_identify.results.account import BOUNDED, CERTAIN, INDICATED, OPEN, Account
+from undeadzone_identify.results.account import BOUNDED, INDICATED, MEASURED, NAMED, OPEN, Account
 from undeadzone_identify.results.speech import EFFECT_OF
 
 NULL = ("none", "operating_point")
+CERTAIN = (NAMED, MEASURED)  # grades whose numbers are certain
 NEAR, FAR = 0.15, 0.4  # of the truth, up to which a number is right, and useful
 WORDS = ("right", "useful", "partly", "sentence", "mute", "wrong")
 SAME = {  # effects that share a remedy, or that a log of one end cannot tell apart
@@ -43,7 +44,6 @@ SAME = {  # effects that share a remedy, or that a log of one end cannot tell ap
     "output threshold": ("low end", "output loss"),
     "low end": ("output range",),
     "high end": ("output range",),
-    "input range": ("input shape",),
 }
 
 
@@ -87,13 +87,13 @@ def _columns(step: float, u: Floats, y: Floats) -> dict[str, Floats]:
 
 
 BY_HAND = {  # effects of strangers whose words have none
-    "limit of the input": ("input range", "input shape"),
+    "limit of the input": ("input shape",),
     "lag, zone, plant": ("input loss", "input shape"),
-    "lag, soft limit, plant": ("input range", "input shape"),
+    "lag, soft limit, plant": ("input shape",),
     "least pulse": ("input threshold", "input loss"),
     "relay": ("input shape", "input threshold"),
     "relay with hysteresis": ("input shape", "input threshold", "input reversal"),
-    "slow drive that saturates": ("input range", "input shape"),
+    "slow drive that saturates": ("input shape",),
     "rounded input": ("input shape", "input threshold"),
     "input without its sign": ("input shape",),
     "comparator": ("output shape", "output range", "output threshold"),

@@ -55,7 +55,7 @@ from undeadzone_identify.results.assemble import to_answer
 from undeadzone_identify.results.at_rest import IdentifiedAtRest
 from undeadzone_identify.results.lost_motion import IdentifiedMotion
 from undeadzone_identify.results.result import Identified, IdentifiedOutputs
-from undeadzone_identify.results.seen import account_at_once, account_of_looks, choose_account
+from undeadzone_identify.results.seen import account_of_looks, choose_account, needs_no_plant
 from undeadzone_identify.results.speech import knows_the_end
 from undeadzone_identify.selection import orders
 from undeadzone_identify.selection.adequacy import (
@@ -281,7 +281,7 @@ def _identify_logs(
     for log in logs:
         if len(log.outputs) != len(names):
             raise InputError(f"{log.source}: has {len(log.outputs)} outputs, others {len(names)}")
-    motion, looks = None, Looks()
+    motion, looks, seen = None, Looks(), None
     is_conclusive = False  # the lost motion is the answer, whatever plant fits
     if len(logs) == len(names) == 1 and needs_motion_test(logs[0]):
         motion, is_conclusive = find_lost_motion(logs[0], options)
@@ -291,10 +291,9 @@ def _identify_logs(
     logs = list(map(without_drive, logs))
     if len(logs) == len(names) == 1 and not is_named_loop(logs[0]) and options == Options():
         looks = look_at(logs[0])
-        at_once = account_at_once(logs[0], looks)
-        if at_once is not None:
-            return IdentifiedAtRest(logs[0], looks, at_once)
-    seen = account_of_looks(logs[0], looks)
+        seen = account_of_looks(logs[0], looks)
+        if seen is not None and needs_no_plant(seen, looks):
+            return IdentifiedAtRest(logs[0], looks, seen)
     outputs = ([log.select_output(k) for log in logs] for k in range(len(names)))
     try:
         if motion is not None and motion.are_positions and not find_sample_time(logs[0])[1]:

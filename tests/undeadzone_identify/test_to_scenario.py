@@ -330,6 +330,7 @@ def test_a_play_with_few_turns_is_undecided_and_the_next_log_decides() -> None:
     assert any("the readings turn 4 times" in reason for reason in found.answer.reasons)
     assert found.width is None
     following = found.next_log()
+    assert following.what == "right"
     x, z = np.zeros(2), []
     for force in following.u[:, 0]:
         z.append(x[0])

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-
 from undeadzone.logs.kinds import kind_of
 from undeadzone_identify.logs.log import Log
 from undeadzone_identify.looks.map import RestMap, map_at_rest, map_of_rate
 from undeadzone_identify.looks.pushes import FrictionLevel, friction_level
 from undeadzone_identify.looks.rests import FreePlay, free_play_between_rests
+from undeadzone_identify.looks.rows import known_samples
 from undeadzone_identify.looks.stillness import longest_stillness
 from undeadzone_identify.looks.valley import Valley, gap_between_valleys
 
@@ -46,8 +45,7 @@ def look_at(log: Log) -> Looks:
     """
     if log.u.shape[1] > 1 or log.y.shape[1] > 1:
         return Looks()
-    known = np.isfinite(log.y[:, 0])
-    t, u, y = log.t[known], log.u[known, 0], log.y[known, 0]
+    t, u, y = known_samples(log.t, log.u[:, 0], log.y[:, 0])
     kind = kind_of(log.inputs[0], log.input_unit)
     read = kind_of(log.outputs[0], log.output_units[0])
     if kind == "torque":

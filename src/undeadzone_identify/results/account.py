@@ -7,6 +7,7 @@ Certainty is withheld, the number never: a grade tells how sure it is.
 from __future__ import annotations
 
 import math
+from itertools import starmap
 from typing import Any, NamedTuple
 
 from undeadzone_identify.models.estimates import Interval
@@ -19,7 +20,6 @@ BOUNDED = "bounded"  # nothing was found: the largest effects that could hide
 OPEN = "open"  # neither a number nor a bound
 GRADES = (NAMED, MEASURED, INDICATED, BOUNDED, OPEN)
 SAYS = (NAMED, MEASURED, INDICATED, BOUNDED)  # grades with a number or a bound
-CERTAIN = (NAMED, MEASURED)  # grades whose numbers are certain
 LEADS = {MEASURED: "Measured: ", INDICATED: "Indicated, not certain: "}
 
 
@@ -58,7 +58,6 @@ EFFECTS = {
     "input reversal": Effect(
         "motion is lost after each reversal of the input", ADD_GAP, INPUT, TURNS
     ),
-    "input range": Effect("the input acts within limits", KEEP, INPUT),
     "input shape": Effect("the input acts along a curve", "invert the curve", INPUT),
     "input rate": Effect(
         "the input acts at a limited rate", "command no faster than the limit", INPUT
@@ -122,12 +121,6 @@ EFFECTS = {
         "divide the gain of the controller",
         NONE,
         AGAIN,
-    ),
-    "storage": Effect(
-        "only changes of the reading are stored",
-        "record every sample: set the dead band of the recorder to 0",
-        OUTPUT,
-        "every sample, with the dead band of the recorder at 0",
     ),
 }
 
@@ -210,20 +203,25 @@ class Account(NamedTuple):
         if not self.effects:
             held = self.grade == BOUNDED
             return self.name or ("Nothing hidden was found" if held else "No number can be given")
-        texts = self._describe(self.effects)
         if self.name:
-            numbers = "; ".join(filter(None, (text.partition(": ")[2] for text in texts)))
+            numbers = "; ".join(filter(None, starmap(self._list_numbers, self.effects.items())))
             return ": ".join(filter(None, [self.name, numbers]))
-        return LEADS.get(self.grade, "") + "; ".join(texts)
+        return LEADS.get(self.grade, "") + "; ".join(self._describe(self.effects))
 
     def _describe(self, effects: dict[str, Numbers]) -> list[str]:
         """Return effects with their numbers as texts."""
         texts = []
         for effect, numbers in effects.items():
-            suffix = unit_suffix(self.unit_of(effect))
-            known = [f"{name} {describe_interval(one, suffix)}" for name, one in numbers.items()]
-            texts.append(": ".join(filter(None, [EFFECTS[effect].words, ", ".join(known)])))
+            parts = [EFFECTS[effect].words, self._list_numbers(effect, numbers)]
+            texts.append(": ".join(filter(None, parts)))
         return texts
+
+    def _list_numbers(self, effect: str, numbers: Numbers) -> str:
+        """Return the numbers of an effect with their names as a text; empty without any."""
+        suffix = unit_suffix(self.unit_of(effect))
+        return ", ".join(
+            f"{name} {describe_interval(one, suffix)}" for name, one in numbers.items()
+        )
 
     def summary(self) -> dict[str, Any]:
         """Return headline and parts as lines of the terminal."""

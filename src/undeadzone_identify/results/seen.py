@@ -100,25 +100,22 @@ def _effect_of_part(part: FlatPart) -> tuple[str, Numbers]:
     return "loss", numbers
 
 
-def account_at_once(log: Log, looks: Looks) -> Account | None:
-    """Return the account by looks where dynamics tell no more; None where they may.
+def needs_no_plant(seen: Account, looks: Looks) -> bool:
+    """Return whether dynamics tell no more than an account by looks.
 
     A table and a slow sweep have no dynamics, and a torque along a motion, or two rests at one
     goal, need none.
 
     Args:
-        log: that was looked at.
+        seen: the account by looks.
         looks: what is seen.
     """
-    said = account_of_looks(log, looks)
-    if said is None:
-        return None
     one = looks.at_rest
     if looks.friction is not None or looks.rests is not None:
-        return said if said.grade == MEASURED else None
+        return seen.grade == MEASURED
     if one is None or one.rows.how == "holds":
-        return None
-    return said if said.grade in (MEASURED, INDICATED) or one.rows.how == "table" else None
+        return False
+    return seen.grade in (MEASURED, INDICATED) or one.rows.how == "table"
 
 
 def choose_account(

@@ -160,7 +160,7 @@ def knows_the_end(answer: Answer) -> bool:
         return True
     others = [one for word in ("input_zone", "friction") if (one := _compare(answer, word))]
     return not any(
-        named[0].error.size == other.error.size
+        other.has_readings_of(named[0])
         and other.rms < CLOSE * named[0].rms
         and named[0].deviations_before(other) < APART
         for other, _ in others
@@ -201,6 +201,10 @@ class Compared(NamedTuple):
     def rms(self) -> float:
         """Return the rms of the held-out errors, scaled, but for a common factor."""
         return float(np.sqrt(np.mean(self.error**2)))
+
+    def has_readings_of(self, other: Compared) -> bool:
+        """Return whether both are of the same readings: a class may be fitted to a part."""
+        return self.error.size == other.error.size
 
     def deviations_before(self, other: Compared) -> float:
         """Return by how many standard deviations it is better than another model."""
@@ -273,15 +277,13 @@ def _unmet_sides(answer: Answer, word: str, widths: Numbers) -> set[str]:
 
 def _buys_of_word(answer: Answer) -> Buys | None:
     """Return the held-out errors of the named class and of a straight plant; None if unknown."""
+    if answer.verdict in ("none", "saturation"):
+        return None
     named = _compare(answer, answer.verdict)
-    line = _compare(answer, "none")
-    if named is None or line is None or answer.verdict in ("none", "saturation"):
+    line = None if named is None else _compare(answer, "none")
+    if named is None or line is None or not named[0].has_readings_of(line[0]):
         return None
-    model, test = named
-    straight = line[0]
-    if model.error.size != straight.error.size:
-        return None
-    return model.compare_to(straight, test, answer.scale)
+    return named[0].compare_to(line[0], named[1], answer.scale)
 
 
 def _account_of_fits(answer: Answer, units: tuple[str, str]) -> Account:
@@ -291,8 +293,8 @@ def _account_of_fits(answer: Answer, units: tuple[str, str]) -> Account:
         return _open(answer, units)
     line, test = straight
     rows = []
-    for word in EFFECT_OF.keys() - answer.found.denied:
-        there = _compare(answer, word)
+    for word in EFFECT_OF:
+        there = None if word in answer.found.denied else _compare(answer, word)
         if there is not None and _is_comparable(there[0], line):
             rows.append(there[0])
     rows = sorted(filter(lambda one: _is_worth(one, line), rows), key=lambda one: one.rms)
@@ -315,7 +317,7 @@ def _account_of_fits(answer: Answer, units: tuple[str, str]) -> Account:
 def _is_comparable(one: Compared, line: Compared) -> bool:
     """Return whether a model has the readings of the straight plant, and one element alone."""
     is_single = getattr(one.fit.model, "shape", None) is not limited_zone_map
-    return is_single and one.error.size == line.error.size
+    return is_single and one.has_readings_of(line)
 
 
 def _is_worth(one: Compared, line: Compared) -> bool:

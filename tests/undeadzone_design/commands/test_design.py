@@ -22,7 +22,7 @@ from test_report import check_page
 import once
 import undeadzone
 from documents import EXAMPLES
-from scenes import PAPER, scene, tables_of
+from scenes import COUPLED, PAPER, scene, tables_of
 from undeadzone.analysis.certificate.design_file import Design, format_gains
 from undeadzone.analysis.error_dynamics import branch_pattern
 from undeadzone.cli import group
@@ -428,14 +428,6 @@ def test_gains_as_one_writes_them(gains: list[Any], text: str) -> None:
 # ---- courses and figures
 
 SAMPLED = {"simulation": {"time": "sampled", "step": 1e-2, "duration": 4.0}}
-COUPLED = tables_of("""
-plant.A = [[-1.0, 0.4], [0.3, -2.0]]
-plant.B = [[1.0, 0.2], [0.0, 1.5]]
-plant.C = [[1.0, 0.3], [0.0, 1.0]]
-sensor = { right = [0.5, 0.2], left = [0.3, 0.6] }
-reference = { kind = "sine", amplitude = [2.0, 1.5], frequency = 0.5, phase = [0.0, 1.0] }
-observer = { method = "certified", gamma = [2.0, 3.0], L = [[0.2, 0.0], [0.1, 0.3]] }
-""")
 RIGHT = tables_of("""
 sensor = { noise = 0.01 }
 reference = { kind = "sine", amplitude = 1.0, frequency = 1.0, offset = 0.5 }

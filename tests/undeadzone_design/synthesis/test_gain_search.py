@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import once
-from scenes import scene, table, tables_of
+from scenes import COUPLED, scene, table
 from undeadzone.analysis.certificate.design_file import STATED, Design
 from undeadzone.analysis.certificate.passivity import certify
 from undeadzone.analysis.convergence.floquet import error_decay_rates, error_matrices
@@ -39,14 +39,6 @@ from undeadzone_design.synthesis.task import (
 )
 
 SAMPLED = {"time": "sampled", "step": 1e-2}
-COUPLED = tables_of("""
-plant.A = [[-1.0, 0.4], [0.3, -2.0]]
-plant.B = [[1.0, 0.2], [0.0, 1.5]]
-plant.C = [[1.0, 0.3], [0.0, 1.0]]
-sensor = { right = [0.5, 0.2], left = [0.3, 0.6] }
-reference = { kind = "sine", amplitude = [2.0, 1.5], frequency = 0.5, phase = [0.0, 1.0] }
-observer = { method = "certified", gamma = [2.0, 3.0], L = [[0.2, 0.0], [0.1, 0.3]] }
-""")
 
 
 @pytest.fixture(scope="module")
