@@ -124,4 +124,4 @@ def continuous_with_spread(
 def _relative_deviations(variance: Floats, entries: Floats) -> Floats:
     """Return standard deviations over entries [1]; 0 if an entry is 0."""
     size = np.abs(entries)
-    return np.where(size > 0, np.sqrt(variance) / np.maximum(size, 1e-300), 0.0)
+    return np.divide(np.sqrt(variance), size, out=np.zeros(size.shape), where=size > 0)

@@ -31,9 +31,8 @@ from undeadzone_identify.results.formats import describe_ends
 from undeadzone_identify.results.to_continuous import continuous_with_spread
 from undeadzone_identify.selection.alternatives import UNSEEN, Element
 from undeadzone_identify.selection.decision import MEMORY
-from undeadzone_identify.servo.gap import ServoGap
+from undeadzone_identify.selection.widths import SIDES
 
-SIDES = ("right", "left")
 REPEATED = 0.02  # of the noise: of coarser steps one reading in 200 repeats the one before
 FINEST = 1e-6  # rms of y: noise that is told is no smaller, where there is any
 # tolerance of an entry
@@ -105,13 +104,12 @@ def _point_fields(answers: Sequence[Answer]) -> dict[str, str]:
     points = [one.at_rest or (0.0, 0.0) for one in answers]
     if not np.any(points):
         return {"rest_output": ""}
-    first, *others = (u for u, _ in points)
-    for other in others:
-        if other != first:
-            raise InputError(
-                f"scenario: one output is at rest under an input of {first:.6g}, another under"
-                f" {other:.6g}. Identify each alone: a scenario has one operating point"
-            )
+    first, *others = dict.fromkeys(u for u, _ in points)
+    if others:
+        raise InputError(
+            f"scenario: one output is at rest under an input of {first:.6g}, another under"
+            f" {others[0]:.6g}. Identify each alone: a scenario has one operating point"
+        )
     inputs = [first] + [0.0] * (answers[0].case.grid.u.shape[1] - 1)
     return {"rest_input": f"{inputs}", "rest_output": f"{[output for _, output in points]}"}
 
@@ -162,16 +160,14 @@ def _shape_fields(answers: Sequence[Answer]) -> dict[str, str]:
     shapes = [answer.shape for answer in answers if answer.shape is not None]
     if len(shapes) < len(answers):
         return dict.fromkeys(("rounding", "slope_std", "lag"), "")
-    values = {
-        "rounding": [(one.rounding, 0.0) for one in shapes],
-        "slope_std": [(one.slope, 1.0) for one in shapes],
-        "lag": [(one.lag, 0.0) for one in shapes],
-    }
-    fields = dict.fromkeys(values, "")
-    for name, rows in values.items():
-        stds = [math.hypot(one.value - usual, one.half_width / 2) for one, usual in rows]
-        if all(map(math.isfinite, stds)):
-            fields[name] = _toml_numbers(stds)
+    fields = {}
+    # The fields of a shape: rounding, slope, lag.
+    names = zip(
+        ("rounding", "slope_std", "lag"), (0.0, 1.0, 0.0), zip(*shapes, strict=True), strict=True
+    )
+    for name, usual, own in names:
+        stds = [math.hypot(one.value - usual, one.half_width / 2) for one in own]
+        fields[name] = bool(np.isfinite(stds).all()) * _toml_numbers(stds)
     return fields
 
 
@@ -260,16 +256,11 @@ def _interval_remark(edges: Sequence[Interval]) -> str:
 
 def _require_edges(answer: Answer) -> tuple[Interval, Interval]:
     """Return both widths. Raise InputError if a width is unknown."""
-    right = answer.right
-    left = answer.left
+    pair = (answer.right, answer.left)
     if answer.element is not None and answer.element.edges is not None:
-        right, left = answer.element.edges
-    absent = absent_edges(answer.case)
-    far = Interval(*[FAR_EDGE * answer.scale] * 3)
-    if right is None and "right" in absent:
-        right = far
-    if left is None and "left" in absent:
-        left = far
+        pair = answer.element.edges
+    far = dict.fromkeys(absent_edges(answer.case), Interval(*[FAR_EDGE * answer.scale] * 3))
+    right, left = (edge or far.get(side) for side, edge in zip(SIDES, pair, strict=True))
     if right is None or left is None:
         raise InputError("scenario: both widths must be known")
     return _require_nonnegative(answer, right, left)
@@ -279,7 +270,7 @@ def _require_nonnegative(
     answer: Answer, right: Interval, left: Interval
 ) -> tuple[Interval, Interval]:
     """Return widths that a scenario may have. Raise InputError."""
-    for name, edge in (("right", right), ("left", left)):
+    for name, edge in zip(SIDES, (right, left), strict=True):
         if not math.isfinite(edge.value):
             raise InputError(
                 f"scenario: the {name} edge is never reached in the log. Give it by --{name}"
@@ -381,20 +372,19 @@ def _disturbance_prior(answer: Answer) -> tuple[float, float] | None:
     step = answer.case.grid.step
     kalman = answer.found.kalman
     data = answer.fit.objective.data
-    if answer.element is not None and isinstance(answer.element.fit, ServoGap):
-        return answer.element.fit.motor_disturbance
+    if answer.servo is not None:
+        return answer.servo.motor_disturbance
     if answer.element is not None:
         return _element_disturbance_prior(answer.element, step, float(data.u_scale[0]))
     if not kalman:
         return (0.0, 0.5 * step) if answer.chosen.white else None
     best = kalman[0]
     phi = best.disturbance_memory
-    rms = best.driving_rms / math.sqrt(1 - phi * phi) * float(data.u_scale[0])
+    rms, scale = best.driving_rms / math.sqrt(1 - phi * phi), float(data.u_scale[0])
     if best.model == AT_OUTPUT:
         layout, a, b, _ = answer.plant_numbers
-        at_z = best.driving_rms / math.sqrt(1 - phi * phi) * answer.scale
-        rms = at_z / math.sqrt(input_noise_gain(a, b[: layout.n], layout.n, phi))
-    return rms, _correlation_time(phi, step)
+        scale = answer.scale / math.sqrt(input_noise_gain(a, b[: layout.n], layout.n, phi))
+    return rms * scale, _correlation_time(phi, step)
 
 
 def _correlation_time(phi: float, step: float) -> float:

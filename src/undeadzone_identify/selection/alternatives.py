@@ -181,6 +181,11 @@ class Element(NamedTuple):
     level: float = 0.0
 
     @property
+    def servo(self) -> ServoGap | None:
+        """Return the servo behind a play; None if the element is not a servo."""
+        return self.fit if isinstance(self.fit, ServoGap) else None
+
+    @property
     def is_at_rest(self) -> bool:
         """Return whether only white noise shows of the disturbance of such a model."""
         return self.kind in OF_THEIR_OWN and (
@@ -248,6 +253,10 @@ class Findings(NamedTuple):
         odds = model_probabilities(every, {*without, *self.denied, *impossible_words(case)})
         found = self._replace(models=every, odds=odds)
         return found._replace(verdict=found.classify(case))
+
+    def without_name(self, word: str, *reasons: str) -> Findings:
+        """Return the findings with a verdict that withholds the name, for these reasons."""
+        return self._replace(verdict=build_verdict(word, *reasons), element=None, odds={})
 
     def classify(self, case: Case) -> Verdict:
         """Return the verdict by the odds.
@@ -388,7 +397,7 @@ def add_play_gap(case: Case, found: Findings) -> Findings:
         if not (fit.model.zone or gap.sure):
             assert gap.ahead is not None
             reason = _describe_hidden_gap(gap.ahead.rms * whole.y_scale)
-            return found._replace(verdict=build_verdict("undecided", reason), odds={})
+            return found.without_name("undecided", reason)
         smaller = {"both"} if fit.model.zone else set(MEMORY)
         found = found.add_models(case, without=smaller)
         return add_play_gap(case, found) if found.verdict.word in MEMORY else found
@@ -504,8 +513,7 @@ def withhold_hidden_readings(case: Case, found: Findings) -> Findings:
     if is_switch(case):
         seen = "the readings have two levels alone, as those of a switch; nothing is named"
         cure = "record what the switch measures, with a sensor that reads it in between"
-    verdict = build_verdict("unclear", seen, cure)
-    return found._replace(verdict=verdict, odds={}, element=None, valve=None, friction=None)
+    return found.without_name("unclear", seen, cure)._replace(valve=None, friction=None)
 
 
 def is_switch(case: Case) -> bool:
@@ -751,7 +759,7 @@ def fit_of(case: Case, found: Findings, word: str) -> FittedModel[Any] | None:
 
 def has_a_model(case: Case, found: Findings) -> bool:
     """Return whether a name is given, or odds are, and no servo's own tests stand behind it."""
-    of_servo = found.element is not None and isinstance(found.element.fit, ServoGap)
+    of_servo = found.element is not None and found.element.servo is not None
     word, top = found.verdict.word, next(iter(found.odds), "")
     is_said = word == "other" and top != "other"  # why nothing is named
     if word == "unclear":  # a plant that does not settle leaves traces of everything
@@ -803,12 +811,12 @@ def _in_numbers(case: Case, found: Findings) -> Findings:
     """Add the numbers of a chain or of limits that are named to the findings."""
     word, verdict, data = found.verdict.word, found.verdict, case.record_data
     if word == "friction" and _follows_at_once(fit_of(case, found, word)):
-        return found._replace(verdict=build_verdict("undecided", SAME_AT_ONCE), odds={})
+        return found.without_name("undecided", SAME_AT_ONCE)
     one = fit_of(case, found, word) if word in (*CHAINED, "other", "saturation") else None
     if one is not None and isinstance(one.model, MapModel):
         is_open = word == "saturation" and not case.fitted.prepared.ends.has_ends
         if is_open and _passes_limits(one, case.quantum):
-            return found._replace(verdict=build_verdict("unclear", PASSES_LIMITS), odds={})
+            return found.without_name("unclear", PASSES_LIMITS)
         limits = filter(None, [one.model.describe_limits(one.theta, data.y_scale)])
         return found._replace(verdict=verdict._replace(reasons=[*verdict.reasons, *limits]))
     if one is None or not isinstance(one.model, ChainModel):
@@ -822,7 +830,7 @@ def _in_numbers(case: Case, found: Findings) -> Findings:
             f"{CANNOT_TELL} {MODELS[word]} from a straight line: the 95 % intervals of its numbers"
             f" hold one ({description}); record for longer, or with a larger input"
         )
-        return found._replace(verdict=build_verdict("undecided", reason), odds={})
+        return found.without_name("undecided", reason)
     return found._replace(verdict=verdict._replace(reasons=[description]))
 
 
@@ -922,7 +930,7 @@ def without_needless(case: Case, found: Findings) -> Findings:
                 f"{CANNOT_TELL} {MODELS[word]} from {MODELS[name]}: one predicts a sample better,"
                 f" {rest} that had no part in the fit; record for longer"
             )
-            return found._replace(verdict=build_verdict("undecided", reason), odds={})
+            return found.without_name("undecided", reason)
         again = found._replace(denied=found.denied | {word}).add_models(case)
         return without_needless(case, again) if holds_more(case, again) else again
     return found
@@ -957,7 +965,7 @@ def withhold_zone_at_either_end(case: Case, found: Findings) -> Findings:
         is_close = root_mean_square(left) < CLOSE * root_mean_square(e[test])
         if is_close and total < APART * spread:
             reason = f"{CANNOT_TELL} {MODELS[word]} from {MODELS[name]}: both simulate as well"
-            return found._replace(verdict=build_verdict("undecided", reason), odds={})
+            return found.without_name("undecided", reason)
     return found
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.stats import chi2
@@ -196,7 +196,7 @@ def profile_likelihood(fit: ZoneFit, side: str, values: Floats) -> Floats:
     for direction in (range(centre, values.size), range(centre - 1, -1, -1)):
         theta = fit.theta
         for k in direction:
-            fixed = dict.fromkeys(sides, (float(values[k]), float(values[k])))
+            fixed: dict[str, Any] = dict.fromkeys(sides, (float(values[k]),) * 2)
             limits = WidthLimits(*objective.limits[:2])._replace(**fixed)
             held = ZoneObjective(objective.simulator, objective.kind, limits, objective.readings.ok)
             top = maximise_likelihood(held, theta, STEPS)
