@@ -161,7 +161,7 @@ INPUTS = {
 
 def zone_of_input(u: Floats, p: Floats) -> Floats:
     """Return the parts of u above p_1 and below p_0."""
-    return np.asarray(np.maximum(u - p[1], 0.0) + np.minimum(u - p[0], 0.0))
+    return dead_zone(u, p[1], -p[0])
 
 
 PLAIN = InputElement(lambda u, _: u, (), (), ((),), "u")
@@ -368,8 +368,7 @@ class ChainModel:
             u = self.simulator.data.u[:, 0]
             return float(np.mean(self.pass_input(u, theta) == u)) < SELDOM
         own = theta[self.inputs]
-        count = self.inputs.stop - self.inputs.start
-        near = np.minimum(own - self.low[:count], self.high[:count] - own) < NEAR_BOUND
+        near = np.minimum(own - self.input.low, self.input.high - own) < NEAR_BOUND
         return self.element in CURVES and bool(near.any())
 
     def distance_from_neutral(self, theta: Floats) -> Floats:
@@ -378,7 +377,7 @@ class ChainModel:
         Args:
             theta: its numbers.
         """
-        neutral = INPUTS[self.element].neutral if self.element is not None else ()
+        neutral = self.input.neutral
         return theta[self.inputs][: len(neutral)] - neutral
 
     def lag(self, theta: Floats) -> float:

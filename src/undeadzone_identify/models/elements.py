@@ -42,7 +42,26 @@ T = TypeVar("T")
 # --- A play, and perhaps a dead zone after it
 
 
-class PlayModel:
+class SimulatedPlant:
+    """Model whose plant has no element ahead.
+
+    Attributes:
+        simulator: linear plant with its data.
+    """
+
+    def __init__(self, simulator: PlantSimulator) -> None:
+        self.simulator = simulator
+
+    def driven_plant(self, theta: Floats) -> PlantSimulator:
+        """Return the linear plant."""
+        return self.simulator
+
+    def output(self, theta: Floats) -> Floats:
+        """Return z, the output of the plant (N)."""
+        return self.simulator.simulate_z(theta)
+
+
+class PlayModel(SimulatedPlant):
     """Plant with a play and perhaps a dead zone, y = Dz(play(z)).
 
     theta = [a, b, x0, c_r, c_l, d_r, d_l].
@@ -64,8 +83,8 @@ class PlayModel:
     has_level = False
 
     def __init__(self, simulator: PlantSimulator, zone: bool = False) -> None:
+        super().__init__(simulator)
         self.name = "play_and_zone" if zone else "play"
-        self.simulator = simulator
         self.data = simulator.data
         self.zone = zone
         self.tied = zone or simulator.layout.integrators > 0
@@ -95,14 +114,6 @@ class PlayModel:
         if self.tied:
             theta[self.base + 1] = theta[self.base]
         return theta
-
-    def driven_plant(self, theta: Floats) -> PlantSimulator:
-        """Return the linear plant, without an element ahead."""
-        return self.simulator
-
-    def output(self, theta: Floats) -> Floats:
-        """Return z, the output of the plant (N)."""
-        return self.simulator.simulate_z(theta)
 
     def play_level(self, z: Floats, theta: Floats) -> tuple[Floats, Floats]:
         """Return the output of the play and its contact (N each): +1 right, -1 left, 0 not yet."""
@@ -192,13 +203,12 @@ def fit_play_and_zone(earlier_fits: Sequence[PlayFit | ZoneFit]) -> PlayFit | No
     fits = []
     for earlier in earlier_fits:
         if isinstance(earlier, ZoneFit):
-            model = PlayModel(earlier.objective.simulator, zone=True)
+            simulator, halves = earlier.objective.simulator, (0.3, 0.1, 0.5)
         else:
-            model = PlayModel(earlier.model.simulator, zone=True)
-        starts = []
-        for half, width in ((0.3, 0.3), (0.1, 0.5), (0.5, 0.1)):
-            if not isinstance(earlier, ZoneFit):
-                half = 0.8 * float(earlier.theta[model.base : model.base + 2].mean())
+            simulator = earlier.model.simulator
+            halves = (0.8 * float(earlier.model.levels(earlier.theta).mean()),) * 3
+        model, starts = PlayModel(simulator, zone=True), []
+        for half, width in zip(halves, (0.3, 0.5, 0.1), strict=True):
             starts.append(np.append(earlier.theta[: model.base], [half, half, width, width]))
         fits.append(LeastSquares(model).fit_from_starts(starts))
     return _best_settling_fit(fits)
@@ -304,7 +314,7 @@ def _edge_chances(blur: float, z: Floats, p: Floats) -> tuple[Floats, Floats, Fl
     return a, b, ndtr(a), ndtr(b)
 
 
-class MapModel:
+class MapModel(SimulatedPlant):
     """Plant with a static map: y = g(z; p).
 
     Args:
@@ -318,8 +328,8 @@ class MapModel:
     gain = 1e-4
 
     def __init__(self, simulator: PlantSimulator, name: str, shape: Map) -> None:
+        super().__init__(simulator)
         self.name = name
-        self.simulator = simulator
         self.shape = shape
         self.base = simulator.layout.right
         counts: dict[Map, int] = {identity_map: 0, limited_zone_map: 4}
@@ -342,14 +352,6 @@ class MapModel:
             widths = slice(self.base, self.base + 2)
             theta[widths] = np.maximum(theta[widths], 0.0)
         return theta
-
-    def driven_plant(self, theta: Floats) -> PlantSimulator:
-        """Return the linear plant, without an element ahead."""
-        return self.simulator
-
-    def output(self, theta: Floats) -> Floats:
-        """Return z, the output of the plant (N)."""
-        return self.simulator.simulate_z(theta)
 
     def noise_free_readings(self, z: Floats, theta: Floats) -> Floats:
         """Return the readings of z without noise (N)."""

@@ -113,16 +113,10 @@ def _improve_orders(fits: list[OrderFit], train: Flags) -> list[OrderFit]:
             break
         fewer = fits[place - 1]
         begun = zone_fit.remove_odd_poles(fits[place].fit, fewer.fit.objective.simulator)
-        fits[place - 1] = _improve_order(fewer, begun, train)
+        fit = zone_fit.improve_fit(fewer.fit, begun)
+        if fit.value >= fewer.fit.value + GAINED:
+            fits[place - 1] = OrderFit(fewer.n, fit, *validate_fit(fit, train))
     return fits
-
-
-def _improve_order(one: OrderFit, theta: Floats, train: Flags) -> OrderFit:
-    """Return the fit of an order, or a better fit from other start parameters."""
-    fit = zone_fit.improve_fit(one.fit, theta)
-    if fit.value < one.fit.value + GAINED:
-        return one
-    return OrderFit(one.n, fit, *validate_fit(fit, train))
 
 
 def _has_finite_derivatives(fit: zone_fit.ZoneFit) -> bool:
