@@ -19,7 +19,7 @@ from undeadzone.nonlinearities.play import contact, levels
 from undeadzone.util.arrays import Floats, Integers
 from undeadzone_identify.models.estimates import cache_latest, weight_row
 from undeadzone_identify.models.least_squares import Density, FittedModel, LeastSquares
-from undeadzone_identify.models.likelihood import ROOT, dead_zone, unit_density
+from undeadzone_identify.models.likelihood import dead_zone, unit_density
 from undeadzone_identify.models.plant import CREDIBLE, PlantSimulator, RecordData, busiest_stretches
 from undeadzone_identify.models.zone_fit import ZoneFit, fit_linear, widths_about_level
 
@@ -300,8 +300,7 @@ def noisy_jump_map(blur: float, z: Floats, p: Floats) -> tuple[Floats, Floats, F
     """Return z beyond -p_1 and p_0, else 0, averaged over noise of rms `blur` ahead."""
     a, b, above, below = _edge_chances(blur, z, p)
     share = above + below
-    at_a = np.exp(-0.5 * a**2) / (blur * ROOT)
-    at_b = np.exp(-0.5 * b**2) / (blur * ROOT)
+    at_a, at_b = unit_density(a) / blur, unit_density(b) / blur
     return z * share, share + z * (at_a - at_b), np.column_stack([-z * at_a, -z * at_b])
 
 

@@ -395,11 +395,12 @@ def find_input_disturbance(
     error = math.inf
     for phi in COLOURS:
         w = plant_response(layout, plant, first_order_noise(1, LENGTH, phi))[0]
-        shape = mean_lag_products(w, np.ones(w.size, bool), lags)
-        power = max(float(shape[1:] @ measured) / max(float(shape[1:] @ shape[1:]), 1e-300), 0.0)
-        misfit = float(np.sum((measured - power * shape[1:]) ** 2))
+        products = mean_lag_products(w, np.ones(w.size, bool), lags)
+        shape = products[1:]
+        power = max(float(shape @ measured) / max(float(shape @ shape), 1e-300), 0.0)
+        misfit = float(np.sum((measured - power * shape) ** 2))
         if misfit < error:
-            rms = math.sqrt(power * shape[0])
+            rms = math.sqrt(power * products[0])
             best = InputDisturbance(rms, phi, math.sqrt(power))
             error = misfit
     return best

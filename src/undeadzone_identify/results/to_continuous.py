@@ -49,40 +49,19 @@ def to_continuous_plant(a: Floats, b: Floats, layout: Layout, step: float) -> Ma
         A, B, C = undo_zoh(sampled, step)
     except InputError as error:
         raise InputError(f"{error}. Try another --order, or sample faster") from None
-    polynomial = _characteristic_polynomial(A, layout.integrators)
-    if layout.m == 1:
-        return _controller_companion(A, B, C, polynomial)
-    return _observer_companion(A, B, C, polynomial)
-
-
-def _characteristic_polynomial(A: Floats, integrators: int) -> Floats:
-    """Return the characteristic polynomial, highest power first; its integrators exact."""
-    polynomial = np.real(np.poly(A))
-    if integrators:
-        polynomial[-integrators:] = 0.0
-    return polynomial
-
-
-def _controller_companion(A: Floats, B: Floats, C: Floats, polynomial: Floats) -> Matrices:
-    """Return A with -alpha in the last row, B = [0 ... 0 g], C = numerator over g."""
-    n = A.shape[0]
-    markov = [float((C @ np.linalg.matrix_power(A, k) @ B)[0, 0]) for k in range(n)]
-    numerator = np.convolve(polynomial, markov)[:n][::-1]  # lowest power first
+    n = layout.n
+    polynomial = np.real(np.poly(A))  # highest power first
+    polynomial[n + 1 - layout.integrators :] = 0.0
+    # Of the free motion z, z', ...; times B, the Markov parameters.
+    T = np.vstack([C @ np.linalg.matrix_power(A, k) for k in range(n)])
+    if layout.m > 1:
+        return companion_form(polynomial[:0:-1])._replace(B=T @ B, C=np.eye(1, n))
+    numerator = np.convolve(polynomial, (T @ B)[:, 0])[:n][::-1]  # lowest power first
     rates = np.abs(np.roots(polynomial)).max()
     reach = np.abs(numerator) * rates ** np.arange(n)
     scale = numerator[0] if abs(numerator[0]) > SMALL * reach.max() else 1.0
     form = companion_form(polynomial[:0:-1], numerator / scale)
     return form._replace(B=np.where(form.B > 0, scale, 0.0))
-
-
-def _observer_companion(A: Floats, B: Floats, C: Floats, polynomial: Floats) -> Matrices:
-    """Return the plant in the states z, z', ... of the free motion:
-
-    A companion, C = [1 0 ... 0].
-    """
-    n = A.shape[0]
-    T = np.vstack([C @ np.linalg.matrix_power(A, k) for k in range(n)])
-    return companion_form(polynomial[:0:-1])._replace(B=T @ B, C=np.eye(1, n))
 
 
 def continuous_with_spread(

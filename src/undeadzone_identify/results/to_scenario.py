@@ -121,22 +121,21 @@ def _zone_fields(answers: Sequence[Answer]) -> dict[str, str]:
         InputError: a width that no scenario has.
     """
     first = answers[0]
-    none = ("", "")
+    fields = dict.fromkeys(("sensor", "told_sensor", "actuator", "told_actuator"), "")
     if first.verdict == "input_play":
-        empty = dict.fromkeys(("sensor", "told_sensor", "told_actuator"), "")
-        return empty | {"actuator": _gap_of_actuator(first)}
-    own = _width_lines([_require_edges(answer) for answer in answers]), _prior_range_lines(answers)
-    sensor, actuator = (none, own) if first.verdict == "input_zone" else (own, none)
+        return fields | {"actuator": _gap_of_actuator(first)}
+    place = "actuator" if first.verdict == "input_zone" else "sensor"
+    fields[place] = _width_lines([_require_edges(answer) for answer in answers])
+    fields[f"told_{place}"] = _prior_range_lines(answers)
     if first.verdict == "input_zone" and first.at_rest is not None:
-        lines, ranges = actuator
         ends = describe_ends(first.case.grid.zero or 0.0, *reversed(_require_edges(first)))
-        actuator = f"{lines}\n# {ends}", ranges
+        fields[place] += f"\n# {ends}"
     if first.element is not None and first.element.input:
         right, left = (first.element.input[side] for side in SIDES)
         prior = [[prior_element_range(first.element, edge)] for edge in (right, left)]
-        actuator = _width_lines([_require_nonnegative(first, right, left)]), _range_lines(prior)
-    names = ("sensor", "told_sensor", "actuator", "told_actuator")
-    return dict(zip(names, (*sensor, *actuator), strict=True))
+        fields["actuator"] = _width_lines([_require_nonnegative(first, right, left)])
+        fields["told_actuator"] = _range_lines(prior)
+    return fields
 
 
 def _gap_of_actuator(answer: Answer) -> str:

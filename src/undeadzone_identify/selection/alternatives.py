@@ -198,18 +198,6 @@ class Element(NamedTuple):
         return self.rms if self.ahead is None else self.ahead.rms
 
 
-class PlayFits(NamedTuple):
-    """Fits of a play, and of a play with a dead zone, as far as available.
-
-    Attributes:
-        fits: by the verdict's word, play or both.
-        whole: all records.
-    """
-
-    fits: dict[str, PlayFit]
-    whole: plant.RecordData
-
-
 class Findings(NamedTuple):
     """Findings on a case so far.
 
@@ -218,7 +206,7 @@ class Findings(NamedTuple):
         delay: samples by which the input acts late; of a play in the records as they are none.
         models: every model that was fitted, those of the same readings together.
         odds: by the verdict's words, largest first.
-        plays: with a memory; None: not looked for.
+        plays: with a memory by word, play or both; None: none was found.
         places: models of the zone's place by word; empty if that was not asked.
         chains: models of the input's curve or play, and of a filter, by word.
         shaped: a zone with slopes of its sides, round edges and a lag; None: not fitted.
@@ -234,7 +222,7 @@ class Findings(NamedTuple):
     delay: int
     models: tuple[Family, ...]
     odds: dict[str, float]
-    plays: PlayFits | None = None
+    plays: dict[str, PlayFit] | None = None
     places: dict[str, PlaceFit] = {}
     chains: dict[str, ChainFit] = {}
     shaped: ChainFit | None = None
@@ -264,8 +252,7 @@ class Findings(NamedTuple):
         Args:
             case: the log.
         """
-        plays = {} if self.plays is None else self.plays.fits
-        fits = dict(self.places) | dict(self.chains) | dict(plays)
+        fits = dict(self.places) | dict(self.chains) | dict(self.plays or {})
         return classify_by_probabilities(case, self.odds, self.models, fits)
 
 
@@ -337,11 +324,11 @@ def add_play(case: Case, found: Findings) -> Findings:
         return found
     late = case.options.delay == "auto" and case.fitted.delay  # a play is late, so it may be one
     logs = [case.recorded, case.record_data] if late else [case.record_data]
-    plays = [PlayFits(_fit_plays(case, data), data) for data in logs]
-    best = min(plays, key=lambda one: min((fit.bic for fit in one.fits.values()), default=math.inf))
-    if not best.fits:
+    plays = [_fit_plays(case, data) for data in logs]
+    best = min(plays, key=lambda fits: min((fit.bic for fit in fits.values()), default=math.inf))
+    if not best:
         return found
-    models = {"none": case.rivals["none"]} | {word: fit.density for word, fit in best.fits.items()}
+    models = {"none": case.rivals["none"]} | {word: fit.density for word, fit in best.items()}
     return found._replace(plays=best).add_models(case, models)
 
 
@@ -389,7 +376,8 @@ def add_play_gap(case: Case, found: Findings) -> Findings:
         found: named a play, or both.
     """
     assert found.plays is not None
-    fit, whole = found.plays.fits[found.verdict.word], found.plays.whole
+    fit = found.plays[found.verdict.word]
+    whole = _records_of(case, fit)
     gap = find_play_gap(fit, case.quantum, detect_feedback(case).is_closed)
     case.advance(1)
     names = ("width", "zone") if fit.model.zone else ("width",)
@@ -751,8 +739,8 @@ def fit_of(case: Case, found: Findings, word: str) -> FittedModel[Any] | None:
     """
     if word == "saturation" and case.limited is not None:
         return case.limited
-    plays = {} if found.plays is None else found.plays.fits
-    there = [fits.get(word) for fits in (case.maps, found.places, found.chains, plays)]
+    tables = (case.maps, found.places, found.chains, found.plays or {})
+    there = [fits.get(word) for fits in tables]
     fits: Iterable[FittedModel[Any]] = filter(None, there)
     return min(fits, key=lambda one: one.density.bic / one.density.value.size, default=None)
 
