@@ -217,9 +217,7 @@ class KalmanObjective:
         rows = [data.u, data.y, data.side, data.ok, starts]
         self.exogenous = np.column_stack(rows)
         free = np.ones(self.size, bool)
-        widths = self.log_q + 2
-        free[widths] = limits.right[0] != limits.right[1]
-        free[widths + 1] = limits.left[0] != limits.left[1] and not limits.tied
+        free[self.log_q + 2 : self.log_q + 4] = limits.free
         self.free: Integers = np.flatnonzero(free)
         is_noise = np.isin(self.free, (self.log_q, self.log_q + 1))
         self.longest = np.where(is_noise, 1.0, np.inf)

@@ -99,7 +99,7 @@ def busiest_stretches(data: RecordData, longest: int = STRETCH) -> RecordData:
         stretches += _cut_record(record, longest)
     stretches.sort(key=lambda stretch: _count_passages(data, stretch), reverse=True)
     samples = np.cumsum([stretch.stop - stretch.start for stretch in stretches])
-    busiest = stretches[: max(1, np.searchsorted(samples, MANY, "right"))]
+    busiest = stretches[: max(1, int(np.count_nonzero(samples <= MANY)))]
     return select_samples(data, sorted(busiest, key=lambda stretch: stretch.start))
 
 

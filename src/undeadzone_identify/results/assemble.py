@@ -85,10 +85,10 @@ class Disturbance(NamedTuple):
     """
 
     rms: float
-    correlation_time: float | None
-    white: float | None
-    model: str | None
-    ahead: bool
+    correlation_time: float | None = None
+    white: float | None = None
+    model: str | None = None
+    ahead: bool = True
 
 
 class Answer(NamedTuple):
@@ -240,25 +240,22 @@ class Answer(NamedTuple):
         element = self.element
         fit = self.fit
         if element is not None and element.is_at_rest:
-            return Disturbance(element.rms * scale, None, None, None, False)
+            return Disturbance(element.rms * scale, ahead=False)
         if element is not None:
             phi = 0.0 if element.ahead is None else element.ahead.phi
             time = -step / math.log(phi) if phi > 0 else None
             model = None if element.ahead is None else NAMES[AT_INPUT]
-            return Disturbance(
-                element.disturbance_rms * scale, time, element.noise * scale, model, True
-            )
+            return Disturbance(element.disturbance_rms * scale, time, element.noise * scale, model)
         time = -step / math.log(fit.rho) if 0.05 < fit.rho < 1 else None
         if fit.objective.kind == "behind":  # the climb to s ends early at a zone without width
             left = fit.objective.unexplained_readings(fit.theta)[fit.objective.readings.ok]
             rms = root_mean_square(left)
-            return Disturbance(rms * scale, time, None, None, False)
+            return Disturbance(rms * scale, time, ahead=False)
+        ahead = Disturbance(fit.disturbance_rms * scale, time)
         if not self.found.kalman:
-            return Disturbance(fit.disturbance_rms * scale, time, None, None, True)
+            return ahead
         best = self.found.kalman[0]
-        return Disturbance(
-            fit.disturbance_rms * scale, time, best.white_rms * scale, NAMES[best.model], True
-        )
+        return ahead._replace(white=best.white_rms * scale, model=NAMES[best.model])
 
 
 # --- From what was found

@@ -8,7 +8,7 @@ disturbs the plant, as long as u does not answer to it.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -32,7 +32,7 @@ from undeadzone_identify.models.least_squares import (
     LeastSquares,
 )
 from undeadzone_identify.models.likelihood import root_mean_square
-from undeadzone_identify.models.measured import Measured, measure_fit
+from undeadzone_identify.models.measured import measure_fit
 from undeadzone_identify.models.motion import white_noise_rms
 from undeadzone_identify.models.place import (
     PlaceFit,
@@ -425,9 +425,17 @@ def build_play_element(gap: PlayGap, whole: plant.RecordData, offset: float | No
     if gap.ahead is not None and not gap.sure:
         element.remarks.append(_describe_hidden_gap(gap.ahead.rms * whole.y_scale))
     elif model.zone:
-        element = _add_zone_widths(element, gap, whole.y_scale)
+        shown = {name: interval.scale_by(whole.y_scale) for name, interval in gap.intervals.items()}
+        element = element._replace(
+            widths=element.widths | {"width": shown["width"]},
+            zone=shown["zone"],
+            edges=(shown["zone_right"], shown["zone_left"]),
+            remarks=["of both centres only the sum shows"],
+        )
     else:
-        element = element._replace(widths=_play_widths(gap, offset))
+        widths = _intervals_with_offset(gap.intervals, whole.y_scale, offset)
+        known = widths | {"centre": None} if model.tied else widths
+        element = element._replace(widths=dict(known))
     if model.simulator.layout.integrators:
         element.remarks.append(f"z of an integrating plant has no zero of its own: {EVEN}")
     return element
@@ -451,31 +459,6 @@ def _describe_hidden_gap(rms: float) -> str:
         f"a disturbance of rms {rms:.3g} moves z ahead of the play, and turns that no input"
         " made hide the gap: no width is given; record with a larger input"
     )
-
-
-def _add_zone_widths(element: Element, gap: PlayGap, scale: float) -> Element:
-    """Return the element with the widths of a play and of the dead zone after it."""
-    shown = {name: interval.scale_by(scale) for name, interval in gap.intervals.items()}
-    return element._replace(
-        widths=element.widths | {"width": shown["width"]},
-        zone=shown["zone"],
-        edges=(shown["zone_right"], shown["zone_left"]),
-        remarks=["of both centres only the sum shows"],
-    )
-
-
-def _play_widths(gap: PlayGap, offset: float | None) -> dict[str, Interval | None]:
-    """Return the play's widths [y]; an output offset widens its sides and its centre."""
-    shown: dict[str, Interval | None] = {}
-    for name, row in DIRECTIONS.items():
-        interval = gap.intervals[name]
-        half = widen_by_offset(interval.half_width, row, offset)
-        shown[name] = Interval.from_half_width(interval.value, half).scale_by(
-            gap.fit.model.data.y_scale
-        )
-    if gap.fit.model.tied:
-        shown["centre"] = None
-    return shown
 
 
 # --- Readings that are stored only on change, or those of a switch
@@ -575,18 +558,19 @@ def _bound_unpassed(widths: dict[str, Interval], u: Floats, passed: Floats) -> d
 
 
 def _intervals_with_offset(
-    measured: Measured, scale: float, offset: float | None
+    measured: Mapping[str, Interval], scale: float, offset: float | None
 ) -> dict[str, Interval]:
-    """Return the widths of a zone in units of the log.
+    """Return the widths of an element in units of the log.
 
     Args:
-        measured: the widths.
+        measured: the widths by direction.
         scale: of their signal.
         offset: rms of an unknown offset, scaled; None: free.
     """
     widths = {}
-    for name, one in measured.intervals.items():
-        half = widen_by_offset(one.half_width, DIRECTIONS[name], offset)
+    for name, row in DIRECTIONS.items():
+        one = measured[name]
+        half = widen_by_offset(one.half_width, row, offset)
         widths[name] = Interval.from_half_width(one.value, half).scale_by(scale)
     return widths
 
@@ -681,7 +665,9 @@ def measure_word(
         if word == "friction":
             widths = {name: one.stretch_by(WIDER) for name, one in widths.items()}
     else:
-        widths = _intervals_with_offset(measured, case.record_data.y_scale, case.offset_prior)
+        widths = _intervals_with_offset(
+            measured.intervals, case.record_data.y_scale, case.offset_prior
+        )
     return none | {name: widths[name] for name in MEASURED[word]}, measured.degrees
 
 
@@ -826,8 +812,7 @@ def _follows_at_once(fit: FittedModel[Any] | None) -> bool:
     """Return whether a plant settles within a sample: friction in it shifts its output alone."""
     if fit is None:
         return False
-    layout = fit.model.simulator.layout
-    poles = np.roots(layout.full_denominator(fit.theta[layout.denominator]))
+    poles = fit.model.simulator.plant_poles(fit.theta)
     return bool(np.abs(poles).max(initial=0.0) < AT_ONCE_POLE)
 
 
