@@ -376,18 +376,15 @@ class PlaceStarts:
             fits: fits of friction at the input and of a sensor zone, by name, if available.
         """
         starts = []
-        for name in ("friction", "sensor"):
+        for name, part in (("friction", "inner"), ("sensor", "sensor")):
             if name not in fits:
                 continue
             model = fits[name].model
             theta = fits[name].theta
             a = theta[: self.n]
             b = theta[self.n : 2 * self.n]
-            dc_gain = b.sum() / (1 + a.sum())
-            if name == "friction":
-                level = model.part_numbers(theta, "inner") / max(abs(b[0]), 1e-9)
-            else:
-                level = model.part_numbers(theta, "sensor") / max(abs(dc_gain), 1e-6)
+            gain_to_part = b[0] if part == "inner" else b.sum() / (1 + a.sum())
+            level = model.part_numbers(theta, part) / max(abs(gain_to_part), 1e-6)
             for c in self._friction_shapes(a, b):
                 total = c.sum()
                 # As in `friction_levels`: phi = sum(b) u / sum(c) at the limit of sticking.

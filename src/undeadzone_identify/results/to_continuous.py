@@ -81,8 +81,8 @@ def continuous_with_spread(
     """
     plant = to_continuous_plant(a, b, layout, step)
     values, vectors = np.linalg.eigh(0.5 * (V + V.T))
-    variance_A = np.zeros_like(plant.A)
-    variance_B = np.zeros_like(plant.B)
+    entries = np.hstack(plant[:2])
+    variance = np.zeros(entries.shape)
     for value, vector in zip(values, vectors.T, strict=True):
         if value <= 0:
             continue
@@ -91,16 +91,7 @@ def continuous_with_spread(
             moved = to_continuous_plant(a + move[: a.size], b + move[a.size :], layout, step)
         except InputError:
             continue
-        variance_A += ((moved.A - plant.A) / 0.05) ** 2
-        variance_B += ((moved.B - plant.B) / 0.05) ** 2
-    return (
-        plant,
-        _relative_deviations(variance_A, plant.A),
-        _relative_deviations(variance_B, plant.B),
-    )
-
-
-def _relative_deviations(variance: Floats, entries: Floats) -> Floats:
-    """Return standard deviations over entries [1]; 0 if an entry is 0."""
+        variance += ((np.hstack(moved[:2]) - entries) / 0.05) ** 2
     size = np.abs(entries)
-    return np.divide(np.sqrt(variance), size, out=np.zeros(size.shape), where=size > 0)
+    spread = np.divide(np.sqrt(variance), size, out=np.zeros(size.shape), where=size > 0)
+    return plant, spread[:, : layout.n], spread[:, layout.n :]

@@ -62,6 +62,7 @@ def scenario_text(answers: Sequence[Answer], title: str) -> str:
     first = answers[0]
     plant = _join_plants(plants)
     step = first.case.grid.step
+    frequency = _reference_frequency(first, plant.A)
     driven = plant.B.shape[1] >= len(answers)
     words: dict[str, Any] = {
         "title": json.dumps(title, ensure_ascii=False),
@@ -77,12 +78,12 @@ def scenario_text(answers: Sequence[Answer], title: str) -> str:
         "range": _range_field(answers),
         "driven": driven,
         "amplitude": _toml_numbers(np.quantile(np.abs(one.z_from_rest), 0.98) for one in answers),
-        "frequency": _to_toml(_reference_frequency(first, plant.A)),
+        "frequency": _to_toml(frequency),
         **_disturbance_fields(answers),
         "tolerance": _tolerance_table(
             block_diag(*spreads_A), np.vstack(spreads_B), first.verdict == "input_play"
         ),
-        "duration": _to_toml(_run_duration(answers, plant.A)),
+        "duration": _to_toml(_run_duration(step, frequency)),
         "step": repr(float(f"{step:.12g}")),
         "output": _toml_text(first.case.grid.output_unit),
         "input": _toml_text(first.case.grid.input_unit),
@@ -234,11 +235,8 @@ def _common_delay(answers: Sequence[Answer]) -> int:
 
 def _join_plants(plants: Sequence[Matrices]) -> Matrices:
     """Join plants side by side, with the same inputs."""
-    return Matrices(
-        block_diag(*[plant.A for plant in plants]),
-        np.vstack([plant.B for plant in plants]),
-        block_diag(*[plant.C for plant in plants]),
-    )
+    A, B, C = zip(*plants, strict=True)
+    return Matrices(block_diag(*A), np.vstack(B), block_diag(*C))
 
 
 def _toml_numbers(values: Iterable[Any]) -> str:
@@ -347,11 +345,9 @@ def _rate_of_output(answer: Answer) -> float:
     return float(np.std(np.diff(answer.z))) / (grid.step * around) if around else 0.02 / grid.step
 
 
-def _run_duration(answers: Sequence[Answer], A: Floats) -> float:
+def _run_duration(step: float, frequency: float) -> float:
     """Return a whole number of steps with 20 periods of the reference, 20,000 at most [s]."""
-    step = answers[0].case.grid.step
-    periods = 20 / _reference_frequency(answers[0], A)
-    return float(f"{step * math.ceil(min(periods / step, 20000)):.12g}")
+    return float(f"{step * math.ceil(min(20 / frequency / step, 20000)):.12g}")
 
 
 def _disturbance_fields(answers: Sequence[Answer]) -> dict[str, str]:
