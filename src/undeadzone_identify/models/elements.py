@@ -203,11 +203,13 @@ def fit_play_and_zone(earlier_fits: Sequence[PlayFit | ZoneFit]) -> PlayFit | No
     fits = []
     for earlier in earlier_fits:
         if isinstance(earlier, ZoneFit):
-            simulator, halves = earlier.objective.simulator, (0.3, 0.1, 0.5)
+            simulator = earlier.objective.simulator
+            halves = (0.3, 0.1, 0.5)
         else:
             simulator = earlier.model.simulator
             halves = (0.8 * float(earlier.model.levels(earlier.theta).mean()),) * 3
-        model, starts = PlayModel(simulator, zone=True), []
+        model = PlayModel(simulator, zone=True)
+        starts = []
         for half, width in zip(halves, (0.3, 0.5, 0.1), strict=True):
             starts.append(np.append(earlier.theta[: model.base], [half, half, width, width]))
         fits.append(LeastSquares(model).fit_from_starts(starts))
@@ -300,7 +302,8 @@ def noisy_jump_map(blur: float, z: Floats, p: Floats) -> tuple[Floats, Floats, F
     """Return z beyond -p_1 and p_0, else 0, averaged over noise of rms `blur` ahead."""
     a, b, above, below = _edge_chances(blur, z, p)
     share = above + below
-    at_a, at_b = unit_density(a) / blur, unit_density(b) / blur
+    at_a = unit_density(a) / blur
+    at_b = unit_density(b) / blur
     return z * share, share + z * (at_a - at_b), np.column_stack([-z * at_a, -z * at_b])
 
 
@@ -366,7 +369,8 @@ class MapModel(SimulatedPlant):
         if self.shape not in (saturation_map, limited_zone_map):
             return ""
         *widths, high, low = theta[self.base :]
-        data, read = self.simulator.data, self.noise_free_readings(self.output(theta), theta)
+        data = self.simulator.data
+        read = self.noise_free_readings(self.output(theta), theta)
         level = self.has_level * float((data.y - read)[data.ok].mean())  # limits included
         reached = (end for end in (-low, high) if np.count_nonzero(read == end) >= FEWEST)
         ends = " and ".join(f"{(end + level) * y_scale:.3g}" for end in reached)

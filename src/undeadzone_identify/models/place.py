@@ -278,7 +278,8 @@ def raise_order(fit: PlaceFit) -> PlaceFit | None:
     Args:
         fit: of a plant of one input.
     """
-    old, theta = fit.model, fit.theta
+    old = fit.model
+    theta = fit.theta
     simulator = old.simulator
     following = PlantSimulator(simulator.data, old.n + 1, simulator.layout.integrators)
     a, b, *records = theta[: old.base].reshape(-1, old.n)  # states at the start of each record

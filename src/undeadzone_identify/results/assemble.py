@@ -635,7 +635,6 @@ def _interval_of_prior(answer: Answer, side: str, edge: Interval) -> Interval:
     element = answer.element
     if jumps is not None:
         jump = jumps[SIDES.index(side)]
-        below = edge.value - edge.low + (jump.low - jump.lowest) * answer.scale
-        return edge.stretch_by(1.0)._replace(low=edge.value - below)
+        return edge.extend_by((jump.low - jump.lowest) * answer.scale, 0.0)
     degrees = answer.widths.degrees[side] if element is None else element.degrees
     return edge.stretch_by(_interval_growth(degrees))

@@ -223,8 +223,10 @@ def _plant_with_spread(answer: Answer) -> tuple[Matrices, Floats, Floats]:
 
 def _common_delay(answers: Sequence[Answer]) -> int:
     """Return the samples of the plant's delay, not its recording's. Raise InputError."""
-    found = (one.found.delay * (one.case.options.delay == "auto") for one in answers)
-    late = {one.case.options.recorded_delay + own for one, own in zip(answers, found, strict=True)}
+    late = set()
+    for one in answers:
+        found = one.found.delay * (one.case.options.delay == "auto")
+        late.add(one.case.options.recorded_delay + found)
     if len(late) > 1:
         raise InputError(
             f"scenario: inputs act {min(late)} to {max(late)} samples late on different outputs,"
@@ -375,7 +377,8 @@ def _disturbance_prior(answer: Answer) -> tuple[float, float] | None:
         return (0.0, 0.5 * step) if answer.chosen.white else None
     best = kalman[0]
     phi = best.disturbance_memory
-    rms, scale = best.driving_rms / math.sqrt(1 - phi * phi), float(data.u_scale[0])
+    rms = best.driving_rms / math.sqrt(1 - phi * phi)
+    scale = float(data.u_scale[0])
     if best.model == AT_OUTPUT:
         layout, a, b, _ = answer.plant_numbers
         scale = answer.scale / math.sqrt(input_noise_gain(a, b[: layout.n], layout.n, phi))

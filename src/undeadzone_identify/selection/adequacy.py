@@ -220,7 +220,9 @@ def _blurred_readings(fit: FittedModel[Model]) -> Floats:
     A disturbance rounds the corners of a zone or of limits in the mean. There is no column for a
     model whose edges are round, or whose residual is larger than that of a disturbance.
     """
-    model, z, rms = fit.model, fit.model.output(fit.theta), fit.density.rms
+    model = fit.model
+    z = fit.model.output(fit.theta)
+    rms = fit.density.rms
     if rms > BLURRED or (isinstance(model, ChainModel) and model.shaped):
         return np.empty((z.size, 0))
     nodes, weights = hermegauss(NODES)
@@ -269,17 +271,22 @@ def _left_over(own: Floats, columns: Floats) -> tuple[Floats, Floats]:
     if not kept.any():
         return left[:, kept], as_own[:, kept]
     basis, sizes, turn = np.linalg.svd(left[:, kept] / scale[kept], full_matrices=False)
-    most, root = sizes > ALIKE * sizes[0], math.sqrt(len(left))
+    most = sizes > ALIKE * sizes[0]
+    root = math.sqrt(len(left))
     return basis[:, most] * root, (as_own[:, kept] / scale[kept] @ turn.T / sizes)[:, most] * root
 
 
 def _directions(fit: FittedModel[Model]) -> dict[str, Floats]:
     """Return the traces of wrong models, by direction (N x K each)."""
-    model, theta = fit.model, fit.theta
-    data, z = model.simulator.data, model.output(theta)
+    model = fit.model
+    theta = fit.theta
+    data = model.simulator.data
+    z = model.output(theta)
     through_plant = model.simulator.respond_from_rest
-    read, u = model.noise_free_readings(z, theta), data.u[:, 0]
-    turn_u, turn_z = last_turn(u), last_turn(z)
+    read = model.noise_free_readings(z, theta)
+    u = data.u[:, 0]
+    turn_u = last_turn(u)
+    turn_z = last_turn(z)
     t = np.linspace(-1.0, 1.0, z.size)
     directions = {
         "input": through_plant(theta, hat_columns(u, AT_INPUT)),

@@ -381,7 +381,8 @@ def add_play_gap(case: Case, found: Findings) -> Findings:
     gap = find_play_gap(fit, case.quantum, detect_feedback(case).is_closed)
     case.advance(1)
     names = ("width", "zone") if fit.model.zone else ("width",)
-    if not all(is_surely_positive(gap.intervals[name]) for name in names):
+    shown = [gap.intervals[name] for name in names]
+    if not all(one.low > 0 and one.value > LEAST_GAP for one in shown):
         if not (fit.model.zone or gap.sure):
             assert gap.ahead is not None
             reason = _describe_hidden_gap(gap.ahead.rms * whole.y_scale)
@@ -392,11 +393,6 @@ def add_play_gap(case: Case, found: Findings) -> Findings:
     element = build_play_element(gap, whole, case.offset_prior)
     delay = case.fitted.delay if whole is case.record_data else 0
     return found._replace(element=element, delay=delay)
-
-
-def is_surely_positive(interval: Interval) -> bool:
-    """Return whether a gap is above 0 with certainty, and large enough to matter."""
-    return interval.low > 0 and interval.value > LEAST_GAP
 
 
 # --- A play, and perhaps a dead zone after it
@@ -447,7 +443,8 @@ def _extend_to_records(
     """Return the model of a fit and its parameters for all records; at rest at first if a part was
     fitted.
     """
-    old, model = fit.model, fit.model.along(whole)
+    old = fit.model
+    model = fit.model.along(whole)
     if old.simulator.data.y.size == whole.y.size:
         return model, theta
     return model, model.simulator.layout.at_rest(old.simulator.layout, theta)
@@ -498,7 +495,8 @@ def _has_two_levels(values: Floats) -> bool:
     above = values > (values.min() + values.max()) / 2
     if not ON_EACH < above.mean() < 1 - ON_EACH:
         return False
-    high, low = np.median(values[above]), np.median(values[~above])
+    high = np.median(values[above])
+    low = np.median(values[~above])
     away = np.abs(values - np.where(above, high, low))
     spread = float(np.median(away))
     return spread < SPREAD * (high - low) and bool(np.mean(away > FAR_AWAY * spread) < BETWEEN)
@@ -527,9 +525,11 @@ def _measure_input_zone(
     case: Case, fit: FittedModel[Any], misfits: Sequence[Floats]
 ) -> tuple[dict[str, Interval], float]:
     """Return the widths of the input's zone [u], and their least degrees of freedom."""
-    data, model = fit.model.simulator.data, fit.model
+    data = fit.model.simulator.data
+    model = fit.model
     measured = measure_fit(fit, misfits, lambda theta: model.part_numbers(theta, "input"))
-    u, scale = data.u[:, 0], float(data.u_scale[0])
+    u = data.u[:, 0]
+    scale = float(data.u_scale[0])
     passed = model.pass_input(u, fit.theta)
     return _bound_unpassed(measured.scale_by(scale), scale * u, passed), measured.degrees
 
@@ -605,7 +605,8 @@ def add_named_element(case: Case, found: Findings) -> Findings:
     element = _element_of_fit(word, fit, model, theta)._replace(widths=widths, degrees=degrees)
     if word == "two_zones":
         element = element._replace(input=_measure_input_zone(case, fit, misfits)[0])
-    width, friction = element.widths["width"], None
+    width = element.widths["width"]
+    friction = None
     if word == "friction" and width is not None:
         friction = width.scale_by(0.5)
         element = element._replace(widths=element.widths | {"width": None})
@@ -680,7 +681,9 @@ def _element_of_fit(word: str, fit: FittedModel[Any], model: Any, theta: Floats)
         model: along all records.
         theta: parameters of it.
     """
-    whole, z, layout = model.simulator.data, model.output(theta), model.simulator.layout
+    whole = model.simulator.data
+    z = model.output(theta)
+    layout = model.simulator.layout
     read = model.noise_free_readings(z, theta)
     e = np.where(whole.ok, whole.y - read, 0.0)
     level = float(e[whole.ok].mean()) if model.has_level else 0.0
@@ -734,7 +737,8 @@ def fit_of(case: Case, found: Findings, word: str) -> FittedModel[Any] | None:
 def has_a_model(case: Case, found: Findings) -> bool:
     """Return whether a name is given, or odds are, and no servo's own tests stand behind it."""
     of_servo = found.element is not None and found.element.servo is not None
-    word, top = found.verdict.word, next(iter(found.odds), "")
+    word = found.verdict.word
+    top = next(iter(found.odds), "")
     is_said = word == "other" and top != "other"  # why nothing is named
     if word == "unclear":  # a plant that does not settle leaves traces of everything
         is_said |= UNSETTLED in found.verdict.reasons or not case.fitted.prepared.settles
@@ -783,7 +787,9 @@ def _may_bend(word: str, linear: FittedModel[Any], fit: FittedModel[Any]) -> boo
 
 def _in_numbers(case: Case, found: Findings) -> Findings:
     """Add the numbers of a chain or of limits that are named to the findings."""
-    word, verdict, data = found.verdict.word, found.verdict, case.record_data
+    word = found.verdict.word
+    verdict = found.verdict
+    data = case.record_data
     if word == "friction" and _follows_at_once(fit_of(case, found, word)):
         return found.without_name("undecided", SAME_AT_ONCE)
     one = fit_of(case, found, word) if word in (*CHAINED, "other", "saturation") else None
@@ -818,7 +824,8 @@ def _follows_at_once(fit: FittedModel[Any] | None) -> bool:
 
 def _passes_limits(fit: FittedModel[MapModel], quantum: float) -> bool:
     """Return whether readings lie far beyond the limits that hold them by the fit."""
-    model, data = fit.model, fit.squares.data
+    model = fit.model
+    data = fit.squares.data
     read = model.noise_free_readings(model.output(fit.theta), fit.theta)
     above = data.y - read
     above -= above[data.ok].mean() * model.has_level
@@ -996,12 +1003,14 @@ def _validate_servo(element: Element, gap: ServoGap, held_out: float) -> HeldOut
         gap: the fitted servo, in its own units.
         held_out: share of the samples that are held out.
     """
-    data, log = element.simulator.data, gap.log
+    data = element.simulator.data
+    log = gap.log
     test = data.ok & ~training_samples(data, held_out)
     fit = gap.fit_to_samples(~test)
     # The servo counts readings from the first one, in its own scale.
     predictions = gap.predict_readings(fit)[1] * (log.y_scale / data.y_scale) + data.y[data.ok][0]
-    in_errors, first_sample = log.error_samples(False), np.zeros(1, int)
+    in_errors = log.error_samples(False)
+    first_sample = np.zeros(1, int)
     normalised = gap.normalised_errors(fit)
     residuals = predict_one_step(
         normalised, test[in_errors], np.ones(normalised.size, bool), first_sample

@@ -46,7 +46,8 @@ def drop_unvisited_edges(prepared: PreparedLog) -> tuple[PreparedLog, tuple[str,
     Raises:
         InputError: the plant integrates, so that one edge alone tells nothing.
     """
-    data, limits = prepared.data, prepared.limits
+    data = prepared.data
+    limits = prepared.limits
     if not data.silent_zeros or prepared.jumps is not None:
         return prepared, ()
     unreached = []
@@ -122,7 +123,8 @@ def _fit_near_delay(
     found: FittedOrders, first: int, advance: Callable[[int], None]
 ) -> FittedOrders:
     """Fit with the best delay near a first guess; the delay allows no more poles."""
-    prepared, most = found.prepared, best_order(found.fits).n
+    prepared = found.prepared
+    most = best_order(found.fits).n
     fewer = [n for n in prepared.orders if n <= most]
     shifted = prepared._replace(data=delay_inputs(prepared.data, first), orders=fewer)
     late = _fit_without_glitches(shifted, advance)
@@ -140,8 +142,10 @@ def _fit_without_glitches(
 ) -> FittedOrders:
     """Fit every order, and again if a few readings turn out to be glitches."""
     for _ in range(3):
-        data, limits = prepared.data, prepared.limits
-        held_out, integrators = prepared.options.held_out, prepared.options.integrators
+        data = prepared.data
+        limits = prepared.limits
+        held_out = prepared.options.held_out
+        integrators = prepared.options.integrators
         fits = fit_orders(data, prepared.orders, limits, held_out, advance, integrators, begun)
         if not fits:
             raise InputError(
@@ -190,7 +194,8 @@ def likely_delay(fits: list[OrderFit]) -> int:
         Samples; 0 if none is better.
     """
     objective = fits[0].fit.objective
-    data, integrators = objective.data, objective.layout.integrators
+    data = objective.data
+    integrators = objective.layout.integrators
     order = max(SCREENED, integrators + 1)
 
     @cache
