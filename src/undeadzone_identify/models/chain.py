@@ -96,6 +96,11 @@ def rate_of_input(u: Floats, p: Floats) -> Floats:
     return limit_rates(u, p)[:, 0]
 
 
+def lag_columns(x: Floats, pole: float) -> Floats:
+    """Return signals (N, or N x K) after a first-order lag that is at rest at their first value."""
+    return np.asarray(lfilter([1 - pole], [1.0, -pole], x, axis=0, zi=pole * x[:1])[0])
+
+
 def limit_rates(u: Floats, limits: Floats) -> Floats:
     """Return a signal (N) after rate limiters of several limits (K) per sample (N x K)."""
     signal = u[:, None]
@@ -283,8 +288,7 @@ class ChainModel:
         for part in self.simulator.data.record_slices():
             x = columns[part]
             if self.lags:
-                pole = float(f[0])
-                filtered[part] = lfilter([1 - pole], [1.0, -pole], x, axis=0, zi=pole * x[:1])[0]
+                filtered[part] = lag_columns(x, float(f[0]))
             else:
                 padded = np.concatenate([np.repeat(x[:1], self.taps, axis=0), x])
                 taps = np.append(1 - f.sum(), f)

@@ -188,10 +188,14 @@ def fit_play(data: RecordData, orders: list[int], integrators: int) -> PlayFit |
         orders: orders of the plant among which BIC chooses.
         integrators: number of integrators of the plant.
     """
-    models = [PlayModel(PlantSimulator(data, n, integrators)) for n in orders]
-    return _best_settling_fit(
-        [LeastSquares(model).fit_from_starts(_start_gaps(model)) for model in models]
-    )
+    fits = []
+    for n in orders:
+        model = PlayModel(PlantSimulator(data, n, integrators))
+        linear = fit_linear(model.simulator, data.ok)
+        gaps = [[*widths_about_level(linear, half), 0.0, 0.0] for half in HALVES]
+        starts = [_start_point(model, linear, LOUDER, numbers) for numbers in gaps]
+        fits.append(LeastSquares(model).fit_from_starts(starts))
+    return _best_settling_fit(fits)
 
 
 def fit_play_and_zone(earlier_fits: Sequence[PlayFit | ZoneFit]) -> PlayFit | None:
@@ -214,13 +218,6 @@ def fit_play_and_zone(earlier_fits: Sequence[PlayFit | ZoneFit]) -> PlayFit | No
             starts.append(np.append(earlier.theta[: model.base], [half, half, width, width]))
         fits.append(LeastSquares(model).fit_from_starts(starts))
     return _best_settling_fit(fits)
-
-
-def _start_gaps(model: PlayModel) -> list[Floats]:
-    """Return start points: gaps of several sizes behind a plant of raised gain."""
-    linear = fit_linear(model.simulator, model.data.ok)
-    elements = [[*widths_about_level(linear, half), 0.0, 0.0] for half in HALVES]
-    return [_start_point(model, linear, LOUDER, numbers) for numbers in elements]
 
 
 def _start_point(
