@@ -334,14 +334,6 @@ class PlaceStarts:
         usual_gain = root_mean_square(fit.z)  # the input is scaled to rms 1
         self.gain = gain if gain > 0.1 * usual_gain else max(usual_gain, 1e-3)
 
-    def without_zone(self) -> list[Floats]:
-        """Return the starts for a plant without a zone."""
-        return [join_place_numbers(plant, self.n) for plant in (self.linear_plant, self.plant)]
-
-    def zone_at_sensor(self) -> list[Floats]:
-        """Return the starts for a zone at the sensor."""
-        return [join_place_numbers(self.plant, self.n, sensor=self.widths)]
-
     def input_levels(self) -> list[tuple[Floats, Floats]]:
         """Return start plants, each with widths of a zone in rms of the input (2)."""
         widths = self.widths / self.gain

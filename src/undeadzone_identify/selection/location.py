@@ -13,6 +13,7 @@ from undeadzone_identify.models.place import (
     PlaceShape,
     PlaceStarts,
     fit_place,
+    join_place_numbers,
     raise_order,
 )
 from undeadzone_identify.models.zone_fit import ZoneFit
@@ -100,8 +101,10 @@ def _fit_all_locations(fit: ZoneFit) -> dict[str, PlaceFit]:
         if fitted is not None:
             fits[shape.name] = fitted
 
-    enter(PlaceShape("none"), starts.without_zone())
-    enter(PlaceShape("sensor", sensor=True), starts.zone_at_sensor())
+    plants = (starts.linear_plant, starts.plant)
+    enter(PlaceShape("none"), [join_place_numbers(plant, starts.n) for plant in plants])
+    zone = join_place_numbers(starts.plant, starts.n, sensor=starts.widths)
+    enter(PlaceShape("sensor", sensor=True), [zone])
     if starts.simulator.layout.m == 1:
         enter(PlaceShape("input", input=True), starts.zone_at_input())
     enter(PlaceShape("friction", inner=True), starts.friction_at_input())
