@@ -345,12 +345,6 @@ class PlaceStarts:
             starts.append((plant, np.full(2, level)))
         return starts
 
-    def zone_at_input(self) -> list[Floats]:
-        """Return the starts for zones of the input."""
-        return [
-            join_place_numbers(plant, self.n, input=level) for plant, level in self.input_levels()
-        ]
-
     def friction_at_input(self) -> list[Floats]:
         """Return the starts for friction at the input's location: c = b / b_1."""
         starts = []

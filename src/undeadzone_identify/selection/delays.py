@@ -17,6 +17,7 @@ from undeadzone.util.arrays import Floats, Integers
 from undeadzone_identify.logs.log import MOST_LATE
 from undeadzone_identify.logs.prepare import FAR_EDGE, SIDES, PreparedLog
 from undeadzone_identify.models.estimates import maximise_likelihood
+from undeadzone_identify.models.likelihood import LOG_ROOT
 from undeadzone_identify.models.plant import PlantSimulator, busiest_stretches, delay_inputs
 from undeadzone_identify.models.zone_fit import ZoneFit, fit_linear, nearest_numbers
 from undeadzone_identify.selection.orders import (
@@ -172,7 +173,7 @@ def _find_glitches(chosen: OrderFit) -> Integers:
     fit = chosen.fit
     ok = fit.objective.readings.ok
     density = fit.objective.z_and_terms(fit.theta)[1].value
-    normal = -0.5 * math.log(2 * math.pi) - math.log(fit.disturbance_rms)
+    normal = -LOG_ROOT - math.log(fit.disturbance_rms)
     silent = ok & (fit.objective.readings.side == 0) & fit.objective.data.silent_zeros
     unusual = density - np.where(silent, 0.0, normal) < -0.5 * GLITCH**2
     places = np.flatnonzero(ok & unusual)

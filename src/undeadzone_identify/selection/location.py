@@ -106,7 +106,9 @@ def _fit_all_locations(fit: ZoneFit) -> dict[str, PlaceFit]:
     zone = join_place_numbers(starts.plant, starts.n, sensor=starts.widths)
     enter(PlaceShape("sensor", sensor=True), [zone])
     if starts.simulator.layout.m == 1:
-        enter(PlaceShape("input", input=True), starts.zone_at_input())
+        begun = starts.input_levels()
+        zones = [join_place_numbers(plant, starts.n, input=level) for plant, level in begun]
+        enter(PlaceShape("input", input=True), zones)
     enter(PlaceShape("friction", inner=True), starts.friction_at_input())
     shape = PlaceShape("friction of a position", inner=True, position=True)
     enter(shape, starts.friction_at_input())
