@@ -269,7 +269,8 @@ def _require_nonnegative(
     answer: Answer, right: Interval, left: Interval
 ) -> tuple[Interval, Interval]:
     """Return widths that a scenario may have. Raise InputError."""
-    for name, edge in zip(SIDES, (right, left), strict=True):
+    edges = {"right": right, "left": left}
+    for name, edge in edges.items():
         if not math.isfinite(edge.value):
             raise InputError(
                 f"scenario: the {name} edge is never reached in the log. Give it by --{name}"

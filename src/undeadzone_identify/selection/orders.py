@@ -122,9 +122,9 @@ def _improve_orders(fits: list[OrderFit], train: Flags) -> list[OrderFit]:
 
 def _has_finite_derivatives(fit: zone_fit.ZoneFit) -> bool:
     """Return whether a fit has a likelihood with finite derivatives."""
-    if not math.isfinite(fit.value):
-        return False
-    return all(np.isfinite(part).all() for part in fit.objective.quadratic_model(fit.theta))
+    return math.isfinite(fit.value) and all(
+        np.isfinite(part).all() for part in fit.objective.quadratic_model(fit.theta)
+    )
 
 
 def training_samples(data: RecordData, held_out: float) -> Flags:
