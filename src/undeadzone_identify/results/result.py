@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
+from scipy.signal import dlsim
 
 from undeadzone.errors import InputError
 from undeadzone.util import shown
@@ -371,15 +372,10 @@ def _simulate_states(simulator: PlantSimulator, theta: Floats) -> Floats:
     layout = simulator.layout
     data = simulator.data
     F, B, _ = observer_matrices(theta[layout.denominator], theta[layout.numerators], layout)
-    drive = data.u @ B.T
     x0 = theta[layout.x0].reshape(layout.records, layout.n)
-    x = np.empty((data.y.size, layout.n))
-    for part, state in zip(data.record_slices(), x0, strict=True):
-        now = state
-        for t in range(part.start, part.stop):
-            x[t] = now
-            now = F @ now + drive[t]
-    return x
+    system = (F, B, np.eye(layout.n), np.zeros(B.shape), 1.0)
+    parts = zip(data.record_slices(), x0, strict=True)
+    return np.vstack([dlsim(system, data.u[part], x0=state)[2] for part, state in parts])
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)

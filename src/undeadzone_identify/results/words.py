@@ -243,7 +243,8 @@ def summarise_answer(answer: Answer, account: Account) -> dict[str, Any]:
 
 def _describe_shape(shape: SensorShape, unit: str) -> str:
     """Describe rounding, slopes and lag of a sensor."""
-    rounding, slope = describe_interval(shape.rounding, unit), describe_interval(shape.slope, "")
+    rounding = describe_interval(shape.rounding, unit)
+    slope = describe_interval(shape.slope, "")
     lag = describe_interval(shape.lag, " s")
     return f"edges round over {rounding}; slope of the left side over the right {slope}; lag {lag}"
 

@@ -200,7 +200,8 @@ class Feedback(NamedTuple):
 
 def detect_feedback(case: Case) -> Feedback:
     """Detect feedback: by residuals, or with certainty by a recorded reference."""
-    grid, share = case.grid, None
+    grid = case.grid
+    share = None
     # No controller makes an input that acts in its own row from the reading of that row.
     u = shift_rows(case.recorded.u, min(case.options.recorded_delay, 0), case.recorded.start)
     chance = orders.loop_p_value(case.chosen.fit, u) if case.chosen.white else 1.0
@@ -265,7 +266,8 @@ def _verdict_at_range_ends(case: Case, word: str, odds: dict[str, float]) -> Ver
     """Return saturation if readings stick at the range ends, undecided for a memory there, or
     None.
     """
-    ends, clipped = case.fitted.prepared.ends, odds.get("none", 0.0) + odds.get("saturation", 0.0)
+    ends = case.fitted.prepared.ends
+    clipped = odds.get("none", 0.0) + odds.get("saturation", 0.0)
     if not ends.has_ends:
         return None
     mostly = case.record_data.ok.sum() < MOSTLY * case.grid.ok.sum()
@@ -350,7 +352,8 @@ def _verdict_without_zone(case: Case, odds: dict[str, float]) -> Verdict:
     if _is_below_rounding(case):
         steps = "the readings are rounded to steps that are larger than any zone"
         return build_verdict("none", f"{steps} ({case.grid.quantum:.3g})")
-    chance, behind = case.no_zone.chance, case.chosen.fit.objective.kind == "behind"
+    chance = case.no_zone.chance
+    behind = case.chosen.fit.objective.kind == "behind"
     if not behind or chance >= DOUBT:
         return build_verdict("none", f"readings need no zone (p = {chance:.2g})")
     # The test takes what disturbs the plant as it is; the odds whiten it first.
@@ -362,7 +365,8 @@ def _verdict_without_zone(case: Case, odds: dict[str, float]) -> Verdict:
 
 def _find_unclear(case: Case, word: str, best: Density, fits: Fits) -> Verdict | None:
     """Return an unclear verdict with reasons, or None if a decision is possible."""
-    chosen, data = case.chosen, case.record_data
+    chosen = case.chosen
+    data = case.record_data
     within = 1 - best.rms / float(data.y[data.ok].std())
     share = chosen.share if word in FITTED else within
     reasons = []
@@ -381,9 +385,11 @@ def _find_unclear(case: Case, word: str, best: Density, fits: Fits) -> Verdict |
     fit = chosen.fit
     if word == "none":
         fit = fit_linear(fit.objective.simulator, fit.objective.readings.ok)
-    plant, theta = fit.objective.simulator, fit.theta
+    plant = fit.objective.simulator
+    theta = fit.theta
     if word not in FITTED and word in fits:
-        plant, theta = fits[word].model.simulator, fits[word].theta
+        plant = fits[word].model.simulator
+        theta = fits[word].theta
     if (reasons or word in {*FITTED, *fits}) and plant.is_at_limit(theta):
         reasons.append(UNSETTLED)
     return build_verdict("unclear", *reasons) if reasons else None
@@ -442,7 +448,8 @@ def mean_inside_zone(fit: ZoneFit) -> float | None:
     """
     if fit.objective.kind != "behind" or fit.objective.layout.integrators:
         return None
-    z, margin = fit.z, WELL_INSIDE * fit.disturbance_rms
+    z = fit.z
+    margin = WELL_INSIDE * fit.disturbance_rms
     inside = fit.objective.readings.ok & (z < fit.right - margin) & (z > -fit.left + margin)
     y = fit.objective.data.y[inside]
     if y.size < 50:
