@@ -91,7 +91,7 @@ def test_a_map_has_the_shape_and_the_edges_of_its_truth(name: str, size: int) ->
 @pytest.mark.parametrize(
     ("module", "names"),
     [
-        (maps, "MOVING FLAT HIDES LEAST WIDE CANDIDATES NEAREST FARTHER BENT TURN"),
+        (maps, "MOVING FLAT HIDES LEAST WIDE CANDIDATES NEAREST FARTHER TURN"),
         (edges_module, "DEARER RISES BEYOND KNOWN PLACES"),
     ],
 )
