@@ -134,8 +134,8 @@ def _prices(
 ) -> tuple[Floats, Floats, Floats]:
     """Return prices of edges (G), their coefficients (G x k), and weighted residuals (G x n).
 
-    The price is infinite where the line hardly rises behind the edge, or jumps the other way. A later bend
-    is the edge there. A jump begins at a row.
+    The price is infinite where the line hardly rises behind the edge, or jumps the other way. A
+    later bend is the edge there. A jump begins at a row.
     """
     x, v, w = levels
     edges = x[np.searchsorted(x, edges, side="right") - 1] if jumps else edges

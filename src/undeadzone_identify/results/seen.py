@@ -34,6 +34,7 @@ FLAT = (  # effects of a name that a flat part of the map shows as well
     "friction",
 )
 EDGES = {"left": "lower", "right": "upper"}
+INPUT_LOSS = {"loss", "input threshold"}  # effects of a map that shows a band of the input
 
 
 def account_of_looks(log: Log, looks: Looks) -> Account | None:
@@ -133,7 +134,8 @@ def choose_account(
     named = fitted.effects.keys() if fitted.grade == NAMED else set()
     is_seen = seen is not None and bool(seen.effects)
     is_seen &= seen is not None and (seen.grade == MEASURED or fitted.grade in (OPEN, BOUNDED))
-    if seen is not None and is_seen and not (named & {*FLAT} and knows_the_end()):
+    is_flat = named & {*FLAT} and knows_the_end() and not _contradicts(fitted, seen)
+    if seen is not None and is_seen and not is_flat:
         others = {key: one for key, one in fitted.effects.items() if key not in seen.effects}
         return seen._replace(others=others | fitted.others)
     if seen is not None and fitted.grade == OPEN and seen.grade == BOUNDED:
@@ -143,3 +145,16 @@ def choose_account(
     for effect, bound in fitted.limits.items():
         limits[effect] = max(bound, still.get(EFFECTS[effect].end, 0.0))
     return fitted._replace(limits=limits)
+
+
+def _contradicts(fitted: Account, seen: Account | None) -> bool:
+    """Return whether a band of the input is wider or narrower by its fit than in a map."""
+    band = INPUT_LOSS & (seen.effects.keys() if seen is not None else set())
+    own = fitted.effects.get("input loss", {}).get("width")
+    if own is None or seen is None or not band:
+        return False
+    edges = seen.effects[band.pop()]
+    if len(edges) < len(EDGES):
+        return False
+    low, high = edges["lower"], edges["upper"]
+    return own.high < high.low - low.high or own.low > high.high - low.low

@@ -295,7 +295,7 @@ def without_drive(log: Log) -> Log:
 
 def _has_goal(log: Log) -> bool:
     """Return whether the input is the goal of a servo."""
-    return log.input_kinds[0] in ("goal", "sp")
+    return log.input_kinds[0] in ("goal", "sp") and log.output_kinds[0] != "speed"
 
 
 def _is_alike(log: Log) -> bool:
