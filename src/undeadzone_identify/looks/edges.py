@@ -90,7 +90,7 @@ def fit_side(levels: Levels, inner: int) -> Side | None:
     if not shapes or outer < 2:
         return None
     last = min(inner - 1 + max(inner, 8), n - 2)
-    ranks = np.linspace(max(inner // 2 - 0.5, 0.0), last + 0.9, PLACES)
+    ranks = np.linspace(0.0, last + 0.9, PLACES)
     edges = np.interp(ranks, np.arange(n), x)
     fits = [_profile(levels, edges, *shape) for shape in shapes]
     prices = np.array([fit.price for fit in fits])

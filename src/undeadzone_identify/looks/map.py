@@ -317,12 +317,13 @@ def _fit_part(levels: Levels, run: tuple[int, int], legs: list[Levels]) -> FlatP
 
 
 def _fit_outwards(levels: Levels, first: int, end: int, share: float) -> Side | None:
-    """Return the fit of the edge behind a run, of whose rows a share is left out ahead.
+    """Return the fit of the edge behind a run, of whose span a share is left out ahead.
 
     The fewer rows are at rest, the fewer moving ones count.
     """
     last = end + NEAREST + (FARTHER * (end - first) if end - first > 2 else 0)
-    first += int(share * (end - first))
+    x = levels.x[first:end]
+    first += int(np.searchsorted(x, x[0] + share * (x[-1] - x[0])))
     return fit_side(levels.cut(slice(first, last)), end - first)
 
 
