@@ -286,7 +286,7 @@ def _identify_logs(
     is_conclusive = False  # the lost motion is the answer, whatever plant fits
     is_one = len(logs) == len(names) == 1
     with_drive, logs = logs, list(map(without_drive, logs))
-    if is_one and not is_named_loop(logs[0]) and options == Options():
+    if is_one and options == Options():
         looks = look_at(logs[0])
         seen = account_of_looks(logs[0], looks)
     if is_one and looks.rests is None and needs_motion_test(with_drive[0]):

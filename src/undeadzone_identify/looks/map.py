@@ -32,7 +32,7 @@ CLOSE = 1e-3  # of the commands' range, below which two levels are one
 WIDE, FINE = 0.012, 1e-4  # of the range: distances from the level of a candidate
 CANDIDATES = 6
 SMOOTHED = 24  # levels in a row, from which noise is smoothed
-END = 3  # levels of a flat end, at least, among so many
+END = 3  # levels of an end, at least, among so many
 MOVING = 0.35  # of the median slope, from which a map moves
 FLAT = 0.1  # of the slope beside it: the largest inside a flat part
 HIDES, LEAST = 8.0, 0.008  # residuals and share of the range, that a flat part hides at least
@@ -158,7 +158,7 @@ def map_of_rate(t: Floats | None, u: Floats, y: Floats) -> RestMap | None:
 def read_map(rows: Rows) -> RestMap | None:
     """Return the map of rows at rest; None with few levels, or a reading that never changes.
 
-    Neither does a way up beside a way down have a fold.
+    Neither do holds, or a way up beside a way down, have a fold.
     """
     levels = _medians(rows.u, rows.y)
     x, v, w = levels
@@ -171,7 +171,7 @@ def read_map(rows: Rows) -> RestMap | None:
     nodes = _nodes(unit, parts)
     noise = max(float(np.std(unit.v - np.interp(unit.x, *nodes))), noise_of(unit.v))
     fold = _fold(nodes, noise)
-    if fold is not None and rows.how == "ways":  # a motion that repeats comes back as well
+    if fold is not None and rows.how in ("ways", "holds"):  # what comes back need not be a fold
         return None
     return RestMap(
         rows=rows,
@@ -388,7 +388,8 @@ def _fold(nodes: Floats, noise: float) -> float | None:
     x, v = nodes
     for way in (v, -v):
         top = int(np.argmax(way))
-        if way[top] - max(way[0], way[-1]) > max(FOLDED, HIDES * noise):
+        back = max(np.median(way[:END]), np.median(way[-END:]))
+        if way[top] - back > max(FOLDED, HIDES * noise):
             return float(x[top])
     return None
 

@@ -23,6 +23,9 @@ SAYS = (NAMED, MEASURED, INDICATED, BOUNDED)  # grades with a number or a bound
 LEADS = {MEASURED: "Measured: ", INDICATED: "Indicated, not certain: "}
 
 
+SURE, LESS, SHOWS = 3.0, 0.9, 0.75  # deviations and share of the straight plant's rms, or a share
+# alone, below which an effect is worth a number
+
 INPUT, OUTPUT, TIME, NONE = range(4)  # ends of whose units numbers are
 STEPS = "steps of several sizes up and down past both edges, each held until the reading rests"
 TURNS = "ten slow reversals or more, in both directions"
@@ -142,6 +145,12 @@ class Buys(NamedTuple):
     def share(self) -> float:
         """Return the share of the squared error that the effect takes away."""
         return 1 - (self.remaining / max(self.without, 1e-300)) ** 2
+
+    @property
+    def is_worth(self) -> bool:
+        """Return whether the effect improves the simulation so much that its number counts."""
+        is_sure = self.deviations > SURE and self.remaining < LESS * self.without
+        return is_sure or self.remaining < SHOWS * self.without
 
 
 Numbers = dict[str, Interval]

@@ -57,7 +57,7 @@ def account_of_looks(log: Log, looks: Looks) -> Account | None:
         return Account(_grade(looks.valley), effects, "least readings of sweeps up and down", units)
     if looks.at_rest is not None:
         return _account_of_map(looks.at_rest, "map at rest", units)
-    if looks.of_rate is not None:
+    if looks.of_rate is not None and looks.of_rate.flats:  # its bound is one of the steady rate
         return _account_of_map(looks.of_rate, "map of the rate at rest", units)
     return None
 
