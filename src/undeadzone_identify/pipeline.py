@@ -56,7 +56,12 @@ from undeadzone_identify.results.assemble import to_answer
 from undeadzone_identify.results.at_rest import IdentifiedAtRest
 from undeadzone_identify.results.lost_motion import IdentifiedMotion
 from undeadzone_identify.results.result import Identified, IdentifiedOutputs
-from undeadzone_identify.results.seen import account_of_looks, choose_account, needs_no_plant
+from undeadzone_identify.results.seen import (
+    account_of_looks,
+    choose_account,
+    needs_no_plant,
+    rests_in_holds,
+)
 from undeadzone_identify.results.speech import knows_the_end
 from undeadzone_identify.selection import orders
 from undeadzone_identify.selection.adequacy import (
@@ -289,6 +294,8 @@ def _identify_logs(
     if is_one and options == Options():
         looks = look_at(logs[0])
         seen = account_of_looks(logs[0], looks)
+    if is_one and is_named_loop(logs[0]) and not rests_in_holds(looks):
+        looks, seen = Looks(), None  # a loop that swings is no map
     if is_one and looks.rests is None and needs_motion_test(with_drive[0]):
         motion, is_conclusive = find_lost_motion(with_drive[0], options)
         advance(1)

@@ -18,7 +18,7 @@ from undeadzone.util.arrays import Flags, Floats, Integers, shift_rows
 from undeadzone_identify.models.estimates import CachedMaxima, cache_latest
 from undeadzone_identify.models.likelihood import Readings
 
-MANY = 5_000  # largest number of samples for methods that need many fits
+MANY = 10_000  # largest number of samples for methods that need many fits
 STRETCH = 5_000  # samples of a stretch of a longer log
 # A record must last for so many time constants of a pole. With x(0) a slower real pole equals an
 # offset, and a slower oscillating pole a free sine.

@@ -119,6 +119,12 @@ def needs_no_plant(seen: Account, looks: Looks) -> bool:
     return seen.grade in (MEASURED, INDICATED) or one.rows.how == "table"
 
 
+def rests_in_holds(looks: Looks) -> bool:
+    """Return whether a flat part is seen while the command stays at each of its levels."""
+    one = looks.at_rest
+    return one is not None and bool(one.flats) and one.rows.how == "holds"
+
+
 def choose_account(
     fitted: Account, seen: Account | None, looks: Looks, knows_the_end: Callable[[], bool]
 ) -> Account:

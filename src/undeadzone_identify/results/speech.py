@@ -120,7 +120,7 @@ def account_of_answer(answer: Answer) -> Account:
     limits = {} if effects else _find_limits(answer)
     buys = _buys_of_word(answer) if answer.servo is None else None
     unmet = answer.case.unreached
-    if buys is not None and not buys.is_worth:
+    if buys is not None and answer.found.valve is None and not buys.is_worth:
         return Account(INDICATED, effects, DYNAMICS, units, buys, doubts=(NO_BETTER,), unmet=unmet)
     return Account(
         NAMED, effects, DYNAMICS, units, buys, unmet=unmet, limits=limits, name=NAMES[word]
