@@ -388,8 +388,8 @@ def _fold(nodes: Floats, noise: float) -> float | None:
     x, v = nodes
     for way in (v, -v):
         top = int(np.argmax(way))
-        back = max(np.median(way[:END]), np.median(way[-END:]))
-        if way[top] - back > max(FOLDED, HIDES * noise):
+        is_inside = END <= top < x.size - END
+        if is_inside and way[top] - max(way[0], way[-1]) > max(FOLDED, HIDES * noise):
             return float(x[top])
     return None
 
