@@ -963,12 +963,21 @@ def held_out_residual(fit: FittedModel[Any], held_out: float) -> tuple[Floats, F
         fit: the model.
         held_out: share of the samples that are held out.
     """
+    theta, test = train_fit(fit, held_out)
+    return fit.squares.reading_residual(theta), test
+
+
+def train_fit(fit: FittedModel[Any], held_out: float) -> tuple[Floats, Flags]:
+    """Return the parameters of a fit to the training samples, and the held-out samples (N).
+
+    Args:
+        fit, held_out: as of `held_out_residual`.
+    """
     data = fit.squares.data
     train = training_samples(data, held_out)
     trained = LeastSquares(fit.model.along(data._replace(ok=data.ok & train, climbs=None)))
     top = best_maximum(trained, [fit.theta], fit.model.first, LONGEST)
-    theta = fit.theta if top is None else top.theta
-    return fit.squares.reading_residual(theta), data.ok & ~train
+    return fit.theta if top is None else top.theta, data.ok & ~train
 
 
 def _validate_servo(element: Element, gap: ServoGap, held_out: float) -> HeldOutScore:
