@@ -289,6 +289,8 @@ def snippet_texts(lost: Lost, name: str) -> dict[str, str]:
     """
     if not (name.isascii() and name.isidentifier() and name.islower()):
         raise InputError(f"--name: expected small letters, digits and _, found {name!r}")
+    sides = {name: _round_to_interval(getattr(lost, name)) for name in ("right", "left", "width")}
+    lost = lost._replace(noise=float(f"{lost.noise:.3g}"), **sides)
     kind, rest, noise = lost.kind, lost.rest, lost.noise
     right, left, width = lost.right[0], lost.left[0], lost.width[0]
     silence = (right + left) / max(noise * math.sqrt(2 * math.pi), 1e-300)
@@ -310,7 +312,7 @@ def snippet_texts(lost: Lost, name: str) -> dict[str, str]:
         "middle": rest + 0.5 * (right - left),
         "half": 0.5 * (right + left),
         "noise": noise,
-        "silence": silence,
+        "silence": float(f"{silence:.4g}"),
         "ramp": RAMP * max(min(right, left), 1e-3 * width),
     }
     words = {key: _literal(value) for key, value in numbers.items()}
@@ -341,6 +343,13 @@ def snippet_texts(lost: Lost, name: str) -> dict[str, str]:
         "snippet.py": "".join(f"# {line}\n" for line in head) + python,
         "snippet.st": "(* " + "\n   ".join(head) + " *)\n" + st,
     }
+
+
+def _round_to_interval(one: Triple) -> Triple:
+    """Return a value and its interval with as many digits as the interval bears."""
+    value, low, high = one
+    digits = 2 - math.floor(math.log10(high - low)) if high > low else 12
+    return round(value, digits), round(low, digits), round(high, digits)
 
 
 def _known_edges(lost: Lost) -> list[Triple]:
@@ -451,11 +460,12 @@ def build_lost(found: dict[str, Any], path: str, name: str) -> Lost:
             f"{path}: the {absent[0]} edge of the actuator's dead zone is not known, and half a "
             "compensation pulls to one side. Record an input that passes both edges"
         )
-    rest = found.get({"sensor": "output_zero", "actuator": "input_zero"}.get(kind, "")) or 0.0
+    rest = float(found.get({"sensor": "output_zero", "actuator": "input_zero"}.get(kind, "")) or 0)
+    if rest and kind == "actuator":  # about which nothing is known but the band: it rests inside
+        rest += 0.5 * (right[0] - left[0])
+        right = left = _triple([0.5 * one for one in width])
     gone, is_ahead = "".join(absent), verdict == "input_play"
-    lost = Lost(
-        kind, right, left, width, unit, name, 0.5 * silent, gone, is_ahead, float(rest), noise
-    )
+    lost = Lost(kind, right, left, width, unit, name, 0.5 * silent, gone, is_ahead, rest, noise)
     doubts = [f"{side} side was never tried" for side in account["never_tried"]]
     doubts += ["name is withheld"] * (account["grade"] != "named")
     doubts += ["interval of an edge holds 0"] * any(low <= 0 for _, low, _ in _known_edges(lost))

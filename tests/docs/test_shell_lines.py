@@ -76,6 +76,8 @@ def test_every_shell_line_of_the_front_page_ends_with_exit_code_0(reader: Reader
     assert [line.split()[1] for line in others] == ["identify", "run", "export"]
     _, _, exported = reader.printed.values()
     assert re.search(r"^double +float is not enough: ", exported, re.M)
+    (lines,) = re.findall(r"```c\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.S)
+    assert lines in re.sub(r"^ {11}", "", reader.printed[others[0]], flags=re.M)
     assert "REFUSED" not in exported
 
 
