@@ -46,7 +46,7 @@ class Effect(NamedTuple):
 
 
 KEEP = "keep commands inside these limits"
-ADD_EDGE = "add the edge to each command that shall move it: u + upper, u - lower"
+ADD_EDGE = "count the part of a command that shall move it from the edge on its side"
 ADD_GAP = "add the gap after each reversal of the command"
 EFFECTS = {
     "input loss": Effect("a band of the input moves nothing", ADD_EDGE, INPUT),
