@@ -83,7 +83,7 @@ def run_firmware_chain(
         "left": left,
     }
     unit = scenario.units.output
-    own = "" if found.z_smooth is not None else "; z is the filter's own here: none smooths"
+    own = "" if found.z_smooth is not None else ", z is the filter's own here: none smooths"
     words = {
         "check": [format_yes_no(msgspec.structs.asdict(one)) for one in known],
         "consistent": {None: "not tested", True: "yes", False: "NO"}[found.consistent],

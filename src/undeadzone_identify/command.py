@@ -82,7 +82,7 @@ SUBJECTS = {
 @value_option(
     "--place",
     None,
-    "Where the zone is: sensor, actuator, plant (friction).",
+    "Place of the zone: sensor, actuator, plant (friction).",
     type=PLACES,
     default="auto",
 )
@@ -244,7 +244,7 @@ def _build_firmware(
             or lost_motion.kind != "backlash"
             or not isinstance(answer, IdentifiedMotion | Identified)
         ):
-            reason = "none: there is neither a scenario nor a certain gap to make it of"
+            reason = "impossible: it takes a scenario or a certain gap"
             return FirmwareChain({"firmware": reason}, {}, [], False)
         return run_snippet_chain(lost_motion, command_of_log(answer), folder)
 
@@ -264,7 +264,7 @@ def _next_commands(
     """
     words = shell_command("undeadzone", "run", scenario)
     if not driven:
-        words = f"{shell_command('undeadzone', 'watch', scenario)} of what is read from now on"
+        words = f"{shell_command('undeadzone', 'watch', scenario)} of readings from now on"
     if len(logs) == 1 and options["resample"] is None:
         columns = ["--columns", options["columns"]] * bool(options["columns"])
         given = [*columns, *["--delay", str(late)] * bool(late)]

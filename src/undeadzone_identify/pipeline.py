@@ -619,7 +619,7 @@ HYPOTHESES = (
     Hypothesis("the widths of a play", _has_play_verdict, add_play_gap),
     Hypothesis("noise that falls silent in the zone", _has_zone_with_zeros, _add_kalman_fit),
     Hypothesis("a spring that bends, or an offset", _needs_remainder_test, _add_remainder),
-    Hypothesis("what the likeliest model leaves", has_a_model, with_adequacy),
+    Hypothesis("residual of the likeliest model", has_a_model, with_adequacy),
     Hypothesis("readings stored on change", has_hidden_readings, withhold_hidden_readings),
-    Hypothesis("the numbers of what is named", needs_an_element, add_named_element),
+    Hypothesis("the numbers of the named class", needs_an_element, add_named_element),
 )

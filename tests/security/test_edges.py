@@ -59,7 +59,7 @@ def test_a_package_that_ends_python_or_is_damaged_is_left_out(tmp_path: Path) ->
     done = call("--help", site=tmp_path)
     assert done.returncode == 0
     assert "'bad' is registered at e_mod:cmd, which fails: 3; it is left out" in done.stderr
-    assert "f: its entry points cannot be read; it is left out" in done.stderr
+    assert "f: its entry points cannot be read. It is left out" in done.stderr
     assert "identify" in done.stdout
 
 

@@ -593,7 +593,7 @@ def test_steps_that_noise_blurs_are_no_jump() -> None:
     u = walk(rng)
     answer = identify_log(u, 0.6 * np.round(two_lags(u) / 0.6) + 0.18 * rng.standard_normal(u.size))
     assert answer.verdict == "unclear"
-    assert "where the output lies between equal steps" in answer.answer.reasons[0]
+    assert "the place of the output between equal steps" in answer.answer.reasons[0]
     assert not answer.numbers()["odds"]
 
 
@@ -608,7 +608,7 @@ def test_a_gate_that_passes_large_readings_whole_is_a_jump() -> None:
     ("truth", "seed", "why"),
     [
         *further(("input", 10049, "a zone explains more than chance does (p = 1.9e-21)")),
-        ("sensor and input", 10056, "this record cannot tell a dead zone of the sensor from"),
+        ("sensor and input", 10056, "this record cannot decide a dead zone of the sensor from"),
     ],
 )
 def test_a_name_that_its_own_test_or_a_wider_model_denies_is_withheld(

@@ -297,7 +297,7 @@ def _evaluate_node(formula: _Formula, node: ast.expr) -> Any:
     raise _formula_error(
         formula,
         f"found {ast.unparse(node)!r:.80}",
-        "; only numbers, names, + - * / ** and elementary functions are allowed",
+        ". Only numbers, names, + - * / ** and elementary functions are allowed",
     )
 
 

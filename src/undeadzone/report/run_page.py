@@ -23,12 +23,12 @@ from undeadzone.results.sheet import Row, rows_to_page
 from undeadzone.results.signals import final_rejections
 from undeadzone.util.text import append_unit
 
-_VARIABLE: Final = "The observer has no constant gains; its options stand in the scenario."
+_VARIABLE: Final = "The observer has no constant gains. Its options stand in the scenario."
 CAPTIONS: Final = {
     "tip": "The tip against its path, its distance from it, and the torques.",
-    "phase": "Position and velocity of each joint, truth and estimate; a dead zone about a "
+    "phase": "Position and velocity of each joint, truth and estimate. A dead zone about a "
     "posture is grey.",
-    "figure": "Output, reading and estimate; errors; widths with 95 % bands against the truth",
+    "figure": "Output, reading and estimate. Errors. Widths with 95 % bands against the truth",
 }
 # Further contents of the figure, if a run has this signal.
 FURTHER: Final = {
@@ -97,7 +97,7 @@ def _verdict_on_run(run: Run) -> html.Html:
         html.widths_verdict(run.fully_identifiable),
     ]
     if run.inexact:
-        parts.append(("the step is too large: these are no results", "no"))
+        parts.append(("the step is too large, and the numbers are useless", "no"))
     return html.verdict_line(*parts)
 
 

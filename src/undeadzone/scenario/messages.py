@@ -155,7 +155,7 @@ def _unknown_choice(key: str, word: Any, choices: list[str]) -> str:
 
 def _missing(key: str, name: str, root: type[msgspec.Struct]) -> str:
     """Return the message about a key that is missing from the table at `key`."""
-    text = f"{_join(key, name)}: missing; this key is required"
+    text = f"{_join(key, name)}: missing. This key is required"
     choices = _tags(root, key) if name in CHOOSERS else []
     if choices:
         text += f" (one of {', '.join(choices)})"

@@ -75,7 +75,7 @@ EFFECTS = {
     ),
     "output threshold": Effect(
         "the reading is silent up to a threshold",
-        "take a silent reading as an interval; other readings are right as they are",
+        "take a silent reading as an interval. Other readings are right as they are",
         OUTPUT,
     ),
     "output reversal": Effect(

@@ -64,8 +64,8 @@ SURE = 0.999  # level of the ranges that an observer is told
 WITHHELD = ("undecided", "unclear")  # words that withhold a name
 ODDS_OF = {"operating_point": "none", "unreached": "dead_zone"}  # words with odds of another
 CLOSED = (
-    "the input answers to the readings: the log is of a closed loop, where the interval of a play"
-    " may be too narrow"
+    "the input answers to the readings: the log is of a closed loop, in which the interval "
+    "of a play may be too narrow"
 )
 LEAST = 1e-6  # of a width, by which its range is wide at least
 
@@ -466,7 +466,7 @@ def _reference_remarks(grid: Grid, ok: Flags, loop: Feedback) -> list[str]:
     ):
         return []
     words = "the reference answers to the readings as well: an outer loop makes it, or columns are"
-    return [f"{words} exchanged (--columns); then nothing of this holds"]
+    return [f"{words} exchanged (--columns). Then nothing of this holds"]
 
 
 def _edge_remarks(answer: Answer, intervals: DisplayedWidths, has_residual: bool) -> list[str]:
@@ -480,8 +480,8 @@ def _edge_remarks(answer: Answer, intervals: DisplayedWidths, has_residual: bool
     remarks = [] if answer.case.jump_edges else list(answer.widths.remarks)
     if has_residual:
         remarks.append(
-            "past inputs explain part of the one-step residual: a delay, or too few poles; the"
-            " plant model does not fit, and the intervals are doubled; try a higher --order, or"
+            "past inputs explain part of the one-step residual: a delay, or too few poles. The"
+            " plant model does not fit, and the intervals are doubled. Try a higher --order, or"
             " shift the input by the delay"
         )
     for name in absent_edges(answer.case):
@@ -489,7 +489,7 @@ def _edge_remarks(answer: Answer, intervals: DisplayedWidths, has_residual: bool
     if _has_tied_edges(answer):
         remarks.append(
             "z of an integrating plant has no zero of its own: it counts from the middle of the"
-            " zone, so both edges are half of the width; the place of the zone is not asked"
+            " zone, so both edges are half of the width. The place of the zone is not tested"
         )
     for name in ("right", "left"):
         edge = intervals[name]

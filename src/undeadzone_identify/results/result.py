@@ -50,8 +50,8 @@ WRITTEN = (
 
 UNWRITTEN = {
     "input_curve": "a curve of the input has no widths, and no inverse is written for it",
-    "input_rate": "a limit of the input's rate is no element of a scenario",
-    "stiction": "no observer holds a valve that sticks; its play alone would be another valve",
+    "input_rate": "a scenario has no limit of the input's rate",
+    "stiction": "no observer holds a valve that sticks. Its play alone would be another valve",
 }
 
 

@@ -265,7 +265,7 @@ def test_a_range_that_excludes_the_truth_is_reported() -> None:
     assert not verdict["right"]
     assert verdict["left"]
     assert verdict["reasons"] == [
-        "a false claim: the right width is 1, observer.right says 0 to 0.5"
+        "a false assumption: the right width is 1, observer.right says 0 to 0.5"
     ]
     assert uz.simulate(parse(TEMPLATE)).fully_identifiable
 
@@ -275,7 +275,10 @@ def test_an_actuator_range_that_excludes_the_truth_is_reported() -> None:
     path = EXAMPLES / "valve_both_ends.toml"
     valve = parse(path.read_text()) | {"simulation": {"duration": 3.0}}
     assert valve.actuator.right == 1.2
-    message, short = "a false claim: model.actuator excludes", {"simulation": {"duration": 3.0}}
+    message, short = (
+        "a false assumption: model.actuator excludes",
+        {"simulation": {"duration": 3.0}},
+    )
     for width, is_false in (([0.0, 1.0], True), (1.0, True), ([0.0, 3.0], False), (1.2, False)):
         left = 0.8 if isinstance(width, float) else [0.0, 3.0]
         assumptions = {"model": {"actuator": {"right": width, "left": left}}}
