@@ -339,7 +339,7 @@ def test_a_design_says_that_other_methods_need_none(scenario: Path) -> None:
     done = undeadzone("design", scenario, "--no-figures")
     assert done.returncode == 2
     assert "model.actuator.right: 'certified' cannot estimate" in done.stderr
-    assert "a design is of 'certified' alone, others need none" in done.stderr
+    assert "A design is of 'certified' alone, others need none" in done.stderr
 
 
 def test_reference_that_cannot_be_followed(certified: Path) -> None:

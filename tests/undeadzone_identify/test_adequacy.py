@@ -98,7 +98,7 @@ def test_another_curve_of_the_input_has_no_name_and_no_odds(tmp_path: Path) -> N
     assert saved["odds"] == {}
     assert saved["width"] is None
     assert "depends on the size of the input" in saved["reasons"][0]
-    assert "record steps" in saved["reasons"][1]
+    assert "Record steps" in saved["reasons"][1]
     assert not (tmp_path / "log.toml").exists()
 
 
@@ -311,7 +311,7 @@ def test_a_relay_is_no_curve_and_no_slow_drive(kind: str, seed: int) -> None:
     answer = of_kind(kind, seed)
     assert answer.verdict == "unclear"
     assert "at the end of what it models" in answer.answer.reasons[0]
-    assert "record steps" in answer.answer.reasons[1]
+    assert "Record steps" in answer.answer.reasons[1]
     assert not answer.numbers()["odds"]
 
 
@@ -373,7 +373,7 @@ def test_a_lag_ahead_of_the_zone_withholds_the_name(samples: float) -> None:
         return
     assert answer.verdict == "unclear"
     assert "the input a few samples before" in answer.answer.reasons[0]
-    assert "record what leaves it" in answer.answer.reasons[1]
+    assert "Record its output" in answer.answer.reasons[1]
     assert not answer.numbers()["odds"]
 
 
