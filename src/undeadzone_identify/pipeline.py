@@ -289,7 +289,8 @@ def _identify_logs(
     if motion is not None and is_conclusive:
         return IdentifiedMotion(motion)
     logs = list(map(without_drive, logs))
-    if len(logs) == len(names) == 1 and not is_named_loop(logs[0]) and options == Options():
+    is_plain = msgspec.structs.replace(options, delay="auto") == Options()  # a map has no delay
+    if len(logs) == len(names) == 1 and not is_named_loop(logs[0]) and is_plain:
         looks = look_at(logs[0])
         seen = account_of_looks(logs[0], looks)
         if seen is not None and needs_no_plant(seen, looks):

@@ -37,7 +37,7 @@ DRAWN = {  # the kinds and seeds that every run of the tests follows
     ("plain table", 1),
     ("joint's torque", 3),
     ("dial gauge", 1),
-    ("geared motor", 1),
+    ("encoder flickers", 2),
     ("nothing hidden", 1),
 }
 
@@ -103,7 +103,7 @@ def follow(door: Door, folder: Path) -> tuple[float, float]:
     walk = Walk(folder)
     said = walk.run("undeadzone identify log.csv --out answer --no-figures")
     for line in commands_in(said):
-        walk.run(line)
+        walk.run(line, highest=int(line.split()[1] in ("run", "estimate")))  # 1: a negative answer
     plain = said
     for line in commands_in(said):
         plain = plain.replace(line, "")

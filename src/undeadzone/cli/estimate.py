@@ -27,6 +27,7 @@ from undeadzone.cli.output import (
     next_line,
     require_own_table,
 )
+from undeadzone.util.files import read_text
 from undeadzone.util.progress import terminal_progress as progress
 
 
@@ -109,8 +110,13 @@ def estimate(
 def _advise_after_estimate(
     scenario: Path, log: Path, columns: str | None, result: uz.Estimation
 ) -> dict[str, str]:
-    """Return the next command after a log: export if the model fits, else `identify`."""
+    """Return the next command after a log: export if the model fits, else `identify`.
+
+    A scenario of `identify` has none: its answer would be the same.
+    """
     if result.info.consistent is False:
+        if "Written by undeadzone identify" in read_text(scenario):
+            return {}
         again = shell_command(
             "undeadzone", "identify", log, *["--columns", columns] * bool(columns)
         )
