@@ -501,8 +501,8 @@ def test_init_writes_examples_with_their_files(tmp_path: Path) -> None:
     ("words", "expected"),
     [
         (["--example", "two_lnk"], "Did you mean 'two_link'?"),
-        (["--example", "../secret"], "--list shows all"),
-        (["--example", ""], "--list shows all"),
+        (["--example", "../secret"], "--list shows their titles"),
+        (["--example", ""], "--list shows their titles"),
     ],
 )
 def test_init_knows_no_other_example(words: list[str], expected: str, tmp_path: Path) -> None:

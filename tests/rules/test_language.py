@@ -560,7 +560,7 @@ def run():
     a, b = 1, 2
     for c in [d for d in range(3)]:
         told = c if c else b
-    raise ValueError(f"{a:.2f} is told; use much less" + "give a little more" + "no code" + "a = {b} is it")
+    raise ValueError(f"{a:.2f} is told; use much less" + "give a little more")
 
 
 @click.command(help="Ask it.")

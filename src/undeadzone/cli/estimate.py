@@ -27,6 +27,7 @@ from undeadzone.cli.output import (
     next_line,
     require_own_table,
 )
+from undeadzone.errors import InputError
 from undeadzone.util.files import read_text
 from undeadzone.util.progress import terminal_progress as progress
 
@@ -75,6 +76,9 @@ def estimate(
     from undeadzone.report.log_page import write_estimation
     from undeadzone.scenario.reader import read_for_logs
 
+    if log.suffix == ".toml":
+        right = shell_command("undeadzone", "estimate", log, scenario)
+        raise InputError(f"the log and the scenario are exchanged: {right}")
     folder = output.choose_folder(f"{log.stem}-estimate", as_csv)
     require_own_table(folder, "estimate.csv", force)
     watched = read_for_logs(scenario, confine)

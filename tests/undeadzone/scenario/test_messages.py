@@ -117,7 +117,7 @@ def test_what_editors_do_changes_nothing(tmp_path: Path, content: bytes) -> None
         (["arenas"], "No such command 'arenas'. Did you mean 'arena'?"),
         (["fly", "away"], "No such command 'fly'."),
         (["identify", "mine.toml"], "this is a scenario, no log"),
-        (["estimate", "log.csv", "mine.toml"], "A log goes to undeadzone identify"),
+        (["estimate", "log.csv", "mine.toml"], "undeadzone estimate mine.toml log.csv"),
     ],
 )
 def test_a_mistake_on_the_command_line_names_its_cure(
