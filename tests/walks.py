@@ -15,7 +15,7 @@ from undeadzone import errors
 
 # A command inside a line that is printed, up to the words on what it does.
 PRINTED = re.compile(
-    r"(?:undeadzone|make) .*?(?=, |; | says | writes | builds | of what |  # fits |$)", re.M
+    r"(?:undeadzone|make) .*?(?=, |; | says | shows | writes | builds | of what |  # fits |$)", re.M
 )
 
 

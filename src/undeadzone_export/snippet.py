@@ -318,7 +318,8 @@ def snippet_texts(lost: Lost, name: str) -> dict[str, str]:
     words = {key: _literal(value) for key, value in numbers.items()}
     is_below = lost.absent == "right"
     signal = "y" if lost.kind == "sensor" else "wanted"
-    offset = f"({signal} {'+' if rest < 0 else '-'} {_literal(abs(rest))}" if rest else ""
+    sign = "+" if rest < 0 else "-"
+    offset = f"({signal} {sign} {_literal(abs(rest))}" if rest else ""
     words |= {
         "beyond": f"< {words['below']}" if is_below else f"> {words['above']}",
         "shift": f"- {words['left']}" if is_below else f"+ {words['right']}",
@@ -517,11 +518,8 @@ def _of_scenario(scenario: Scenario, path: Path) -> Lost:
     is_ahead = kind == "backlash" and not is_sensor
     width = _triple([a + b for a, b in zip(right, left, strict=True)])
     point = scenario.operating_point or OperatingPoint()
-    rest = (
-        0.0
-        if kind == "backlash"
-        else max(_numbers(point.output if is_sensor else point.input), key=abs)
-    )
+    rest = max(_numbers(point.output if is_sensor else point.input), key=abs)
+    rest *= kind != "backlash"
     quantum, noise = (
         max(_numbers(one), default=0.0) for one in (scenario.sensor.quantum, scenario.sensor.noise)
     )

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from documents import ROOT
+from further import further
 from requirements import needs
 from walks import Walk, commands_in
 
@@ -31,6 +32,45 @@ def reader(tmp_path_factory: pytest.TempPathFactory) -> Walk:
         if not line.endswith(INSTALL):
             found.run(line)
     return found
+
+
+# Files that readers have, by the pages that use them, and what makes each.
+GIVEN = {
+    "cp examples/samples.csv FILE": ("log.csv", "first.csv", "second.csv", "samples.csv"),
+    "undeadzone init --force FILE": ("mine.toml", "scenario.toml"),
+    f"PYTHONPATH={ROOT} python -m benchmarks.end_to_end.cases FILE": ("logs",),
+}
+# A robot of an hour, files that stand for a reader's own, and a log of a motor.
+OWN = re.compile(r"ur5|upload/|position\.csv|--columns|identify.*--resume|panda|arena mine")
+PAGES = sorted([ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")])
+HELP = {
+    f"{path.parts[-2]}/{path.stem} --help": re.split(r", then look|; on W| && ", found[1])
+    for path in sorted((ROOT / "src").rglob("*.py"))
+    if (found := re.search(r'"Example: (.*)', path.read_text(encoding="utf-8")))
+}
+SHOWN = {path.relative_to(ROOT).as_posix(): shell_lines(path) for path in PAGES} | HELP
+LINES = {
+    name: [one for one in map(str.strip, lines) if re.match(r"undeadzone \w", one)]
+    for name, lines in SHOWN.items()
+}
+LINES = {
+    name: [one.strip(' "),') for one in lines if not OWN.search(one)]
+    for name, lines in LINES.items()
+}
+LINES = {name: lines for name, lines in LINES.items() if lines}
+DRAWN = ("docs/export_plc.md", "cli/init --help", "cli/watch --help")
+
+
+@pytest.mark.parametrize("page", [*DRAWN, *further(*(name for name in LINES if name not in DRAWN))])
+def test_the_shell_lines_of_a_page_run(page: str, tmp_path: Path) -> None:
+    """In one folder, in their order, with the files that a reader of the page has."""
+    walk, lines = Walk(tmp_path), LINES[page]
+    for make, names in GIVEN.items():
+        for name in names:
+            if re.search(rf"(?<![\w/]){name}\b", " ; ".join(lines)) and "init" not in lines[0]:
+                walk.run(make.replace("FILE", name))
+    for line in lines:
+        walk.run(line, highest=1)
 
 
 def test_every_shell_line_of_the_front_page_ends_with_exit_code_0(reader: Walk) -> None:

@@ -111,11 +111,12 @@ def _numbers_tables(run: Run, rival: Run | None) -> tuple[html.Html, html.Html]:
 
 def _numbers_of_run(run: Run) -> dict[str, Any]:
     """Return the numbers of a run by their descriptions, the most important first."""
-    numbers: dict[str, Any] = rows_to_page(final_error_rows(run))
+    numbers: dict[str, Any] = {}
     for name, rows in zip(run.outputs, final_width_rows(run), strict=True):
         of = f", {_output_head(name)}" if len(run.outputs) > 1 else ""
         numbers |= {f"{row.title}{of}": row.value_in_words for row in rows}
     numbers |= {row.title: row.value_in_words for row in final_parameter_rows(run)}
+    numbers |= rows_to_page(final_error_rows(run))
     refuted = final_rejections(run.signals.arrays).get("claims")
     if refuted:
         numbers["NOT as told"] = "; ".join(describe_rejected_assumptions(refuted, run.info.options))

@@ -390,7 +390,6 @@ def blocks_from_run(run: Run) -> list[Block]:
     summary: dict[str, Any] = {
         "scenario": info.title,
         "observer": f"{info.method}, {info.time} time, step {info.step:g} s",
-        **sheet.rows_to_text(final_error_rows(run)),
     }
     driven = final_actuator_rows(run)
     if single:
@@ -400,7 +399,7 @@ def blocks_from_run(run: Run) -> list[Block]:
     if single:
         for rows in final_gap_rows(run):
             summary |= sheet.rows_to_text(rows)
-    summary |= sheet.rows_to_text(final_parameter_rows(run))
+    summary |= sheet.rows_to_text(final_parameter_rows(run) + final_error_rows(run))
     if info.sensor != "gears":  # whose encoders are never silent
         quiet = "holding" if info.sensor == "play" else "silent"
         summary[quiet] = f"{100 * run.silent_fraction:.1f} % of the time"
