@@ -173,8 +173,10 @@ def identify(
     is_written = path in written
     driven = is_written and "[reference]" in path.read_text(encoding="utf-8")
     late = getattr(answer, "recorded_delay", 0)
-    follow = {"next": _next_commands(path, logs, options, driven, late)} if is_written else {}
     numbers = answer.numbers()
+    if any("resampled to" in one for one in numbers.get("remarks", ())):
+        options |= {"resample": True}  # no command reads the log at another step
+    follow = {"next": _next_commands(path, logs, options, driven, late)} if is_written else {}
     lines = compensating_lines(numbers, first.name) if answer.account.is_certain else {}
     if folder is not None and lines:
         few = shell_command("undeadzone", "export", folder / "identify.json", "--to", "snippet")
