@@ -91,7 +91,8 @@ def _about(right: float, left: float, rest: float = 0.0) -> Callable[[], Correct
 
 def _of_gap(gap: float) -> Callable[[], Correct]:
     """Return an expert's lines of a gap: it is added while the command rises."""
-    return lambda: load_lines(Lost("backlash", *[(gap, gap, gap)] * 3, "", ""))
+    width = (gap, gap, gap)
+    return lambda: load_lines(Lost("backlash", width, width, width, "", ""))
 
 
 MACHINES: dict[str, tuple[Case, Callable[[], Correct]]] = {

@@ -289,9 +289,9 @@ def snippet_texts(lost: Lost, name: str) -> dict[str, str]:
     """
     if not (name.isascii() and name.isidentifier() and name.islower()):
         raise InputError(f"--name: expected small letters, digits and _, found {name!r}")
-    sides = {name: _round_to_interval(getattr(lost, name)) for name in ("right", "left", "width")}
-    lost = lost._replace(noise=float(f"{lost.noise:.3g}"), **sides)
-    kind, rest, noise = lost.kind, lost.rest, lost.noise
+    r, l, w = map(_round_to_interval, (lost.right, lost.left, lost.width))
+    lost = lost._replace(right=r, left=l, width=w)
+    kind, rest, noise = lost.kind, lost.rest, float(f"{lost.noise:.3g}")
     right, left, width = lost.right[0], lost.left[0], lost.width[0]
     silence = (right + left) / max(noise * math.sqrt(2 * math.pi), 1e-300)
     silent = max(lost.silent, noise * math.sqrt(2 * math.log(max(silence, 1.0))))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
+import sys
 from pathlib import Path
 
 import pytest
@@ -38,10 +39,14 @@ def reader(tmp_path_factory: pytest.TempPathFactory) -> Walk:
 GIVEN = {
     "cp examples/samples.csv FILE": ("log.csv", "first.csv", "second.csv", "samples.csv"),
     "undeadzone init --force FILE": ("mine.toml", "scenario.toml"),
-    f"PYTHONPATH={ROOT} python -m benchmarks.end_to_end.cases FILE": ("logs",),
+    f"PYTHONPATH={ROOT}:$PYTHONPATH {sys.executable} -m benchmarks.end_to_end.cases FILE": (
+        "logs/",
+    ),
 }
 # A robot of an hour, files that stand for a reader's own, and a log of a motor.
-OWN = re.compile(r"ur5|upload/|position\.csv|--columns|identify.*--resume|panda|arena mine")
+OWN = re.compile(
+    r"ur5|upload/|position\.csv|--columns|identify.*--(?:resume|kind jump)|panda|arena mine"
+)
 PAGES = sorted([ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")])
 HELP = {
     f"{path.parts[-2]}/{path.stem} --help": re.split(r", then look|; on W| && ", found[1])

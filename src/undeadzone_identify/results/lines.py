@@ -114,8 +114,7 @@ def _held_out_readings(answer: Answer, lost: Lost) -> tuple[Floats, Floats, Lost
         theta, test = train_fit(fit, case.options.held_out)
         scale = fit.squares.data.y_scale
         z, y = scale * fit.model.output(theta), scale * fit.squares.data.y
-        right, left = scale * fit.model.levels(theta)[:2]
-        changed = {"right": right, "left": left}
-        changed.pop(lost.absent, None)
-        lost = lost._replace(**{side: (float(one),) * 3 for side, one in changed.items()})
+        right, left = ((one, one, one) for one in (scale * fit.model.levels(theta)[:2]).tolist())
+        lost = lost._replace(right=right) if lost.absent != "right" else lost
+        lost = lost._replace(left=left) if lost.absent != "left" else lost
     return z[test] + lost.rest, y[test] + lost.rest, lost
