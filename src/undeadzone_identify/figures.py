@@ -130,7 +130,7 @@ def signals(axes: Axes, found_log: Identified, part: slice | None = None, of: st
         expected = (element.readings * answer.scale)[part]
         axes.plot(t, expected, color=ink.OTHER, linewidth=1.0, label=f"{_name_of(element)} of it")
     _shade_held_out(axes, found_log, part)
-    title = f"Output{of} and reading; shaded: held out"
+    title = f"Output{of} and reading. Shaded: held out"
     finish_panel(
         axes, title, label_with_unit("z, y", _unit_of_output(found_log)), _time_label(found_log)
     )

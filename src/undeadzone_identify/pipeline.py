@@ -291,7 +291,8 @@ def _identify_logs(
     is_conclusive = False  # the lost motion is the answer, whatever plant fits
     is_one = len(logs) == len(names) == 1
     with_drive, logs = logs, list(map(without_drive, logs))
-    if is_one and options == Options():
+    is_plain = msgspec.structs.replace(options, delay="auto") == Options()  # a map has no delay
+    if is_one and is_plain:
         looks = look_at(logs[0])
         seen = account_of_looks(logs[0], looks)
     if is_one and is_named_loop(logs[0]) and not rests_in_holds(looks):
@@ -629,7 +630,7 @@ HYPOTHESES = (
     Hypothesis("the widths of a play", _has_play_verdict, add_play_gap),
     Hypothesis("noise that falls silent in the zone", _has_zone_with_zeros, _add_kalman_fit),
     Hypothesis("a spring that bends, or an offset", _needs_remainder_test, _add_remainder),
-    Hypothesis("what the likeliest model leaves", has_a_model, with_adequacy),
+    Hypothesis("residual of the likeliest model", has_a_model, with_adequacy),
     Hypothesis("readings stored on change", has_hidden_readings, withhold_hidden_readings),
-    Hypothesis("the numbers of what is named", needs_an_element, add_named_element),
+    Hypothesis("the numbers of the named class", needs_an_element, add_named_element),
 )

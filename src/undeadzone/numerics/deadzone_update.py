@@ -319,7 +319,7 @@ def _require_positive(variance: float) -> None:
     """Raise InputError for a variance along an edge of which rounding leaves nothing."""
     if not variance > 0:
         raise InputError(
-            f"cov: its variance of z less a width is {variance:.3g}; the noise is too small for it"
+            f"cov: its variance of z less a width is {variance:.3g}. The noise is too small for it"
         )
 
 

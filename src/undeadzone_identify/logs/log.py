@@ -147,7 +147,8 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
                 raise InputError(f"{name}: expected {expected}, found {getattr(self, name)!r}")
         if self.place in ("actuator", "plant") and self.integrators:
             raise InputError(
-                f"place: {self.place} is not asked of a plant with --integrators. Leave it out: a"
+                f"place: {self.place} is not supported for a plant with --integrators. Leave it "
+                f"out: a"
                 " motor's friction is separated from a gap by itself"
             )
         if self.kind == "jump" and self.integrators:

@@ -410,7 +410,7 @@ class ChainModel:
             return f"a dead zone of about {right:.3g} and {left:.3g}, and {late}"
         slope, rounding = theta[self.shape]
         if self.class_word(theta) == "other":
-            return f"the sensor has {slope:.3g} times the slope below 0; no zone is needed"
+            return f"the sensor has {slope:.3g} times the slope below 0. No zone is needed"
         return (
             f"a dead zone whose left side has {slope:.3g} times the slope of its right, whose edges"
             f" are round over {rounding * y_scale:.3g}, and {late}"

@@ -406,7 +406,7 @@ def require_finite_matrix(matrix: Floats) -> Floats:
     """
     if not np.isfinite(matrix).all():
         raise InputError(
-            "log: what the readings tell of the plant overflows. Try a lower --order, or a log"
+            "log: the readings' information on the plant overflows. Try a lower --order, or a log"
             " whose readings move more"
         )
     return matrix

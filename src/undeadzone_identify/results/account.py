@@ -49,7 +49,7 @@ class Effect(NamedTuple):
 
 
 KEEP = "keep commands inside these limits"
-ADD_EDGE = "add the edge to each command that shall move it: u + upper, u - lower"
+ADD_EDGE = "count the part of a command that shall move it from the edge on its side"
 ADD_GAP = "add the gap after each reversal of the command"
 EFFECTS = {
     "input loss": Effect("a band of the input moves nothing", ADD_EDGE, INPUT),
@@ -78,7 +78,7 @@ EFFECTS = {
     ),
     "output threshold": Effect(
         "the reading is silent up to a threshold",
-        "take a silent reading as an interval; other readings are right as they are",
+        "take a silent reading as an interval. Other readings are right as they are",
         OUTPUT,
     ),
     "output reversal": Effect(

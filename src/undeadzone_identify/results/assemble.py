@@ -60,12 +60,14 @@ from undeadzone_identify.selection.widths import (
 )
 from undeadzone_identify.servo.gap import ServoGap
 
+DRIFT_BLOCKS, LEAST_IN_BLOCK = 16, 8  # parts of a log, and readings of each, that show a drift
+ALIKE = 0.5  # von Neumann's ratio of their means, below which they drift: 1e-4 by chance
 SURE = 0.999  # level of the ranges that an observer is told
 WITHHELD = ("undecided", "unclear")  # words that withhold a name
 ODDS_OF = {"operating_point": "none", "unreached": "dead_zone"}  # words with odds of another
 CLOSED = (
-    "the input answers to the readings: the log is of a closed loop, where the interval of a play"
-    " may be too narrow"
+    "the input answers to the readings: the log is of a closed loop, in which the interval "
+    "of a play may be too narrow"
 )
 LEAST = 1e-6  # of a width, by which its range is wide at least
 BOTH = ("width", "centre")  # numbers of both edges
@@ -384,6 +386,7 @@ def _add_edges(answer: Answer) -> Answer:
     intervals = _jump_widths(answer.case) or _log_unit_widths(answer, 2.0 if has_residual else 1.0)
     remarks = [*_delay_remarks(answer), *_edge_remarks(answer, intervals, has_residual)]
     _widen_rare_edges(answer, intervals)
+    remarks += _widen_by_drift(answer, intervals)
     doubt = _doubt_of_zero(intervals) or _doubt_of_unmoved(answer, intervals)
     if doubt:
         return _with_doubt(answer, doubt)
@@ -395,6 +398,32 @@ def _with_doubt(answer: Answer, doubt: str) -> Answer:
     """Return the answer without a name: the likeliest model's own test denies it."""
     found = answer.found._replace(odds={})
     return answer._replace(verdict="undecided", reasons=[doubt], found=found)
+
+
+def _widen_by_drift(answer: Answer, intervals: DisplayedWidths) -> list[str]:
+    """Widen both edges to the zero of any time, in place, and return the remark on its drift.
+
+    Mean residuals beyond the edges follow a zero that drifts, less its mean, which the fitted edges
+    hold. They are a drift if neighbours are much more alike than any two (von Neumann's ratio).
+    """
+    right, left, unit = intervals["right"], intervals["left"], answer.case.grid.output_unit
+    if right is None or left is None or not math.isfinite(left.high + right.high):
+        return []
+    z, grid = answer.z * answer.scale, answer.case.grid
+    beyond = np.flatnonzero(grid.ok & ((z > right.value) | (z < -left.value)))
+    if beyond.size < DRIFT_BLOCKS * LEAST_IN_BLOCK:
+        return []
+    residual = grid.y - (z - np.clip(z, -left.value, right.value))
+    means = np.array([residual[one].mean() for one in np.array_split(beyond, DRIFT_BLOCKS)])
+    reach = 0.5 * float(np.abs(np.diff(means)).max())  # from the middle of a part to its end
+    low, high = float(means.min()) - reach, float(means.max()) + reach
+    alike = np.sum(np.diff(means) ** 2) < ALIKE * np.sum((means - means.mean()) ** 2)
+    if not alike or high - low < max(right.half_width, left.half_width):
+        return []
+    intervals["right"] = right._replace(low=right.low - high, high=right.high - low)
+    intervals["left"] = left._replace(low=left.low + low, high=left.high + high)
+    words = f"the zero drifts by {high - low:.3g}{' ' * (unit != '1')}{unit * (unit != '1')}"
+    return [f"{words} along the log: both edges are given for any time of it, and their sum holds"]
 
 
 def _doubt_of_zero(intervals: dict[str, Any]) -> str:
@@ -465,7 +494,7 @@ def _reference_remarks(grid: Grid, ok: Flags, loop: Feedback) -> list[str]:
     ):
         return []
     words = "the reference answers to the readings as well: an outer loop makes it, or columns are"
-    return [f"{words} exchanged (--columns); then nothing of this holds"]
+    return [f"{words} exchanged (--columns). Then nothing of this holds"]
 
 
 def _edge_remarks(answer: Answer, intervals: DisplayedWidths, has_residual: bool) -> list[str]:
@@ -479,8 +508,8 @@ def _edge_remarks(answer: Answer, intervals: DisplayedWidths, has_residual: bool
     remarks = [] if answer.case.jump_edges else list(answer.widths.remarks)
     if has_residual:
         remarks.append(
-            "past inputs explain part of the one-step residual: a delay, or too few poles; the"
-            " plant model does not fit, and the intervals are doubled; try a higher --order, or"
+            "past inputs explain part of the one-step residual: a delay, or too few poles. The"
+            " plant model does not fit, and the intervals are doubled. Try a higher --order, or"
             " shift the input by the delay"
         )
     for name in absent_edges(answer.case):
@@ -488,7 +517,7 @@ def _edge_remarks(answer: Answer, intervals: DisplayedWidths, has_residual: bool
     if _has_tied_edges(answer):
         remarks.append(
             "z of an integrating plant has no zero of its own: it counts from the middle of the"
-            " zone, so both edges are half of the width; the place of the zone is not asked"
+            " zone, so both edges are half of the width. The place of the zone is not tested"
         )
     for name in SIDES:
         edge = intervals[name]

@@ -102,7 +102,7 @@ def _require_widths(answer: Answer) -> tuple[float, float]:
     if answer.verdict not in (*SENSORS, *AHEAD):
         raise InputError(
             f"simulate: the verdict is {answer.verdict}, and no model of it is simulated. "
-            "`--kind` and `--place` of identify ask for another one"
+            "`--kind` and `--place` of identify select another one"
         )
     right = answer.right
     left = answer.left

@@ -128,7 +128,7 @@ def best_next_log(answer: Answer, account: Account) -> NextLog:
     best = min(_score_by_interval(answer, name, model), key=lambda one: one.left, default=None)
     if best is None or best.left >= GAINS:
         raise InputError(
-            f"next: no input within the amplitude and the rate of this log's tells more of {name}."
+            f"next: no input within the amplitude and the rate of this log's narrows {name}."
             " Record with a larger or a faster one"
         )
     return best

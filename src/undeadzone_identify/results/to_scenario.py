@@ -88,7 +88,7 @@ def scenario_text(answers: Sequence[Answer], title: str) -> str:
     }
     remarks = list(dict.fromkeys(itertools.chain(*[answer.remarks for answer in answers])))
     if not driven:
-        remarks.append("fewer inputs than outputs: no controller follows references; for logs only")
+        remarks.append("fewer inputs than outputs: no controller follows references: for logs only")
     words["cautions"] = "".join(f"# {escape_controls(remark)}\n" for remark in remarks)
     template = files("undeadzone_identify.results").joinpath("scenario.toml")
     return fill_words(template.read_text(encoding="utf-8"), words)
@@ -141,7 +141,7 @@ def _gap_of_actuator(answer: Answer) -> str:
     """Return the lines of an actuator's play. Raise InputError without its gap or its plant."""
     gap = answer.width
     if gap is None or answer.element is None:
-        raise InputError("scenario: no plant that settles fits behind the play; record longer")
+        raise InputError("scenario: no plant that settles fits behind the play. Record longer")
     half = _to_toml(gap.value / 2)
     first_line = (
         f"right = {half}  # gap {gap.value:.6g}, 95 %: {_interval_remark([gap])}; even sides"
@@ -247,7 +247,7 @@ def _toml_numbers(values: Iterable[Any]) -> str:
 def _interval_remark(edges: Sequence[Interval]) -> str:
     """Return the 95 % intervals of all outputs, for a remark."""
     if all(edge.low == edge.high for edge in edges):
-        return "none: it is known, or so far away that it is no edge"
+        return "none: it is known, or so far away that no reading lies beyond it"
     return "; ".join(f"{edge.low:.6g} to {edge.high:.6g}" for edge in edges)
 
 

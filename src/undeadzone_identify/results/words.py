@@ -18,6 +18,7 @@ from undeadzone_identify.models.shape import SensorShape
 from undeadzone_identify.results.account import Account
 from undeadzone_identify.results.assemble import Answer
 from undeadzone_identify.results.formats import describe_ends, describe_interval, unit_suffix
+from undeadzone_identify.results.lines import rest_noise
 from undeadzone_identify.results.loop_words import loop_numbers, shape_in_words
 from undeadzone_identify.selection.decision import MODELS
 from undeadzone_identify.selection.odds import nats_behind_best
@@ -190,6 +191,7 @@ def answer_numbers(answer: Answer, account: Account) -> dict[str, Any]:
             "records": int(grid.start.size),
             "step": grid.step,
             "quantum": grid.quantum,
+            "rest_noise": rest_noise(answer),
         },
         "input_zero": grid.zero,
         "output_zero": answer.case.options.zero or None,

@@ -47,7 +47,7 @@ BEHIND = 5  # lags of the readings
 WIDER = (1.0, 1.06, 1.12, 1.18)  # times a fitted jump: steps that may be behind it
 AHEAD = np.exp(-1 / np.array([1.0, 3.0, 8.0]))  # poles of a lag ahead of the input's element
 VANISHING = 1e-6  # of a column: one that the model's own numbers explain
-NONE_EXPLAINS = "none of the known models explains this log"
+NONE_EXPLAINS = "no known model explains this log"
 SURE = 2.0  # deviations, from which a weight counts
 ALIKE = 1e-3  # of the largest singular value: columns that say the same
 DEPENDS = {
@@ -63,7 +63,7 @@ DEPENDS = {
     "rate of the input": "how fast the input changes",
     "rate of the output": "how fast the output changes",
     "time": "the time",
-    "steps": "where the output lies between equal steps",
+    "steps": "the place of the output between equal steps",
 }
 COARSE = {  # least share of models that are coarse themselves, by direction
     # It holds the plant by the sample, when it turns and where it rests.
@@ -72,31 +72,31 @@ COARSE = {  # least share of models that are coarse themselves, by direction
     "jump": dict.fromkeys(DEPENDS, 0.25) | {"behind": math.inf, "steps": 0.05},
 }
 SEEN = {
-    "input": "the input may act by a curve that is not known here; record steps to several levels"
+    "input": "the input may act by a curve that is not known here. Record steps to several levels"
     " of it, each held until the readings settle, and the curve can be read off",
-    "levels of the input": "the input may act in coarse steps, as behind a converter or a relay;"
-    " record what leaves it as the input",
-    "output": "the sensor may have a curve that is not known here; record slow ramps through its"
+    "levels of the input": "the input may act in coarse steps, as behind a converter or a relay."
+    " Record its output as the input",
+    "output": "the sensor may have a curve that is not known here. Record slow ramps through its"
     " whole range",
-    "turns of the input": "there may be play or sticking between the input and the plant; record"
+    "turns of the input": "there may be play or sticking between the input and the plant. Record"
     " slow triangles of the input, of several amplitudes",
-    "turns of the output": "there may be hysteresis behind the plant; record slow triangles of the"
+    "turns of the output": "there may be hysteresis behind the plant. Record slow triangles of the"
     " input, of several amplitudes",
-    "behind": "the sensor may smooth its readings; record them with its filter off",
-    "ahead": "a drive may delay the input ahead of its zone or curve; record what leaves"
-    " it as the input, or hold each level of the input until the readings settle",
+    "behind": "the sensor may smooth its readings. Record them with its filter off",
+    "ahead": "a drive may delay the input ahead of its zone or curve. Record its output as the "
+    "input, or hold each level of the input until the readings settle",
     "beside": "a part of the input may reach the plant beside its zone, or the zone may only be a"
-    " flatter piece of a curve; record steps to several levels of the input within and outside it,"
+    " flatter piece of a curve. Record steps to several levels of the input within and outside it,"
     " each held until the readings settle, and the curve can be read off",
-    "spring": "the plant may bend: a spring that stiffens, or an outlet whose flow is no line;"
-    " record with a smaller input",
-    "rate of the input": "the drive of the input may be limited in its rate; record with an input"
+    "spring": "the plant may bend: a spring that stiffens, or an outlet of nonlinear flow."
+    " Record with a smaller input",
+    "rate of the input": "the drive of the input may be limited in its rate. Record with an input"
     " that changes more slowly",
-    "rate of the output": "the sensor may be limited in its rate, or slower one way than the other;"
-    " record with an input that changes more slowly",
-    "steps": "the sensor may round its readings to coarse steps; record slow ramps through its"
+    "rate of the output": "the sensor may be limited in its rate, or slower one way than the other."
+    " Record with an input that changes more slowly",
+    "steps": "the sensor may round its readings to coarse steps. Record slow ramps through its"
     " whole range",
-    "time": "the plant or the sensor may drift; identify a shorter part of the log",
+    "time": "the plant or the sensor may drift. Identify a shorter part of the log",
 }
 
 
@@ -134,7 +134,7 @@ class Remainder(NamedTuple):
         """
         on = f"{DEPENDS[self.on]} ({100 * self.share:.0f} % of it, {describe_p_value(self.chance)})"
         seen = f"the residual of the best one, {model}, depends on {on}"
-        finding = f"{NONE_EXPLAINS}: {seen}; nothing is named"
+        finding = f"{NONE_EXPLAINS}: {seen}. Nothing is named"
         return finding, SEEN[self.on]
 
 

@@ -110,11 +110,11 @@ STORED = 3.0  # quanta of the readings, from which the least change is none of r
 AT_ONCE_POLE = math.exp(-1)  # of a sampled plant, whose time constant is a sample
 SAME_AT_ONCE = (
     f"{CANNOT_TELL} friction from a play of twice its level: the readings follow within a sample,"
-    " and then both are the same; if you know that it is a play, use --kind play"
+    " and then both are the same. If you know that it is a play, use --kind play"
 )
 BEYOND, LEAST_BEYOND = 3.0, 0.05  # rms beyond limits, over that of white noise, and over y's
 PASSES_LIMITS = (
-    f"{NONE_EXPLAINS}: readings exceed the fitted limits of the saturation; record slow ramps"
+    f"{NONE_EXPLAINS}: readings exceed the fitted limits of the saturation. Record slow ramps"
     " through the whole range"
 )
 ON_EACH = 0.05  # of the readings, that each of two levels has at least
@@ -454,7 +454,7 @@ def _describe_hidden_gap(rms: float) -> str:
     """Return the remark that a disturbance of a given rms ahead of a play hides its gap [y]."""
     return (
         f"a disturbance of rms {rms:.3g} moves z ahead of the play, and turns that no input"
-        " made hide the gap: no width is given; record with a larger input"
+        " made hide the gap: no width is given. Record with a larger input"
     )
 
 
@@ -475,12 +475,12 @@ def withhold_hidden_readings(case: Case, found: Findings) -> Findings:
     """
     seen = (
         f"the readings repeat, and else move by {find_stored_step(case):.3g} or more: a recorder"
-        " that stores changes only, or something that sticks; nothing is named"
+        " that stores changes only, or something that sticks. Nothing is named"
     )
     cure = "record every sample, with the dead band (exception, compression) of the recorder at 0"
     if is_switch(case):
-        seen = "the readings have two levels alone, as those of a switch; nothing is named"
-        cure = "record what the switch measures, with a sensor that reads it in between"
+        seen = "the readings have two levels alone, as those of a switch. Nothing is named"
+        cure = "record the signal ahead of the switch, with a sensor that reads it in between"
     return found.without_name("unclear", seen, cure)._replace(valve=None, friction=None)
 
 
@@ -768,7 +768,7 @@ def with_adequacy(case: Case, found: Findings) -> Findings:
     if remainder is not None:
         reasons = remainder.in_words(MODELS[word])
     elif fit is not None and linear is not None and _may_bend(word, linear, fit):
-        less = f"a plant that bends leaves less than {MODELS[word]}; nothing is named"
+        less = f"a plant that bends leaves less than {MODELS[word]}. Nothing is named"
         reasons = (f"{NONE_EXPLAINS}: {less}", SEEN["spring"])
     else:
         return _in_numbers(case, found._replace(remainders=remainders))
@@ -803,7 +803,7 @@ def _in_numbers(case: Case, found: Findings) -> Findings:
         return found
     description = one.model.in_words(one.theta, float(data.u_scale[0]), data.y_scale)
     if one.model.is_at_bound(one.theta):
-        seen = f"the best model is at the end of what it models: {description}; nothing is named"
+        seen = f"the best model is at the limit of its numbers: {description}. Nothing is named"
         return found._replace(verdict=build_verdict("unclear", seen, SEEN["input"]))
     if _may_be_neutral(one):
         reason = (
@@ -908,7 +908,7 @@ def without_needless(case: Case, found: Findings) -> Findings:
             rest = "the other all" if total < 0 else "but only by chance, perhaps, all"
             reason = (
                 f"{CANNOT_TELL} {MODELS[word]} from {MODELS[name]}: one predicts a sample better,"
-                f" {rest} that had no part in the fit; record for longer"
+                f" {rest} that had no part in the fit. Record for longer"
             )
             return found.without_name("undecided", reason)
         again = found._replace(denied=found.denied | {word}).add_models(case)
@@ -951,12 +951,21 @@ def held_out_residual(fit: FittedModel[Any], held_out: float) -> tuple[Floats, F
         fit: the model.
         held_out: share of the samples that are held out.
     """
+    theta, test = train_fit(fit, held_out)
+    return fit.squares.reading_residual(theta), test
+
+
+def train_fit(fit: FittedModel[Any], held_out: float) -> tuple[Floats, Flags]:
+    """Return the parameters of a fit to the training samples, and the held-out samples (N).
+
+    Args:
+        fit, held_out: as of `held_out_residual`.
+    """
     data = fit.squares.data
     train = training_samples(data, held_out)
     trained = LeastSquares(fit.model.along(data._replace(ok=data.ok & train, climbs=None)))
     top = best_maximum(trained, [fit.theta], fit.model.first, LONGEST)
-    theta = fit.theta if top is None else top.theta
-    return fit.squares.reading_residual(theta), data.ok & ~train
+    return fit.theta if top is None else top.theta, data.ok & ~train
 
 
 def _validate_servo(element: Element, gap: ServoGap, held_out: float) -> HeldOutScore:

@@ -60,13 +60,13 @@ CALM = 0.3  # of the readings' rms, that of held-out ones that hardly move
 GROWS = 10.0  # logarithm of what a pole does along the log, from which it is unstable
 UNSETTLED = (
     "the plant seems to integrate, or to ring longer than the record: its state at the start and"
-    " an offset or a sine cannot be separated; use --integrators 1 if it is the position of a"
-    " motor, or the like; else record for longer"
+    " an offset or a sine cannot be separated. Use --integrators 1 if it is the position of a"
+    " motor, or the like. Else record for longer"
 )
-CANNOT_TELL = "this record cannot tell"
+CANNOT_TELL = "this record cannot decide"
 TOO_SHORT = (
     "the plant does not settle within a record: the log is shorter than about six of its time"
-    " constants, and a slow pole beside an integrator looks like any curve; record for"
+    " constants, and a slow pole beside an integrator looks like any curve. Record for"
     " longer"
 )
 MODELS = {
@@ -275,7 +275,7 @@ def _verdict_at_range_ends(case: Case, word: str, odds: dict[str, float]) -> Ver
     if case.limited is not None and (word in LIMITED or (mostly and word in (*MEMORY, *CHAINED))):
         return build_verdict("saturation", f"{stick}, and limits explain all of them")
     if word in LIMITED and (mostly or clipped > UNLIKELY):
-        return build_verdict("saturation", f"{stick}; the odds are those of what lies between")
+        return build_verdict("saturation", f"{stick}. The odds are those of the parts between")
     if mostly and word in (*MEMORY, *CHAINED):
         return build_verdict(
             "undecided", f"most {stick}, and between them {MODELS[word]} is a guess"
@@ -360,7 +360,7 @@ def _verdict_without_zone(case: Case, odds: dict[str, float]) -> Verdict:
     if odds.get("none", 0.0) >= SURELY_NONE and chance > CONTRADICTED:
         return build_verdict("none", "readings need no zone, for the colour of their disturbance")
     tested = f"a zone explains more than chance does (p = {chance:.2g}), and no model of one is"
-    return build_verdict("undecided", f"{tested} likely; record for longer")
+    return build_verdict("undecided", f"{tested} likely. Record for longer")
 
 
 def _find_unclear(case: Case, word: str, best: Density, fits: Fits) -> Verdict | None:
@@ -376,7 +376,7 @@ def _find_unclear(case: Case, word: str, best: Density, fits: Fits) -> Verdict |
         changes = f", and {100 * within:.0f} % of all: it changes, or another input acts"
         others = chosen.error / max(1 - chosen.share, 1e-12)
         if others < CALM * float(data.y[data.ok].std()):  # as after a single step
-            changes = ", which hardly move: nothing tests a fit; record several steps up and down,"
+            changes = ", which hardly move: nothing tests a fit. Record several steps up and down,"
             changes += " each held until the readings settle"
         unstable = _describe_instability(case) if within <= LEAST else None
         if unstable is not None:
@@ -433,7 +433,7 @@ def withdraw_zone_with_offset(verdict: Verdict, fit: ZoneFit) -> Verdict:
         value = offset * fit.objective.data.y_scale
         reason = (
             f"the readings inside the zone lie about {value:.4g}, not 0: a constant offset behind"
-            f" the zone; take it away by --zero {value:.4g}"
+            f" the zone. Take it away by --zero {value:.4g}"
         )
         return build_verdict("other", reason)
     return verdict

@@ -28,8 +28,8 @@ POINTS = 8  # of a profile, on each side of the edge
 STEPS = 10  # of each climb of a profile
 SINGULAR = 20.0  # ratio of half intervals, from which the Hessian of the wider one is singular
 APART = (
-    "fits of single samples and of the filter disagree: the plant or what disturbs it does not fit;"
-    " the intervals are widened by the difference"
+    "fits of single samples and of the filter disagree: the plant or its disturbance does not fit."
+    " The intervals are widened by the difference"
 )
 SIDES = ("right", "left")
 REACH = 4.0  # usual half intervals, within which its ends are sought
