@@ -93,14 +93,14 @@ _TABLE: Final = tuple(
             8.0,
         ),
         (
-            r"measured|sensor|\bcell\b|\badc|feedback|\bfb\b|reading|\bhx\b|response|\bist\b"
+            r"measured|sensor|infrared|ultrasonic|sonar\b|\bcell\b|\badc|feedback|\bfb\b|reading|\bhx\b|response|\bist\b"
             r"|\braw\b(?! d)|\bcode\b|observ|mesur|gemessen",
             "",
             -12.0,
         ),
         (
-            r"pwm|volt|spannung|tension|duty|throttle|joystick|pulse|guide distance|valve|ventil"
-            r"|vanne|heater|heiz|chauff|pump|\bfan\b|\bdac\b|stick\b|drive\b",
+            r"pwm|steer|volt|spannung|tension|duty|throttle|joystick|pulse|guide distance|valve"
+            r"|ventil|vanne|heater|heiz|chauff|pump|\bfan\b|\bdac\b|stick\b|drive\b",
             "drive",
             14.0,
         ),
@@ -129,6 +129,7 @@ _TABLE: Final = tuple(
             "force",
             4.0,
         ),
+        (r"\bconc\b|concentration|\bpp[mb]\b", "", REFERENCE),
         (r"\bmot(or)?\b|\btheta m\b", "position", 6.0),
         (
             r"\bpos|position|angle|winkel|encoder|\benc\b|theta|\bphi\b|^q( \d+)?$|distance|height|"

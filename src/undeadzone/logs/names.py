@@ -34,11 +34,14 @@ from undeadzone.util.arrays import Floats
 DATES: Final = ("date", "datum", "fecha", "day")  # beside a column of times of day
 # Pairs of an input and a reading that are met more often than others, and by how much [rank].
 PAIRS: Final = {("goal", "position"): 0.3, ("drive", "speed"): 0.2, ("position", "force"): 13.0}
-# What a pair of columns adds to the difference of their ranks: common words, what one explains of
-# the other, values that last in the input, changes that come first, its place in the file.
-ALIKE, EXPLAINED, LASTING, EARLIER, AHEAD = 1.0, 0.5, 0.4, 0.3, 0.1
+EVEN: Final = 1e-3  # of the range, up to which a column rests or runs evenly
+LEAST: Final = 0.3  # how well a pair fits at least, that names alone may choose
+FIRST: Final = 0.05  # what an input gains that stands ahead of its reading
 COPY: Final = 1 - 1e-9  # correlation of a column with its copy
-LAGS: Final = range(1, 4)  # samples, by which a reading may follow its input
+SUM: Final = 0.999  # and of its changes with what it adds up
+USED: Final = (0.005, 0.995)  # quantiles of a column beyond which values are cut
+LAGS: Final = 5  # samples of the past
+RIDGE: Final = 1e-6  # of a mean square
 USUAL: Final = {"y": ("y", "output", "measured"), "u": ("u", "input", "command")}
 INDEXED: Final = re.compile(r"(?s)^(.*?)[\[_(]?(\d*)[\])]?$")
 _PLAIN: Final = re.compile(r"[\w .\[\]()/%°#:+*-]+")  # names that an option may hold as they are
@@ -80,6 +83,7 @@ class Layout(NamedTuple):
         reference: number of the column of the reference; None: there is none, or it is not needed.
         is_certain: whether names without doubt or the user decided.
         unused: names of other columns, for messages.
+        next_text: the pair of columns that would be next, as `columns_text`; "" if there is none.
     """
 
     time: int | None
@@ -93,6 +97,7 @@ class Layout(NamedTuple):
     reference: int | None = None
     is_certain: bool = True
     unused: str = ""
+    next_text: str = ""
 
     @property
     def has_current(self) -> bool:
@@ -171,12 +176,12 @@ def layout_of_titles(
         values = np.where(np.isfinite(values).any(axis=0), values, 0.0)
     header = _Header(titles, chosen, source, values, values is not None and p is m is None)
     time = header.find_time_column()
-    y, u = header.find_signals(time, p, m)
+    y, u, after = header.find_signals(time, p, m)
     r = []
     if m is None:
         u = u + ([] if _of_signal(chosen, "u") else header.drive_of_servo(y, u))
         r = header.find_reference([*time, *y, *u], y[0])
-    return header.layout({"t": time, "y": y, "u": u, "r": r})
+    return header.layout({"t": time, "y": y, "u": u, "r": r}, {"t": time} | after)
 
 
 def layout_of_numbers(
@@ -229,11 +234,12 @@ class _Header(NamedTuple):
         """Return what each column may hold, by its name and unit (K)."""
         return [kind_of(*title) for title in self.titles]
 
-    def layout(self, roles: Mapping[str, Sequence[int]]) -> Layout:
+    def layout(self, roles: Mapping[str, list[int]], after: Mapping[str, list[int]]) -> Layout:
         """Return a layout, once no column is used twice and the unit of time is known.
 
         Args:
             roles: columns of t, y, u and r.
+            after: those that would be next.
         """
         used = list(itertools.chain.from_iterable(roles.values()))
         for column in used:
@@ -244,12 +250,6 @@ class _Header(NamedTuple):
         dated = [k for k, title in enumerate(self.titles) if title.name.lower() in DATES]
         titles = [add_unit(self.titles[k]) for k in (*y, *u)]
         certain = all(abs(rank_of(title)) == EXACT for title in titles)
-        parts = []
-        for key, columns in roles.items():
-            keys = [f"{key}[{i}]" for i in range(len(columns))] if columns[1:] else [key]
-            parts += [
-                f"{one}={self.printed_name(k)}" for one, k in zip(keys, columns, strict=False)
-            ]
         left = [title for k, title in enumerate(self.titles) if k not in used and title.name]
         return Layout(
             time[0] if time else None,
@@ -259,11 +259,25 @@ class _Header(NamedTuple):
             _seconds(self.titles[time[0]], self.source) if time else 1.0,
             titles[: len(y)],
             titles[len(y) :],
-            ",".join(parts),
+            self.option(roles),
             r[0] if r else None,
             certain or bool(_of_signal(self.chosen, "y")),
             _list_columns(left),
+            self.option(after) if "y" in after else "",
         )
+
+    def option(self, roles: Mapping[str, list[int]]) -> str:
+        """Return columns as the text of `parse_columns`.
+
+        Args:
+            roles: columns of t, y, u and r.
+        """
+        parts = []
+        for key, columns in roles.items():
+            keys = [f"{key}[{i}]" for i in range(len(columns))] if columns[1:] else [key]
+            names = map(self.printed_name, columns)
+            parts += [f"{one}={name}" for one, name in zip(keys, names, strict=False)]
+        return ",".join(parts)
 
     def printed_name(self, k: int) -> str:
         """Return the name of a column in the form of an option, else its number (from 1)."""
@@ -306,8 +320,8 @@ class _Header(NamedTuple):
 
     def find_signals(
         self, time: list[int], p: int | None, m: int | None
-    ) -> tuple[list[int], list[int]]:
-        """Return the numbers of the columns of readings and of inputs. Raises FileError.
+    ) -> tuple[list[int], list[int], dict[str, list[int]]]:
+        """Return the columns of readings, of inputs, and the next pair by signal. Raises FileError.
 
         Args:
             time: number of the column of times.
@@ -322,7 +336,9 @@ class _Header(NamedTuple):
             for out in (np.ptp(np.nan_to_num(self.values), axis=0) == 0, counts):
                 fewer = free & (~out | (np.abs(ranks) >= EXACT))
                 free = fewer if fewer.sum() + len(y + u) > 1 else free
-        scores = ranks[:, None] - ranks + self.likeness() + self.behaviour(bool(time))
+        fits = self.behaviour(bool(time))
+        names = np.subtract.outer(ranks, ranks) * np.where(fits < LEAST, 0.5, 1.0)
+        scores = names + self.likeness() + fits
         every = np.arange(ranks.size)
         rows = np.isin(every, u[:1]) if u else free
         columns = np.isin(every, y[:1]) if y else free
@@ -337,8 +353,14 @@ class _Header(NamedTuple):
                 if is_tie and abs(ranks[k]) >= EXACT:
                     self.group(signal, k, p if signal == "y" else m)
                 raise self.require_name(signal)
-        y = y or self.group("y", j, p)
-        return y, u or self.group("u", i, m)
+        scores[i, j] = -np.inf
+        after = np.unravel_index(np.argmax(scores), scores.shape)
+        pair = {
+            key: [int(k)]
+            for key, k in zip("yu", after[::-1], strict=True)
+            if scores.max() > -np.inf
+        }
+        return y or self.group("y", j, p), u or self.group("u", i, m), pair
 
     def ranks(self, given: list[int]) -> Floats:
         """Return the rank of each column (K), by its name and by the names of its neighbours."""
@@ -357,32 +379,35 @@ class _Header(NamedTuple):
         words = [{*split_words(title.name).split(" ")} for title in self.titles]
         common = [[len(one & other) / len(one | other) for other in words] for one in words]
         pairs = [[PAIRS.get((one, other), 0.0) for other in self.kinds] for one in self.kinds]
-        return ALIKE * np.array(common) + np.array(pairs)
+        return np.array(common) + np.array(pairs)
 
     def behaviour(self, has_times: bool) -> Floats:
         """Return how well what the columns do fits an input (row) and a reading (K x K).
 
-        No change has a cause before it in a table of rests, and no column is caused by its copy.
+        An input explains its reading, at once or by its past, and moves by itself: it rests or
+        runs evenly. Nothing is caused by its copy, or by what adds it up.
 
         Args:
-            has_times: whether there are times.
+            has_times: whether there are times; without them a table of rests has no past.
         """
         if self.values is None or not self.is_open:
-            return np.zeros((len(self.titles), len(self.titles)))
-        levels = np.nan_to_num(self.values - np.nanmean(self.values, axis=0))
-        changes = np.diff(levels, axis=0, prepend=levels[:1])
-        lasting = np.mean(changes == 0, axis=0)
-        x, dx = (part / np.fmax(part.std(axis=0), 1e-150) for part in (levels, changes))
-        after = np.mean([(dx[:-k].T @ dx[k:] / len(x)) ** 2 for k in LAGS], axis=0)
-        moves = LASTING * np.subtract.outer(lasting, lasting)
-        moves += EARLIER * (after - after.T) / (after + after.T + 1e-3)
-        alike = np.abs(x.T @ x) / len(x)
-        is_log = has_times or len(x) >= TABLE
-        return (
-            EXPLAINED * alike * (alike < COPY)
-            + is_log * moves
-            + AHEAD * np.triu(np.ones_like(after))
-        )
+            return np.ones((len(self.titles), len(self.titles)))
+        x = _scaled(self.values)
+        even = np.mean(np.abs(np.diff(x, 2, axis=0)) <= EVEN * np.ptp(x, axis=0), axis=0)
+        fits = np.abs(x.T @ x) / len(x)
+        fits *= fits < COPY
+        if has_times or len(x) >= TABLE:
+            past = _gains_by_past(x)
+            turns = _scaled(np.sign(x[LAGS:] - x[:-LAGS]))
+            fits = np.fmax(fits, np.abs(turns.T @ x[LAGS:]) / len(x))
+            sums = np.abs(_scaled(x[1:]).T @ _scaled(np.diff(self.values, axis=0))) / len(x)
+            adds = sums > SUM
+            fits = (
+                np.fmax(fits, past)
+                * (1 + past - past.T)
+                * ~(adds | adds.T | adds.any(axis=0)[:, None])
+            )
+        return fits * (1 + np.subtract.outer(even, even)) + FIRST * np.triu(np.ones_like(fits))
 
     def columns_named(self, signal: str, count: int | None) -> list[int]:
         """Return the columns that the user names for y or u. Raises InputError if one lacks."""
@@ -477,6 +502,39 @@ class _Header(NamedTuple):
             if near:
                 return f". Did you mean {lower[near[0]]!r}?"
         return ""
+
+
+def _scaled(values: Floats) -> Floats:
+    """Return columns (N x K) about their means with rms 1, the few values beyond the rest cut."""
+    x = np.nan_to_num(values - np.nanmean(values, axis=0))
+    ends = np.quantile(x, USED, axis=0)
+    x = np.where(np.ptp(ends, axis=0) > 0, np.clip(x, *ends), x)
+    spread = x.std(axis=0)
+    moves = spread > (1 - COPY) * np.nanmax(np.abs(values), axis=0)
+    return np.where(moves, x, 0.0) / np.where(moves, spread, 1.0)
+
+
+def _gains_by_past(x: Floats) -> Floats:
+    """Return how much of the error of the own forecast of a column (K) the past of others (row)
+    saves, each half forecast by what the other half teaches (K x K). [granger1969]
+
+    Args:
+        x: columns about their means (N x K).
+    """
+    size, count = x.shape
+    lagged = np.hstack([x[LAGS - k : size - k] for k in range(LAGS + 1)])
+    products = [half.T @ half for half in np.array_split(lagged, 2)]
+    now = np.arange(count)
+    past = now[:, None] + count * np.arange(1, LAGS + 1)
+    used = np.concatenate(np.broadcast_arrays(past[:, None], past), axis=2)
+    squares = (used[..., None], used[..., None, :])
+    errors = np.zeros((count, count))
+    for taught, asked in (products, products[::-1]):
+        inner = taught[squares] + RIDGE * size * np.eye(2 * LAGS)
+        weights = np.linalg.solve(inner, taught[used, now[:, None]][..., None])[..., 0]
+        spread = np.einsum("ijk,ijkl,ijl->ij", weights, asked[squares], weights)
+        errors += asked[now, now] - 2 * (weights * asked[used, now[:, None]]).sum(axis=2) + spread
+    return np.clip(1 - (errors + RIDGE) / (np.diagonal(errors) + RIDGE), 0, 1)
 
 
 def _seconds(title: Title, source: str) -> float | None:

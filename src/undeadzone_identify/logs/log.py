@@ -257,7 +257,8 @@ def log_from_samples(samples: Samples, layout: Layout, source: str, strict: bool
     units = {title.unit or "1" for title in driving}
     remarks = [f"{source}: {count} {what}" for count, what in mended if count]
     if layout.reference is not None or not layout.is_certain:
-        rest = f", not {layout.unused}" if layout.unused else ""
+        rest = f"; next best: {layout.next_text}" if layout.next_text else ""
+        rest += f", not {layout.unused}" if layout.unused else ""
         remarks.insert(0, f'{source}: read as --columns "{layout.columns_text}"{rest}')
     return Log(
         samples.t,
