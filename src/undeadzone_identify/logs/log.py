@@ -6,7 +6,9 @@ Nothing in a file is ever executed.
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeVar, get_args, get_type_hints
 
 import msgspec
@@ -18,14 +20,16 @@ from undeadzone.logs.names import Layout, parse_columns
 from undeadzone.logs.samples import (
     MOST_UNREADABLE,
     REPEATED,
+    Faults,
     Samples,
     count_in_words,
     require_increasing,
     without_repeats,
 )
-from undeadzone.logs.whole import read_whole, samples_of_arrays
+from undeadzone.logs.whole import BINARY, WholeLog, read_whole, samples_of, samples_of_arrays
 from undeadzone.util.arrays import Floats
 from undeadzone.util.files import LARGEST_TABLE
+from undeadzone_identify.logs.tables import Arrays, read_long_table, read_parquet
 
 T = TypeVar("T", int, float)
 
@@ -343,7 +347,7 @@ def read_log(source: Any, columns: str | None = None, strict: bool = False) -> L
     Raises:
         FileError: the fault, with file and line if there are any.
     """
-    read = read_whole(source, None, None, parse_columns(columns), strict, LARGEST_TABLE)
+    read = _read_whole(source, parse_columns(columns), strict)
     samples, name, faults, remarks = read.samples, read.source, read.faults, list[str]()
     if read.layout is None or not samples.t.size:
         raise FileError(f"{name}: holds no samples")
@@ -351,13 +355,39 @@ def read_log(source: Any, columns: str | None = None, strict: bool = False) -> L
         remarks.append(f"{name}: {count_in_words(read.ahead)} ahead of the header skipped")
     if faults.unreadable:
         lines = f"{name}: {count_in_words(faults.unreadable)}"
-        if faults.unreadable > MOST_UNREADABLE * samples.t.size:
-            raise FileError(f"{lines} of {samples.t.size} cannot be read; {faults.why}")
         remarks.append(f"{lines} cannot be read and count as missing; {faults.why}")
         some = np.isfinite(np.column_stack([samples.t, samples.y, samples.u])).any(axis=1)
         samples = samples.select_rows(some)
     log = log_from_samples(samples, read.layout, name, strict)
     return log._replace(remarks=(*log.remarks, *remarks))
+
+
+def _read_whole(source: Any, chosen: dict[str, str], strict: bool) -> WholeLog:
+    """Read all samples: of a table of signals, else of one with a line for each value.
+
+    Raises FileError.
+    """
+    path = Path(source) if isinstance(source, str | os.PathLike) else None
+    if path and path.suffix.lower() == ".parquet":
+        return _whole_of_arrays(path, read_parquet(path), chosen)
+    try:
+        read = read_whole(source, None, None, chosen, strict, LARGEST_TABLE)
+        bad, count = read.faults.unreadable, read.samples.t.size
+        if bad > MOST_UNREADABLE * count:
+            lines = f"{read.source}: {count_in_words(bad)} of {count} cannot be read"
+            raise FileError(f"{lines}; {read.faults.why}")
+    except FileError:
+        arrays = read_long_table(path) if path and path.suffix.lower() not in BINARY else None
+        if arrays is None:
+            raise
+        read = _whole_of_arrays(path, arrays, chosen)
+    return read
+
+
+def _whole_of_arrays(path: Path, arrays: Arrays, chosen: dict[str, str]) -> WholeLog:
+    """Return the samples of arrays from a file."""
+    name = str(path)
+    return WholeLog(name, *samples_of(arrays, None, None, chosen, name), Faults(name, False))
 
 
 def log_from_arrays(t: Any, u: Any, y: Any, r: Any = None) -> Log:
