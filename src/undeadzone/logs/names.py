@@ -40,6 +40,8 @@ FIRST: Final = 0.05  # what an input gains that stands ahead of its reading
 COPY: Final = 1 - 1e-9  # correlation of a column with its copy
 SUM: Final = 0.999  # and of its changes with what it adds up
 USED: Final = (0.005, 0.995)  # quantiles of a column beyond which values are cut
+SINCE_2001: Final = 1e9  # [s] since 1970
+UNEVEN: Final = 0.02  # share of the steps of a clock that are longer or shorter by one
 LAGS: Final = 5  # samples of the past
 RIDGE: Final = 1e-6  # of a mean square
 USUAL: Final = {"y": ("y", "output", "measured"), "u": ("u", "input", "command")}
@@ -256,7 +258,7 @@ class _Header(NamedTuple):
             next((k for k in dated if time and k not in used), None),
             list(y),
             list(u),
-            _seconds(self.titles[time[0]], self.source) if time else 1.0,
+            self.seconds(time[0]) if time else 1.0,
             titles[: len(y)],
             titles[len(y) :],
             self.option(roles),
@@ -278,6 +280,21 @@ class _Header(NamedTuple):
             names = map(self.printed_name, columns)
             parts += [f"{one}={name}" for one, name in zip(keys, names, strict=False)]
         return ",".join(parts)
+
+    def seconds(self, k: int) -> float | None:
+        """Return the length of a unit of time [s]; None if it counts samples. Raises FileError.
+
+        Whole numbers without a unit, unevenly apart, are the milliseconds of a microcontroller.
+        """
+        title = self.titles[k]
+        unit = _seconds(title, self.source)
+        if unit != 1.0 or self.values is None or add_unit(title).unit:
+            return unit
+        steps = np.diff(self.values[:, k])
+        usual = np.median(steps[steps > 0]) if (steps > 0).any() else 0.0
+        is_whole = not (steps % 1).any() and np.abs(self.values[:, k]).max() < SINCE_2001
+        uneven = np.mean(np.abs(steps - usual) == 1) > UNEVEN
+        return 1e-3 if is_whole and uneven and usual > 1 else unit
 
     def printed_name(self, k: int) -> str:
         """Return the name of a column in the form of an option, else its number (from 1)."""

@@ -35,6 +35,7 @@ T = TypeVar("T", int, float)
 
 MOST_POLES = 8
 MOST_LATE = 1000  # samples
+FEWEST_STALE = 5  # first readings of one value, that may be stale
 SESSIONS = 1000.0  # usual steps that are put between two sessions of one file
 AT_ONCE = "-1"  # delay of a recording whose readings answer to the input of their own row
 
@@ -245,6 +246,8 @@ def log_from_samples(samples: Samples, layout: Layout, source: str, strict: bool
     mended = [(repeated, "samples have the time of the one before, and are left out")]
     if not strict:
         samples = _mend_times(_hold_inputs(samples, mended), mended)
+        if kind_of(*layout.reading_titles[0]) == "speed":
+            samples = _drop_stale(samples, mended)
     require_increasing(samples, source)
     outputs = tuple(title.name for title in layout.reading_titles)
     inputs = tuple(title.name for title in layout.input_titles)
@@ -294,6 +297,24 @@ def _hold_inputs(samples: Samples, mended: list[tuple[int, str]]) -> Samples:
     u = np.take_along_axis(samples.u, last, axis=0)
     begun = (np.isfinite(u) | ~known.any(axis=0)).all(axis=1)
     return samples._replace(u=u).select_rows(begun)
+
+
+def _drop_stale(samples: Samples, mended: list[tuple[int, str]]) -> Samples:
+    """Return samples without the first ones, if a speed stands at a value never met again there.
+
+    Args:
+        samples: of the log, whose input moves meanwhile.
+        mended: counts of changes, with words, to which others are added.
+    """
+    y = samples.y[:, 0]
+    count = int(np.argmax(y != y[0]))
+    is_stale = count >= FEWEST_STALE and y[0] != 0 and not (y[count:] == y[0]).any()
+    if not is_stale or not np.ptp(samples.u[:count], axis=0).any():
+        return samples
+    mended.append(
+        (count, f"readings of {y[0]:g} ahead of the first change are stale, and left out")
+    )
+    return samples.select_rows(slice(count, None))
 
 
 def _mend_times(samples: Samples, mended: list[tuple[int, str]]) -> Samples:
