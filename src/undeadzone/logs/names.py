@@ -29,7 +29,7 @@ from undeadzone.logs.kinds import (
     split_words,
     time_rank,
 )
-from undeadzone.util.arrays import Floats
+from undeadzone.util.arrays import Floats, Integers
 
 DATES: Final = ("date", "datum", "fecha", "day")  # beside a column of times of day
 # Pairs of an input and a reading that are met more often than others, and by how much [rank].
@@ -42,7 +42,7 @@ SUM: Final = 0.999  # and of its changes with what it adds up
 USED: Final = (0.005, 0.995)  # quantiles of a column beyond which values are cut
 SINCE_2001: Final = 1e9  # [s] since 1970
 UNEVEN: Final = 0.02  # share of the steps of a clock that are longer or shorter by one
-LAGS: Final = 5  # samples of the past
+PAST: Final = 16  # the part of a log that counts as the past of a sample: at least one of these
 RIDGE: Final = 1e-6  # of a mean square
 USUAL: Final = {"y": ("y", "output", "measured"), "u": ("u", "input", "command")}
 INDEXED: Final = re.compile(r"(?s)^(.*?)[\[_(]?(\d*)[\])]?$")
@@ -395,7 +395,8 @@ class _Header(NamedTuple):
         """Return how well names and kinds of an input (row) and a reading fit (K x K)."""
         words = [{*split_words(title.name).split(" ")} for title in self.titles]
         common = [[len(one & other) / len(one | other) for other in words] for one in words]
-        pairs = [[PAIRS.get((one, other), 0.0) for other in self.kinds] for one in self.kinds]
+        kinds = self.kinds
+        pairs = [[PAIRS.get((one, other), 0.0) for other in kinds] for one in kinds]
         return np.array(common) + np.array(pairs)
 
     def behaviour(self, has_times: bool) -> Floats:
@@ -412,19 +413,14 @@ class _Header(NamedTuple):
         x = _scaled(self.values)
         even = np.mean(np.abs(np.diff(x, 2, axis=0)) <= EVEN * np.ptp(x, axis=0), axis=0)
         fits = np.abs(x.T @ x) / len(x)
-        fits *= fits < COPY
+        derived = fits > COPY
         if has_times or len(x) >= TABLE:
-            past = _gains_by_past(x)
-            turns = _scaled(np.sign(x[LAGS:] - x[:-LAGS]))
-            fits = np.fmax(fits, np.abs(turns.T @ x[LAGS:]) / len(x))
-            sums = np.abs(_scaled(x[1:]).T @ _scaled(np.diff(self.values, axis=0))) / len(x)
-            adds = sums > SUM
-            fits = (
-                np.fmax(fits, past)
-                * (1 + past - past.T)
-                * ~(adds | adds.T | adds.any(axis=0)[:, None])
-            )
-        return fits * (1 + np.subtract.outer(even, even)) + FIRST * np.triu(np.ones_like(fits))
+            at_all, gains = _explained(x)
+            sums = np.abs(_scaled(x[1:]).T @ _scaled(np.diff(self.values, axis=0))) / len(x) > SUM
+            derived |= sums | sums.T | sums.any(axis=0)[:, None]
+            fits = np.maximum.reduce([fits, at_all, gains]) * (1 + gains) * (1 - gains.max(axis=0))[:, None]
+        fits = np.where(derived, 0.0, fits * (1 + np.subtract.outer(even, even)))
+        return fits + FIRST * np.triu(np.ones_like(fits))
 
     def columns_named(self, signal: str, count: int | None) -> list[int]:
         """Return the columns that the user names for y or u. Raises InputError if one lacks."""
@@ -531,27 +527,48 @@ def _scaled(values: Floats) -> Floats:
     return np.where(moves, x, 0.0) / np.where(moves, spread, 1.0)
 
 
-def _gains_by_past(x: Floats) -> Floats:
-    """Return how much of the error of the own forecast of a column (K) the past of others (row)
-    saves, each half forecast by what the other half teaches (K x K). [granger1969]
+def _explained(x: Floats) -> tuple[Floats, Floats]:
+    """Return how well columns (row) explain others: by their present and past (a correlation), and
+    how much of the error of another's own forecast their past saves [granger1969] (K x K).
+
+    Each half is explained by what the other half teaches. The past is means over 1, 2, 4, ...
+    samples.
 
     Args:
         x: columns about their means (N x K).
     """
     size, count = x.shape
-    lagged = np.hstack([x[LAGS - k : size - k] for k in range(LAGS + 1)])
-    products = [half.T @ half for half in np.array_split(lagged, 2)]
-    now = np.arange(count)
-    past = now[:, None] + count * np.arange(1, LAGS + 1)
-    used = np.concatenate(np.broadcast_arrays(past[:, None], past), axis=2)
-    squares = (used[..., None], used[..., None, :])
-    errors = np.zeros((count, count))
+    sums = np.cumsum(np.pad(x, ((1, 0), (0, 0))), axis=0)
+    ends = np.append(0, 2 ** np.arange(int(np.log2(size / PAST)) + 1))
+    now = np.arange(ends[-1], size) + 1
+    means = [(sums[now - a] - sums[now - b]) / (b - a) for a, b in itertools.pairwise(ends)]
+    products = [half.T @ half for half in np.array_split(np.hstack(means), 2)]
+    of = np.arange(count)[:, None] + count * np.arange(len(means))
+    power, alone, own, both = np.zeros((4, count, count))
     for taught, asked in (products, products[::-1]):
-        inner = taught[squares] + RIDGE * size * np.eye(2 * LAGS)
-        weights = np.linalg.solve(inner, taught[used, now[:, None]][..., None])[..., 0]
-        spread = np.einsum("ijk,ijkl,ijl->ij", weights, asked[squares], weights)
-        errors += asked[now, now] - 2 * (weights * asked[used, now[:, None]]).sum(axis=2) + spread
-    return np.clip(1 - (errors + RIDGE) / (np.diagonal(errors) + RIDGE), 0, 1)
+        for j in range(count):
+            power[:, j] += asked[j, j]
+            alone[:, j] += _errors(taught, asked, of, j)
+            pair = np.hstack([of[:, 1:], np.broadcast_to(of[j, 1:], (count, len(means) - 1))])
+            both[:, j] += _errors(taught, asked, pair, j)
+    own[:] = np.diagonal(both)
+    share = np.clip(1 - (alone + RIDGE) / (power + RIDGE), 0, 1)
+    return np.sqrt(share), np.clip(1 - (both + RIDGE) / (own + RIDGE), 0, 1)
+
+
+def _errors(taught: Floats, asked: Floats, used: Integers, j: int) -> Floats:
+    """Return the squared errors of a signal from others by weights of the other half (K).
+
+    Args:
+        taught, asked: products of all signals, of the half that teaches and the one that is asked.
+        used: signals that explain it, for each of K choices (K x P).
+        j: the signal.
+    """
+    squares = (used[:, :, None], used[:, None])
+    inner = taught[squares] + RIDGE * np.trace(taught) / len(taught) * np.eye(used.shape[1])
+    weights = np.linalg.solve(inner, taught[used, j][..., None])[..., 0]
+    spread = np.einsum("ik,ikl,il->i", weights, asked[squares], weights)
+    return np.asarray(asked[j, j] - 2 * (weights * asked[used, j]).sum(axis=1) + spread)
 
 
 def _seconds(title: Title, source: str) -> float | None:
