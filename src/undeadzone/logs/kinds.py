@@ -45,6 +45,7 @@ _WITH_UNIT: Final = re.compile(
 )
 _WORDS: Final = re.compile(r"[A-Z]+(?![a-zµμ])|[A-ZÀ-Þ]?[^\W\d_A-Z]+|[A-Z]+|\d+|[°%]")
 
+JITTER: Final = 0.01  # of a step, by which those of a clock differ, and the share that does
 TABLE: Final = 160  # rows that someone has written down, at most
 EXACT: Final = 20.0  # rank of names without doubt
 REFERENCE: Final = 10.0  # rank of what a loop follows, which drives no plant by itself
@@ -118,7 +119,7 @@ _TABLE: Final = tuple(
             "",
             -8.0,
         ),
-        (r"displacement|\bhub\b|\bweg\b|course|plunger", "position", 6.0),
+        (r"displac|\bhub\b|\bweg\b|course|plunger", "position", 6.0),
         (
             r"load (pos|ang|enc)\w*|joint|\blink|\baxis|\bstar\b|camera|\bdial|\bscale\b|wheel",
             "position",
@@ -133,7 +134,7 @@ _TABLE: Final = tuple(
         (r"\bmot(or)?\b|\btheta m\b", "position", 6.0),
         (
             r"\bpos|position|angle|winkel|encoder|\benc\b|theta|\bphi\b|^q( \d+)?$|distance|height|"
-            r"tilt|lage\b|stellung|auslenk|pitch|roll\b|yaw|ticks|state|"
+            r"tilt|lage\b|stellung|auslenk|pitch|roll\b|yaw|ticks|^obs\w* state|"
             r"\[(deg|rad|mrad|°|mm|cm|m|in|um|µm|px|ticks|counts|arcsec|arcmin)\]",
             "position",
             -8.0,
@@ -219,6 +220,7 @@ def increases_evenly(values: Floats) -> bool:
     Args:
         values: of a column (N).
     """
+    values = values[np.isfinite(values)]
     between = np.diff(values)
     is_rising = between.size > 1 and values[0] >= 0 and np.mean(between > 0) > 0.98
     return bool(
@@ -234,3 +236,9 @@ def is_regular_time(values: Floats) -> bool:
     """
     counts = bool((np.diff(values) == 1).all()) and values[0] in (0, 1)
     return increases_evenly(values) and not counts
+
+
+def ticks_unevenly(values: Floats) -> bool:
+    """Return whether many steps of a column (N) differ a little, as those of a clock do."""
+    between = np.diff(values[np.isfinite(values)])
+    return bool(np.mean(np.abs(between / np.median(between) - 1) > JITTER) > JITTER)

@@ -27,6 +27,7 @@ from undeadzone.logs.kinds import (
     rank_of,
     split_unit,
     split_words,
+    ticks_unevenly,
     time_rank,
 )
 from undeadzone.util.arrays import Floats, Integers
@@ -41,7 +42,7 @@ COPY: Final = 1 - 1e-9  # correlation of a column with its copy
 SUM: Final = 0.999  # and of its changes with what it adds up
 USED: Final = (0.005, 0.995)  # quantiles of a column beyond which values are cut
 SINCE_2001: Final = 1e9  # [s] since 1970
-UNEVEN: Final = 0.02  # share of the steps of a clock that are longer or shorter by one
+UNEVEN: Final = 0.005  # share of the steps of a clock that are longer or shorter by one
 PAST: Final = 16  # the part of a log that counts as the past of a sample: at least one of these
 RIDGE: Final = 1e-6  # of a mean square
 USUAL: Final = {"y": ("y", "output", "measured"), "u": ("u", "input", "command")}
@@ -328,8 +329,12 @@ class _Header(NamedTuple):
             rising = np.mean(np.diff(self.values, axis=0) >= 0, axis=0) > 0.9
             best = best[rising[best]] if rising[best].any() else best[:1]
             unknown = [k for k, one in enumerate(self.titles) if not (rank_of(one) or one.unit)]
-            if not best.size and len(self.titles) > 2:
-                best = np.array([k for k in unknown if is_regular_time(self.values[:, k])], int)
+            if not best.size:
+                regular = [k for k in unknown if is_regular_time(self.values[:, k])]
+                if len(self.titles) == 2:  # of which one may be a command
+                    long = len(self.values) >= TABLE
+                    regular = [k for k in regular if long and ticks_unevenly(self.values[:, k])]
+                best = np.array(regular, int)
         if best.size > 1 and not self.is_open:
             many = f"several columns are named {self.titles[best[0]].name!r}"
             raise FileError(f'{self.source}: {many}; columns="t=NUMBER"')
@@ -418,7 +423,11 @@ class _Header(NamedTuple):
             at_all, gains = _explained(x)
             sums = np.abs(_scaled(x[1:]).T @ _scaled(np.diff(self.values, axis=0))) / len(x) > SUM
             derived |= sums | sums.T | sums.any(axis=0)[:, None]
-            fits = np.maximum.reduce([fits, at_all, gains]) * (1 + gains) * (1 - gains.max(axis=0))[:, None]
+            fits = (
+                np.maximum.reduce([fits, at_all, gains])
+                * (1 + gains)
+                * (1 - gains.max(axis=0))[:, None]
+            )
         fits = np.where(derived, 0.0, fits * (1 + np.subtract.outer(even, even)))
         return fits + FIRST * np.triu(np.ones_like(fits))
 
