@@ -45,7 +45,6 @@ _WITH_UNIT: Final = re.compile(
 )
 _WORDS: Final = re.compile(r"[A-Z]+(?![a-zµμ])|[A-ZÀ-Þ]?[^\W\d_A-Z]+|[A-Z]+|\d+|[°%]")
 
-JITTER: Final = 0.01  # of a step, by which those of a clock differ, and the share that does
 TABLE: Final = 160  # rows that someone has written down, at most
 EXACT: Final = 20.0  # rank of names without doubt
 REFERENCE: Final = 10.0  # rank of what a loop follows, which drives no plant by itself
@@ -236,9 +235,3 @@ def is_regular_time(values: Floats) -> bool:
     """
     counts = bool((np.diff(values) == 1).all()) and values[0] in (0, 1)
     return increases_evenly(values) and not counts
-
-
-def ticks_unevenly(values: Floats) -> bool:
-    """Return whether many steps of a column (N) differ a little, as those of a clock do."""
-    between = np.diff(values[np.isfinite(values)])
-    return bool(np.mean(np.abs(between / np.median(between) - 1) > JITTER) > JITTER)

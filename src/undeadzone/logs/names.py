@@ -27,7 +27,6 @@ from undeadzone.logs.kinds import (
     rank_of,
     split_unit,
     split_words,
-    ticks_unevenly,
     time_rank,
 )
 from undeadzone.util.arrays import Floats, Integers
@@ -36,7 +35,7 @@ DATES: Final = ("date", "datum", "fecha", "day")  # beside a column of times of 
 # Pairs of an input and a reading that are met more often than others, and by how much [rank].
 PAIRS: Final = {("goal", "position"): 0.3, ("drive", "speed"): 0.2, ("position", "force"): 13.0}
 EVEN: Final = 1e-3  # of the range, up to which a column rests or runs evenly
-LEAST: Final = 0.3  # how well a pair fits at least, that names alone may choose
+LEAST: Final = 0.3  # below which names count half: less than a tenth of a variance is explained
 FIRST: Final = 0.05  # what an input gains that stands ahead of its reading
 COPY: Final = 1 - 1e-9  # correlation of a column with its copy
 SUM: Final = 0.999  # and of its changes with what it adds up
@@ -329,12 +328,8 @@ class _Header(NamedTuple):
             rising = np.mean(np.diff(self.values, axis=0) >= 0, axis=0) > 0.9
             best = best[rising[best]] if rising[best].any() else best[:1]
             unknown = [k for k, one in enumerate(self.titles) if not (rank_of(one) or one.unit)]
-            if not best.size:
-                regular = [k for k in unknown if is_regular_time(self.values[:, k])]
-                if len(self.titles) == 2:  # of which one may be a command
-                    long = len(self.values) >= TABLE
-                    regular = [k for k in regular if long and ticks_unevenly(self.values[:, k])]
-                best = np.array(regular, int)
+            if not best.size and len(self.titles) > 2:
+                best = np.array([k for k in unknown if is_regular_time(self.values[:, k])], int)
         if best.size > 1 and not self.is_open:
             many = f"several columns are named {self.titles[best[0]].name!r}"
             raise FileError(f'{self.source}: {many}; columns="t=NUMBER"')
@@ -360,7 +355,7 @@ class _Header(NamedTuple):
                 free = fewer if fewer.sum() + len(y + u) > 1 else free
         fits = self.behaviour(bool(time))
         names = np.subtract.outer(ranks, ranks) * np.where(fits < LEAST, 0.5, 1.0)
-        scores = names + self.likeness() + fits
+        scores = np.round(names + self.likeness() + fits, 6)  # copies are equal
         every = np.arange(ranks.size)
         rows = np.isin(every, u[:1]) if u else free
         columns = np.isin(every, y[:1]) if y else free

@@ -2,54 +2,43 @@
 
 from __future__ import annotations
 
+import functools
 import io
 import itertools
-import re
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from undeadzone.errors import FileError
-from undeadzone.logs.kinds import time_rank
+from undeadzone.logs.kinds import split_unit, time_rank
 from undeadzone.logs.samples import FIRST, numbers_of_texts
 from undeadzone.logs.stamps import stamps_of
-from undeadzone.logs.text import Text, blocks_of, dialect_of, is_content, parse_cell
+from undeadzone.logs.text import Text, blocks_of, dialect_of, is_content, parse_cell, split_cells
 from undeadzone.util.arrays import Floats
 from undeadzone.util.files import LARGEST_TABLE, read_bytes, unreadable_file
 
 Arrays = dict[str, Floats]  # by the names of the signals, and their times
-BLOCK = re.compile(r"\d+\.Variable; *(\S.*)")  # line of a PLC's trace that names its values
 FEWEST_VALUES = 3  # of each signal
+MOST_NUMBERS = 0.9  # share of the cells of a column that are numbers, or of a column of names not
 
 
 def read_parquet(path: Path) -> Arrays:
-    """Read the columns of a Parquet file; a column of lists is a matrix.
-
-    Raises:
-        FileError: without pyarrow, or it cannot be read.
-    """
+    """Read the columns of a Parquet file; a column of lists is a matrix. Raises FileError."""
     content = read_bytes(path, LARGEST_TABLE)
     try:
         from pyarrow import parquet
-    except ImportError:
-        raise FileError(
-            f"{path}: a .parquet file needs pyarrow: pip install 'undeadzone[parquet]', or save it"
-            " as CSV"
-        ) from None
-    try:
+
         table = parquet.read_table(io.BytesIO(content))
+        columns = {name: table[name].to_numpy() for name in table.column_names}
+        arrays = {name: np.stack(x) if x.dtype.kind == "O" else x for name, x in columns.items()}
+    except ImportError:
+        how = "pip install 'undeadzone[parquet]', or save it as CSV"
+        raise FileError(f"{path}: a .parquet file needs pyarrow: {how}") from None
     except (OSError, ValueError) as error:
         raise unreadable_file(path, error) from None
-    arrays = {}
-    for name in table.column_names:
-        values = table[name].to_numpy()
-        if values.dtype.kind == "O" and len({np.shape(value) for value in values}) == 1:
-            values = np.stack(values)
-        if values.dtype.kind == "M":
-            values = (values - values[0]) / np.timedelta64(1, "s")
-        arrays[name] = values
-    return arrays
+    second = np.timedelta64(1, "s")
+    return {k: (x - x[0]) / second if x.dtype.kind == "M" else x for k, x in arrays.items()}
 
 
 def read_long_table(path: Path) -> Arrays | None:
@@ -59,60 +48,46 @@ def read_long_table(path: Path) -> Arrays | None:
     that has most values, as they last were.
     """
     text = Text(str(path))
-    blocks = (text.feed(data, last) for data, last in blocks_of(path, LARGEST_TABLE))
+    blocks = (text.feed(*block) for block in blocks_of(path, LARGEST_TABLE))
     lines = list(filter(is_content, itertools.chain.from_iterable(blocks)))
-    found = _blocks(lines) if any(map(BLOCK.match, lines)) else _columns(lines)
-    if found is None:
+    titles, columns = _columns_of_lines(lines)
+    numbers = [numbers_of_texts(x, functools.partial(parse_cell, mark=".")) for x in columns]
+    stamped = [stamps_of(x[:FIRST]) is not None for x in columns]
+    is_time = [stamped[k] or time_rank(split_unit(titles[k])) >= 0 for k in range(len(columns))]
+    full = [bool(np.isfinite(x).mean() > MOST_NUMBERS) for x in numbers]
+    times = [k for k, one in enumerate(is_time) if one]
+    values = [k for k, one in enumerate(full) if one and k not in times]
+    names = [k for k, one in enumerate(full) if not one and k not in times]
+    if not times or len(values) != 1 or len(names) != 1:
         return None
-    names, times, values = found
-    known = np.isfinite(times) & np.isfinite(values)
-    signals = {name: known & (names == name) for name in dict.fromkeys(names.tolist())}
-    if min(map(np.sum, signals.values())) < FEWEST_VALUES or len(signals) < 2:
+    name = np.array(columns[names[0]])
+    stamps = [" ".join(parts) for parts in zip(*(columns[k] for k in times), strict=True)]
+    t = numbers_of_texts(stamps, functools.partial(parse_cell, mark="."))
+    known = np.isfinite(t) & np.isfinite(numbers[values[0]])
+    different, of, counts = np.unique(name[known], return_inverse=True, return_counts=True)
+    if different.size < 2 or counts.min() < FEWEST_VALUES:
         return None
-    base = np.unique(times[max(signals.values(), key=np.sum)])
+    t, x = t[known], numbers[values[0]][known]
+    base = np.unique(t[of == np.argmax(counts)])
     late = base + np.median(np.diff(base)) / 2
-    arrays = {"time": base - base[0]}
-    for name, rows in signals.items():
-        t, order = np.unique(times[rows], return_index=True)
-        before = np.searchsorted(t, late) - 1
-        arrays[name] = np.where(before < 0, np.nan, values[rows][order][before])
+    arrays = {titles[times[0]] or "time": base}
+    for k in np.argsort(np.unique(of, return_index=True)[1]):
+        own, order = np.unique(t[of == k], return_index=True)
+        before = np.searchsorted(own, late) - 1
+        arrays[str(different[k])] = np.where(before < 0, np.nan, x[of == k][order][before])
     return arrays
 
 
-def _blocks(lines: Sequence[str]) -> tuple[np.ndarray, Floats, Floats]:
-    """Return names, times [s] and values of the lines of a PLC's trace, which counts in ms."""
+def _columns_of_lines(lines: Sequence[str]) -> tuple[list[str], list[tuple[str, ...]]]:
+    """Return the titles of columns, "" without a header, and their cells."""
+    dialect = dialect_of(lines[:FIRST])
+    width = dialect.width
+    titles = [f"{name} [{unit}]".removesuffix(" []") for name, unit in dialect.titles or ()] or [""] * width
     rows = []
     name = ""
-    for line in lines:
-        named = BLOCK.match(line)
-        name = named[1].strip() if named else name
-        cells = line.split(";")
-        if len(cells) == 3 and not cells[0].strip():
-            rows.append((name, cells[1].strip(), cells[2].strip()))
-    names, times, values = zip(*rows, strict=True) if rows else ((), (), ())
-    t, x = (numbers_of_texts(texts, _number) for texts in (times, values))
-    return np.array(names), 1e-3 * t, x
-
-
-def _columns(lines: Sequence[str]) -> tuple[np.ndarray, Floats, Floats] | None:
-    """Return names, times [s] and values of lines; None unless one column is each of these."""
-    dialect = dialect_of(lines[:FIRST])
-    rows = [row for row in map(dialect.cells, lines[dialect.heads :]) if len(row) == dialect.width]
-    columns = list(zip(*rows, strict=True))
-    numeric = [numbers_of_texts(texts, _number) for texts in columns]
-    is_number = [bool(np.isfinite(x).mean() > 0.9) for x in numeric]
-    stamped = [stamps_of(texts[:FIRST]) is not None for texts in columns]
-    titled = [time_rank(title) >= 0 for title in dialect.titles or ()] or stamped
-    times = [k for k, is_time in enumerate(titled) if is_time or stamped[k]]
-    values = [k for k, is_one in enumerate(is_number) if is_one and k not in times]
-    texts = [k for k in range(len(columns)) if k not in times + values]
-    names = [k for k in texts if 1 < len({*columns[k]}) <= len(rows) // FEWEST_VALUES]
-    if len(values) != 1 or len(names) != 1 or not times:
-        return None
-    stamps = [" ".join(parts) for parts in zip(*(columns[k] for k in times), strict=True)]
-    return np.array(columns[names[0]]), numbers_of_texts(stamps, _number), numeric[values[0]]
-
-
-def _number(cell: str) -> float | None:
-    """Return the number in a cell with a decimal point; None if there is none."""
-    return parse_cell(cell, ".")
+    for line in lines[dialect.heads :]:
+        cells = split_cells(line, dialect.separator)
+        if cells[0].endswith(".Variable"):
+            name, width, titles = cells[-1], 3, ["", "t [ms]", ""]
+        rows.append([cells[0] or name, *cells[1:]])
+    return titles, list(zip(*(row for row in rows if len(row) == width), strict=True))
