@@ -288,7 +288,7 @@ class _Header(NamedTuple):
         """
         title = self.titles[k]
         unit = _seconds(title, self.source)
-        if unit != 1.0 or self.values is None or add_unit(title).unit:
+        if unit != 1.0 or not self.is_open or self.values is None or add_unit(title).unit:
             return unit
         steps = np.diff(self.values[:, k])
         usual = np.median(steps[steps > 0]) if (steps > 0).any() else 0.0
@@ -533,7 +533,7 @@ def _scaled(values: Floats) -> Floats:
 
 def _explained(x: Floats) -> tuple[Floats, Floats]:
     """Return how well columns (row) explain others: by their present and past (a correlation), and
-    how much of the error of another's own forecast their past saves [granger1969] (K x K).
+    how much of the error of another's own forecast their past saves (Granger 1969) (K x K).
 
     Each half is explained by what the other half teaches. The past is means over 1, 2, 4, ...
     samples.

@@ -30,15 +30,21 @@ def read_parquet(path: Path) -> Arrays:
         from pyarrow import parquet
 
         table = parquet.read_table(io.BytesIO(content))
-        columns = {name: table[name].to_numpy() for name in table.column_names}
-        arrays = {name: np.stack(x) if x.dtype.kind == "O" else x for name, x in columns.items()}
+        return {name: _numbers(table[name].to_numpy()) for name in table.column_names}
     except ImportError:
         how = "pip install 'undeadzone[parquet]', or save it as CSV"
         raise FileError(f"{path}: a .parquet file needs pyarrow: {how}") from None
     except (OSError, ValueError) as error:
         raise unreadable_file(path, error) from None
-    second = np.timedelta64(1, "s")
-    return {k: (x - x[0]) / second if x.dtype.kind == "M" else x for k, x in arrays.items()}
+
+
+def _numbers(values: Floats) -> Floats:
+    """Return a column of lists as a matrix, and dates as seconds after the first."""
+    if values.dtype.kind == "O":
+        return np.stack(values)
+    if values.dtype.kind == "M":
+        return (values - values[0]) / np.timedelta64(1, "s")
+    return values
 
 
 def read_long_table(path: Path) -> Arrays | None:
@@ -82,7 +88,9 @@ def _columns_of_lines(lines: Sequence[str]) -> tuple[list[str], list[tuple[str, 
     """Return the titles of columns, "" without a header, and their cells."""
     dialect = dialect_of(lines[:FIRST])
     width = dialect.width
-    titles = [f"{name} [{unit}]".removesuffix(" []") for name, unit in dialect.titles or ()] or [""] * width
+    titles = [f"{name} [{unit}]".removesuffix(" []") for name, unit in dialect.titles or ()] or [
+        ""
+    ] * width
     rows = []
     name = ""
     for line in lines[dialect.heads :]:
