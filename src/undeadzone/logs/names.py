@@ -29,7 +29,7 @@ from undeadzone.logs.kinds import (
     split_words,
     time_rank,
 )
-from undeadzone.util.arrays import Floats, Integers
+from undeadzone.util.arrays import Flags, Floats, Integers
 
 DATES: Final = ("date", "datum", "fecha", "day")  # beside a column of times of day
 # Pairs of an input and a reading that are met more often than others, and by how much [rank].
@@ -413,16 +413,14 @@ class _Header(NamedTuple):
         x = _scaled(self.values)
         even = np.mean(np.abs(np.diff(x, 2, axis=0)) <= EVEN * np.ptp(x, axis=0), axis=0)
         fits = np.abs(x.T @ x) / len(x)
-        derived = fits > COPY
-        if has_times or len(x) >= TABLE:
+        derived: Flags = np.asarray(fits > COPY)
+        if len(x) >= (2 * PAST if has_times else TABLE):
             at_all, gains = _explained(x)
-            sums = np.abs(_scaled(x[1:]).T @ _scaled(np.diff(self.values, axis=0))) / len(x) > SUM
-            derived |= sums | sums.T | sums.any(axis=0)[:, None]
-            fits = (
-                np.maximum.reduce([fits, at_all, gains])
-                * (1 + gains)
-                * (1 - gains.max(axis=0))[:, None]
-            )
+            sums = np.abs(_scaled(x[1:]).T @ _scaled(np.diff(self.values, axis=0))) / len(x)
+            adds: Flags = np.asarray(sums > SUM)
+            derived |= adds | adds.T | adds.any(axis=0)[:, None]
+            fits = np.maximum.reduce([fits, at_all, gains]) * (1 + gains)
+            fits *= 1 - gains.max(axis=0)[:, None]
         fits = np.where(derived, 0.0, fits * (1 + np.subtract.outer(even, even)))
         return fits + FIRST * np.triu(np.ones_like(fits))
 
@@ -569,7 +567,7 @@ def _errors(taught: Floats, asked: Floats, used: Integers, j: int) -> Floats:
         j: the signal.
     """
     squares = (used[:, :, None], used[:, None])
-    inner = taught[squares] + RIDGE * np.trace(taught) / len(taught) * np.eye(used.shape[1])
+    inner = taught[squares] + RIDGE * (1 + np.trace(taught)) * np.eye(used.shape[1])
     weights = np.linalg.solve(inner, taught[used, j][..., None])[..., 0]
     spread = np.einsum("ik,ikl,il->i", weights, asked[squares], weights)
     return np.asarray(asked[j, j] - 2 * (weights * asked[used, j]).sum(axis=1) + spread)

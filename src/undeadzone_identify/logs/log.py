@@ -398,7 +398,9 @@ def _read_whole(source: Any, chosen: dict[str, str], strict: bool) -> WholeLog:
             lines = f"{read.source}: {count_in_words(bad)} of {count} cannot be read"
             raise FileError(f"{lines}; {read.faults.why}")
     except FileError:
-        arrays = read_long_table(path) if path and path.suffix.lower() not in BINARY else None
+        if path is None or path.suffix.lower() in BINARY:
+            raise
+        arrays = read_long_table(path)
         if arrays is None:
             raise
         read = _whole_of_arrays(path, arrays, chosen)

@@ -7,6 +7,7 @@ import io
 import itertools
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -38,7 +39,7 @@ def read_parquet(path: Path) -> Arrays:
         raise unreadable_file(path, error) from None
 
 
-def _numbers(values: Floats) -> Floats:
+def _numbers(values: Any) -> Any:
     """Return a column of lists as a matrix, and dates as seconds after the first."""
     if values.dtype.kind == "O":
         return np.stack(values)
