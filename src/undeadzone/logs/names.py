@@ -418,7 +418,7 @@ class _Header(NamedTuple):
             at_all, gains = _explained(x)
             sums = np.abs(_scaled(x[1:]).T @ _scaled(np.diff(self.values, axis=0))) / len(x)
             adds: Flags = np.asarray(sums > SUM)
-            derived |= adds | adds.T | adds.any(axis=0)[:, None]
+            derived |= adds | adds.T | np.any(adds, axis=0, keepdims=True).T
             fits = np.maximum.reduce([fits, at_all, gains]) * (1 + gains)
             fits *= 1 - gains.max(axis=0)[:, None]
         fits = np.where(derived, 0.0, fits * (1 + np.subtract.outer(even, even)))
