@@ -567,7 +567,7 @@ def _errors(taught: Floats, asked: Floats, used: Integers, j: int) -> Floats:
         j: the signal.
     """
     squares = (used[:, :, None], used[:, None])
-    inner = taught[squares] + RIDGE * (1 + np.trace(taught)) * np.eye(used.shape[1])
+    inner = taught[squares] + RIDGE * (1 + np.trace(taught) / len(taught)) * np.eye(used.shape[1])
     weights = np.linalg.solve(inner, taught[used, j][..., None])[..., 0]
     spread = np.einsum("ik,ikl,il->i", weights, asked[squares], weights)
     return np.asarray(asked[j, j] - 2 * (weights * asked[used, j]).sum(axis=1) + spread)
