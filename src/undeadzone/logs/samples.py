@@ -195,7 +195,7 @@ class LogReader:
             return self._none()
         numbers, lines = zip(*numbered, strict=True)
         if self.layout is None:
-            ahead = self._lines_ahead(lines[:PREAMBLE])
+            ahead = self._lines_ahead(lines[: PREAMBLE if self._live else SEEN])
             below = lines[ahead or 0 :]
             # Of a live log as few lines as possible determine the dialect.
             count = 1 + bool(dialect_of(below[:1]).heads) if self._live else FIRST
