@@ -477,42 +477,6 @@ def test_the_header_computes_the_same(
         x = x + np.array([0.01 * x[1], 0, 0, 0])
 
 
-def test_the_old_header_has_the_same_names(tmp_path: Path) -> None:
-    """Each name of `ear.h` that was public, in double precision."""
-    folder = files("undeadzone.numerics")
-    for name in ("ear.h", "deadzone_update.h"):
-        (tmp_path / name).write_text((folder / name).read_text())
-    old = {
-        "deadzone_update(": "ear_hear(",
-        "deadzone_update.h": "ear.h",
-        "DeadzoneMemory": "Ear",
-        "DeadzoneSensor": "EarSensor",
-        "DEADZONE_REAL": "EAR_REAL",
-    }
-    text = ANY
-    for current, name in old.items():
-        assert current in text
-        text = text.replace(current, name)
-    (tmp_path / "main.c").write_text(text)
-    flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-O1"]
-    program = once.program(["ear", *flags, "main.c"], tmp_path)
-    case = Case(np.zeros(3), np.full((3, 3), math.nan))
-    done = subprocess.run([program], input=case.line(), capture_output=True, text=True, check=False)
-    assert float(done.stdout.split()[0]) == 2.0
-
-
-def test_the_old_names_of_the_memory_warn_and_work() -> None:
-    options: dict[str, Any] = {"right": 1.0, "left": 1.0, "noise": 0.1, "rest": 5}
-    memory = DeadzoneMemory(0.3, 0.2)
-    with pytest.warns(DeprecationWarning, match="deadzone_update: ear is now memory") as record:
-        updated = uz.deadzone_update([0.0], np.eye(1), [1.0], 0.4, ear=memory, **options)
-    assert record[0].filename == __file__
-    assert updated.memory.previous == 0.3
-    with pytest.warns(DeprecationWarning, match=r"DeadzoneUpdate\.ear is now memory") as record:
-        assert updated.ear == updated.memory
-    assert record[0].filename == __file__
-
-
 SHAPED = """
 #define DEADZONE_REAL double
 #include "deadzone_update.h"
