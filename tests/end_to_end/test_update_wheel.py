@@ -19,8 +19,7 @@ from packed import QUIET, ROOT, copied, run
 from packed import wheel as built
 from requirements import import_package, needs
 
-FOLDER = ROOT / "packages" / "deadzone_update"
-README = (FOLDER / "README.md").read_text(encoding="utf-8")
+README = (ROOT / "packages/deadzone_update/README.md").read_text(encoding="utf-8")
 PYTHON, C = (re.findall(rf"```{kind}\n(.*?)```", README, re.S)[0] for kind in ("python", "c"))
 # All that the program sees besides the standard library: `-S` hides what is installed here.
 ALONE = "import sys; sys.path[:0] = sys.argv[1:]; exec(sys.stdin.read())"
@@ -86,10 +85,9 @@ def test_the_c_of_its_page_computes_the_same(
 
 
 def test_its_files_are_those_of_the_tool(wheel: Path) -> None:
-    """Nothing in it has a second definition, and its folder has no code but the names."""
+    """Nothing in it has a second definition, but for the file of names."""
     sources = {path.read_bytes() for path in (ROOT / "src/undeadzone").rglob("*.*")}
     with zipfile.ZipFile(wheel) as archive:
         members = [name for name in archive.namelist() if name.startswith("deadzone_update/")]
         own = {name for name in members if archive.read(name) not in sources}
     assert own == {"deadzone_update/__init__.py", "deadzone_update/LICENSE"}
-    assert {path.name for path in FOLDER.glob("*.py")} == {"__init__.py"}
