@@ -90,7 +90,7 @@ CHAPTERS = {
         "references.md",
     ],
 }
-CONTRIBUTING = ["architecture.md", "testing.md", "decisions.md"]
+CONTRIBUTING = ["architecture.md", "testing.md", "decisions.md", "release.md"]
 MOVED = {  # old address: new page
     "house.md": "architecture.md",
     "glossary.md": "notation.md",
