@@ -310,7 +310,7 @@ def test_a_relay_is_no_curve_and_no_slow_drive(kind: str, seed: int) -> None:
     """Its best curve lies at its bound; a drive that never reaches its target is as good as it."""
     answer = of_kind(kind, seed)
     assert answer.verdict == "unclear"
-    assert "at the end of what it models" in answer.answer.reasons[0]
+    assert "at the limit of its numbers" in answer.answer.reasons[0]
     assert "Record steps" in answer.answer.reasons[1]
     assert not answer.numbers()["odds"]
 

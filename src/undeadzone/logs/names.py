@@ -354,7 +354,9 @@ class _Header(NamedTuple):
                 fewer = free & (~out | (np.abs(ranks) >= EXACT))
                 free = fewer if fewer.sum() + len(y + u) > 1 else free
         fits = self.behaviour(bool(time))
-        names = np.subtract.outer(ranks, ranks) * np.where(fits < LEAST, 0.5, 1.0)
+        exact = np.abs(ranks) >= EXACT
+        weak = (fits < LEAST) & ~np.logical_or.outer(exact, exact)
+        names = np.subtract.outer(ranks, ranks) * np.where(weak, 0.5, 1.0)
         scores = np.round(names + self.likeness() + fits, 6)  # copies are equal
         every = np.arange(ranks.size)
         rows = np.isin(every, u[:1]) if u else free
