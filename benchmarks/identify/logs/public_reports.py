@@ -20,6 +20,7 @@ from benchmarks.identify.logs.lost_motion import Floats
 from benchmarks.identify.logs.servo import Servo, input_at_random, recorded
 from benchmarks.identify.logs.strangers import zone
 from benchmarks.identify.logs.valves import make
+from undeadzone_identify.results.assemble import WITHHELD
 
 
 class Report(NamedTuple):
@@ -190,7 +191,7 @@ def judge_report(report: Report, path: Path) -> tuple[str, bool | None]:
         return "withheld", None
     gap = found.answer.gap if isinstance(found, uz.IdentifiedMotion) else found.width
     if found.verdict not in report.right:
-        is_named = found.verdict not in ("undecided", "unclear")
+        is_named = found.verdict not in WITHHELD
         return "wrong" if is_named else "withheld", None
     if gap is None or report.width is None:
         return "right", None

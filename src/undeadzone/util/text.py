@@ -18,7 +18,7 @@ _CONDITIONAL_LINE: Final = re.compile(r"^@\?([a-z_]+)@(.*\n)", re.MULTILINE)
 _WORD: Final = re.compile("@([a-z_]+)@")
 
 
-def suggest_name(name: str, known: Iterable[str], otherwise: str, likeness: float = 0.7) -> str:
+def suggest_name(name: str, known: Iterable[str], otherwise: str, likeness: float = 0.6) -> str:
     """Return the question for the nearest of the known names, or all of them.
 
     Args:

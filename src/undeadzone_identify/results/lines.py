@@ -12,13 +12,13 @@ from undeadzone.util.arrays import Floats
 from undeadzone_identify.models.likelihood import root_mean_square
 from undeadzone_identify.results.assemble import Answer
 from undeadzone_identify.selection.alternatives import fit_of, train_fit
+from undeadzone_identify.servo.observations import NORMAL
 
 if TYPE_CHECKING:
     from undeadzone_export.snippet import Lost
 
 DEEP = 0.7  # of an edge, up to which z is surely inside
 FEWEST = 8  # readings inside a zone, from which their noise is known
-TO_RMS = 1.4826  # from the median distance of a normal distribution
 
 
 def rest_noise(answer: Answer) -> float:
@@ -32,7 +32,7 @@ def rest_noise(answer: Answer) -> float:
     grid, z = answer.case.grid, answer.z * answer.scale
     is_deep = (-DEEP * answer.left.value < z) & (z < DEEP * answer.right.value)
     inside = grid.y[grid.ok & is_deep]
-    return TO_RMS * float(np.median(np.abs(inside))) if inside.size >= FEWEST else 0.0
+    return NORMAL * float(np.median(np.abs(inside))) if inside.size >= FEWEST else 0.0
 
 
 def command_along(answer: Answer) -> Floats:

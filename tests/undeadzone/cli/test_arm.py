@@ -299,7 +299,7 @@ def test_a_gripper_is_left_out_by_naming_where_it_begins(tmp_path: Path) -> None
         (["--at", "1"], "at: "),
         (["--at", "0,9"], "at[1]: elbow moves from -3 to 3, found 9"),
         (["--at", "nan,0"], "at"),
-        (["--tip", "tap"], "The file has base, tip"),
+        (["--tip", "tap"], "Did you mean 'tip'?"),
         (["--joints", "elbow,shoulder"], "from base to tip: shoulder, elbow"),
     ],
 )
