@@ -40,11 +40,22 @@ HOW_TO = (
     "live_samples",
     "many_runs",
 )
+TRADES = (
+    "scale_and_sensor",
+    "valve_and_loop",
+    "joint_and_servo",
+    "axis_and_mount",
+    "class_room",
+    "paper",
+    "filter_author",
+)
 CHAPTERS = {
-    "Start": ["index.md", "try.md", "install.md", "cases.md", "gallery.md"],
-    "Tutorials": ["tour.md"],
+    "Start": ["index.md", "try.md", "install.md", "cases.md", "gallery.md", "pages.md"],
+    "Readers": [f"trades/{name}.md" for name in TRADES],
+    "Tutorials": ["tour.md", "exercises.md"],
     "How-to": [
         *(f"howto/{name}.md" for name in HOW_TO),
+        "what_goes_wrong.md",
         "which.md",
         "compare.md",
         "export_plc.md",

@@ -7,6 +7,7 @@ import re
 import shlex
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import pytest
 from PIL import Image
@@ -22,6 +23,8 @@ from undeadzone_arena.contest.methods import methods_for_scenarios
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 CONTRIBUTING = ROOT / "CONTRIBUTING.md"
 SUMMARY = "## Summary: best and worst figure of each subject"
+CONSOLES = script_of_docs("consoles")
+SHOWN = dict(CONSOLES.PRINTED.findall("".join(page.read_text() for page in PAGES)))
 NUMBER = re.compile(r"-?\d+\.?\d*(?:e-?\d+)?")
 
 
@@ -40,23 +43,14 @@ def methods() -> list[str]:
 
 
 @pytest.mark.parametrize(("name", "code"), blocks("python"))
-def test_python_blocks_run(
-    name: str, code: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_python_blocks_run_and_print_what_they_show(
+    name: str, code: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
 ) -> None:
-    monkeypatch.chdir(tmp_path)
+    monkeypatch.chdir(CONSOLES.link_inputs(tmp_path))
     once.in_haste(monkeypatch)  # in the one block that asks for a front
     exec(compile(code, name, "exec"), {"__name__": "__main__"})
-
-
-@pytest.mark.parametrize(
-    ("code", "displayed"),
-    re.findall(r"```python\n(.*?)```\n\n```text\n(.*?)```", (ROOT / "README.md").read_text(), re.S),
-)
-def test_what_the_front_page_prints_is_what_it_shows(
-    code: str, displayed: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    exec(compile(code, "README.md", "exec"), {"__name__": "__main__"})
-    same(capsys.readouterr().out.rstrip("\n").split("\n"), displayed.rstrip("\n").split("\n"))
+    if code in SHOWN:
+        same(capsys.readouterr().out.rstrip().split("\n"), SHOWN[code].rstrip().split("\n"))
 
 
 def test_pictures_are_of_what_there_is_today() -> None:
@@ -73,14 +67,19 @@ def test_pictures_are_of_what_there_is_today() -> None:
     assert titles["two_link_gears.png"] == f"{gears.title}: the tip"
     assert titles["two_link.gif"] == str(zones.title.encode())
     assert titles["leaderboard.png"].startswith(f"{len(entered)} methods, 1 scenario")
-    drawn = {f"{name}.png" for name in script_of_docs("pictures").PICTURES}
+    pictures = script_of_docs("pictures")
+    drawn = {f"{name}.png" for name in pictures.PICTURES}
     assert titles.keys() == drawn | {"two_link.gif", "live.gif"}
+    small = [*(folder / "trades").iterdir(), *(folder / "wrong").iterdir()]
+    assert len(small) == len(pictures.READERS) + 6
+    assert all(f"figures/{path.parent.name}/{path.name})" in pages for path in small)
+    assert all(path.stat().st_size < 100_000 for path in small)
 
 
 @pytest.mark.parametrize(("name", "text"), blocks("console"))
 def test_console_blocks_show_what_happens(name: str, text: str, tmp_path: Path) -> None:
-    (tmp_path / "examples").symlink_to(ROOT / "examples")
-    for command, expected in re.findall(r"^\$ undeadzone (.*)\n((?:(?!\$ ).*\n)*)", text, re.M):
+    CONSOLES.link_inputs(tmp_path)
+    for command, expected in CONSOLES.COMMAND.findall(text):
         compared(command, expected.rstrip("\n").split("\n"), tmp_path)
 
 
@@ -105,8 +104,7 @@ def same(printed: list[str], expected: list[str], why: str = "") -> None:
 def ran_once(command: str) -> Done:
     """A command that writes nothing, which several pages may show."""
     with tempfile.TemporaryDirectory() as folder:
-        (Path(folder) / "examples").symlink_to(ROOT / "examples")
-        return ran(command, Path(folder))
+        return ran(command, CONSOLES.link_inputs(Path(folder)))
 
 
 def ran(command: str, folder: Path) -> Done:
@@ -187,14 +185,36 @@ def slugify(title: str) -> str:
     return re.sub(r"[-\s]+", "-", words)
 
 
-HOW_TO = sorted((ROOT / "docs" / "howto").glob("*.md"))
+SHORT = sorted([*(ROOT / "docs/howto").glob("*.md"), *(ROOT / "docs/trades").glob("*.md")])
 
 
-@pytest.mark.parametrize("page", HOW_TO, ids=lambda page: page.stem)
-def test_a_how_to_is_short_listed_and_runs(page: Path) -> None:
-    """It has at most 60 lines, code that a test above runs, and a place in the list of pages."""
+def links(page: Path) -> set[Path]:
+    """The pages to which a page links."""
+    targets = re.findall(r"\]\(([^)#:]+\.md)[)#]", page.read_text(encoding="utf-8"))
+    return {(page.parent / target).resolve() for target in targets}
+
+
+@pytest.mark.parametrize("page", SHORT, ids=lambda page: page.stem)
+def test_a_page_for_a_reader_is_short_and_runs(page: Path) -> None:
+    """It has code that a test above runs, and at most 60 lines beside it."""
     text = page.read_text(encoding="utf-8")
-    assert len(text.splitlines()) <= 60
     assert re.search(r"^```(python|console)$", text, re.MULTILINE)
-    index = (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
-    assert f"(howto/{page.name})" in index
+    if page.parent.name == "trades":
+        assert f"](../figures/trades/{page.stem}.svg)" in text
+        assert re.search(r"\]\(\S+\.(csv|toml|h)\)", text)
+        text = re.sub(r"```.*?```", "", text, flags=re.DOTALL)
+    assert len(text.splitlines()) <= 60
+
+
+def test_home_leads_to_every_page_in_two_clicks() -> None:
+    """It has the symptoms of the front page."""
+    home = ROOT / "docs" / "index.md"
+    near = links(home)
+    assert {page for page in PAGES if page.parent.name == "trades"} <= near
+    methods = ROOT / "docs/methods"
+    assert {page for page in PAGES[1:] if methods not in page.parents} <= near.union(
+        {home}, *map(links, near)
+    ) | {ROOT / "docs/joss/paper.md"}
+    symptoms = re.findall(r"^(\| an? .*? \|)", (ROOT / "README.md").read_text(), re.MULTILINE)
+    assert len(symptoms) >= 6
+    assert all(symptom in home.read_text() for symptom in symptoms)
