@@ -17,6 +17,7 @@ from mkdocs.structure.pages import Page
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
+METHODS = ROOT / "docs/methods"
 sys.path.insert(0, str(HERE))
 
 import tutorials  # noqa: E402
@@ -141,7 +142,7 @@ LINK = re.compile(r"(\]\()([^)#\s:]+)(#[^)]*)?(\))")
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
     """Order the pages."""
-    methods = sorted(path.name for path in (ROOT / "docs/methods").glob("*.md"))
+    methods = sorted(path.name for path in METHODS.glob("*.md") if path.stem != "index")
     chapters = {title: list[Any](pages) for title, pages in CHAPTERS.items()}
     chapters["Tutorials"] += [f"tutorials/{name}.md" for name in tutorials.NAMES]
     chapters["Reference"].insert(0, "api.md")
@@ -157,9 +158,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     for path in PROJECT:
         add(files, config, project_page(path), (ROOT / path).read_text(encoding="utf-8"))
     add(files, config, "api.md", reference())
-    add(files, config, "methods/index.md", methods_page())
     add(files, config, "try.md", TRY)
-    for old, new in MOVED.items():
+    for old, new in (MOVED | moved_methods()).items():
         add(files, config, old, redirect_page(new))
     for name, content in tutorials.pages(ROOT / "docs/tutorials").items():
         add(files, config, f"tutorials/{name}", content)
@@ -254,6 +254,13 @@ def moved_sections(anchors: dict[str, str]) -> str:
     return "\n\n## Sections that moved\n\n" + "\n".join(lines) + "\n"
 
 
+def moved_methods() -> dict[str, str]:
+    """Return the old address of each method that shares a page: its section there."""
+    table = (METHODS / "index.md").read_text(encoding="utf-8")
+    shared = re.findall(r"\]\((\w+\.md#(\w+))\)", table)
+    return {f"methods/{name}.md": target for target, name in shared}
+
+
 def redirect_page(target: str) -> str:
     """Return a page that leads from an old address to the page that replaced it."""
     address = target.replace(".md", ".html")
@@ -276,14 +283,3 @@ def reference() -> str:
         # An element whose id is "exports" would look like a module loader to KaTeX.
         parts += [f"## {room} {{ #room-{room} }}", *sorted(rooms[room], key=str.lower)]
     return "\n\n".join(parts) + "\n"
-
-
-def methods_page() -> str:
-    """The list of observers and controllers, with the first sentence of each page."""
-    rows = ["# Methods", "One page for each observer and controller.", ""]
-    for path in sorted((ROOT / "docs/methods").glob("*.md")):
-        text = path.read_text(encoding="utf-8").split("\n", 2)[2]
-        first = " ".join(text.strip().split("\n\n")[0].split())
-        sentence = re.split(r"(?<=[.:])\s", first)[0].rstrip(":")
-        rows.append(f"- [{path.stem}]({path.name}): {sentence}")
-    return "\n".join(rows) + "\n"

@@ -37,11 +37,6 @@ def blocks(kind: str) -> list[tuple[str, str]]:
     return named
 
 
-def methods() -> list[str]:
-    """The names of all observers and controllers."""
-    return [*OBSERVERS.list_tags(), *CONTROLLERS.list_tags()]
-
-
 @pytest.mark.parametrize(("name", "code"), blocks("python"))
 def test_python_blocks_run_and_print_what_they_show(
     name: str, code: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
@@ -146,10 +141,24 @@ def test_who_contributes_reads_four_kilobytes() -> None:
     assert CONTRIBUTING.stat().st_size <= 4096
 
 
-@pytest.mark.parametrize("method", methods())
-def test_every_method_has_its_page(method: str) -> None:
-    page = (ROOT / "docs" / "methods" / f"{method}.md").read_text(encoding="utf-8")
-    assert page.startswith(f"# {method}\n")
+def test_every_method_has_its_row_and_its_equations() -> None:
+    """A method that is recommended has a page, and the others have sections of a page."""
+    folder = ROOT / "docs/methods"
+    table = re.findall(
+        r"^\| \[(\w+)\]\((\S+)\) .* \| (yes)? \|$", (folder / "index.md").read_text(), re.M
+    )
+    assert [name for name, *_ in table] == [*dict.fromkeys(name for name, *_ in table)]
+    assert {name for name, *_ in table} == {*OBSERVERS.list_tags(), *CONTROLLERS.list_tags()}
+    for name, target, recommended in table:
+        page, _, anchor = target.partition("#")
+        assert (page == f"{name}.md") == (not anchor) == bool(recommended)
+        mark = "##" if anchor else "#"
+        assert f"{mark} {name}\n" in (folder / page).read_text(encoding="utf-8")
+    choice = (ROOT / "docs/which.md").read_text(encoding="utf-8")
+    assert all(
+        bool(recommended) == (f"({name}.md)" in choice.replace("methods/", ""))
+        for name, _, recommended in table
+    )
 
 
 def test_every_doi_of_the_code_is_in_the_references() -> None:
@@ -211,10 +220,8 @@ def test_home_leads_to_every_page_in_two_clicks() -> None:
     home = ROOT / "docs" / "index.md"
     near = links(home)
     assert {page for page in PAGES if page.parent.name == "trades"} <= near
-    methods = ROOT / "docs/methods"
-    assert {page for page in PAGES[1:] if methods not in page.parents} <= near.union(
-        {home}, *map(links, near)
-    ) | {ROOT / "docs/joss/paper.md"}
+    reached = near.union({home, ROOT / "docs/joss/paper.md"}, *map(links, near))
+    assert {*PAGES[1:]} <= reached
     symptoms = re.findall(r"^(\| an? .*? \|)", (ROOT / "README.md").read_text(), re.MULTILINE)
     assert len(symptoms) >= 6
     assert all(symptom in home.read_text() for symptom in symptoms)
