@@ -228,7 +228,7 @@ def page_of(path: str, files: Files, config: MkDocsConfig) -> str | None:
     if path == "docs/methods":
         return "methods/index.md"
     if path.startswith("docs/"):
-        return path.removeprefix("docs/")
+        return re.sub(r"^docs/(tutorials/\w+)\.py$", r"docs/\1.md", path).removeprefix("docs/")
     file = ROOT / path
     if not file.is_file():
         return None
