@@ -108,6 +108,39 @@ MOVED = {  # old address: new page
     "glossary.md": "notation.md",
     "hear.md": "deadzone_update.md",
 }
+DESCRIBE = "Describe plant, sensor and scenario"
+RUN = "Simulate and plot"
+ESTIMATE = "Estimate along a log or on live samples"
+OBSERVE = "Choose an observer"
+PROVE = "Design gains with a proof"
+VARY = "Vary, tune and replay runs"
+TASKS = {  # the beginning of a name's path: its task, in the order of the API page
+    "undeadzone_identify": "Identify a log",
+    "undeadzone.plants": DESCRIBE,
+    "undeadzone.nonlinearities": DESCRIBE,
+    "undeadzone.scenario": DESCRIBE,
+    "undeadzone.simulation": RUN,
+    "undeadzone.report": RUN,
+    "undeadzone.results": RUN,
+    "undeadzone.simulation.estimate": ESTIMATE,
+    "undeadzone.simulation.online": ESTIMATE,
+    "undeadzone.results.estimation": ESTIMATE,
+    "undeadzone.numerics": "Update your own Kalman filter",
+    "undeadzone.observers": OBSERVE,
+    "undeadzone.interfaces": OBSERVE,
+    "undeadzone.registry": OBSERVE,
+    "undeadzone.controllers": "Choose a controller or a compensator",
+    "undeadzone.compensators": "Choose a controller or a compensator",
+    "undeadzone.signals": "Choose a reference or a path",
+    "undeadzone_export": "Export an observer",
+    "undeadzone_studies": VARY,
+    "undeadzone.scenario.ensemble_table": VARY,
+    "undeadzone.scenario.tune_table": VARY,
+    "undeadzone_design": PROVE,
+    "undeadzone.analysis": PROVE,
+    "undeadzone.linalg": PROVE,
+    "undeadzone.errors": "Catch an error",
+}
 # Old anchors of a page that was split: the page and anchor that replaced each.
 MOVED_ANCHORS = {
     "filters.md": {
@@ -239,7 +272,10 @@ def page_of(path: str, files: Files, config: MkDocsConfig) -> str | None:
 
 
 def add(files: Files, config: MkDocsConfig, uri: str, content: str | bytes) -> None:
-    """Add a file to the site."""
+    """Add a file to the site, in place of one of the same address."""
+    present = files.get_file_from_path(uri)
+    if present is not None:
+        files.remove(present)
     files.append(File.generated(config, uri, content=content))
 
 
@@ -271,15 +307,18 @@ def redirect_page(target: str) -> str:
 
 
 def reference() -> str:
-    """The page of the public names, by the room that they come from."""
+    """Return the page of the public names, by the task that each serves."""
     stub = (ROOT / "src/undeadzone/__init__.pyi").read_text(encoding="utf-8")
-    rooms: dict[str, list[str]] = {}
-    for module, name in re.findall(r"^from \.([\w.]+) import (\w+) as \w+$", stub, re.M):
-        rooms.setdefault(module.split(".")[0], []).append(f"::: undeadzone.{module}.{name}")
-    for package, name in re.findall(r"^\w+ = (undeadzone_\w+)\.(\w+)$", stub, re.M):
-        rooms.setdefault(package, []).append(f"::: {package}.{name}")
+    names = re.findall(r"^from \.([\w.]+) import (\w+) as \w+$", stub, re.M)
+    paths = [f"undeadzone.{module}.{name}" for module, name in names]
+    names = re.findall(r"^\w+ = (undeadzone_\w+)\.(\w+)$", stub, re.M)
+    paths += [f"{package}.{name}" for package, name in names]
+    tasks: dict[str, list[str]] = {title: [] for title in TASKS.values()}
+    for path in sorted(paths, key=lambda path: path.rsplit(".", 1)[1].lower()):
+        served = max((start for start in TASKS if path.startswith(start)), key=len)
+        tasks[TASKS[served]].append(f"::: {path}")
     parts = ["# API", "Everything here is `uz.NAME` after `import undeadzone as uz`."]
-    for room in sorted(rooms):
+    for number, (title, entries) in enumerate(tasks.items()):
         # An element whose id is "exports" would look like a module loader to KaTeX.
-        parts += [f"## {room} {{ #room-{room} }}", *sorted(rooms[room], key=str.lower)]
+        parts += [f"## {title} {{ #task-{number} }}", *entries]
     return "\n\n".join(parts) + "\n"

@@ -5,6 +5,7 @@ The tutorials are not run here (test_tutorials.py does), their code stands on th
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Iterator
 from importlib.util import find_spec
@@ -141,6 +142,14 @@ def test_every_page_of_the_site_is_whole_on_a_telephone(site: Path, screen: Brow
 def test_old_addresses_lead_on(site: Path) -> None:
     for old in ("house", "glossary", "methods/tobit"):
         assert 'http-equiv="refresh"' in (site / f"{old}.html").read_text()
+
+
+def test_every_row_of_the_api_has_a_name(site: Path) -> None:
+    text = (site / "api.html").read_text()
+    cells = re.findall(r'<tr class="doc-section-item">\s*<td>(.*?)</td>', text, re.S)
+    names = [re.sub(r"<[^>]*>|\s", "", cell) for cell in cells]
+    assert len(names) > 700
+    assert [name for name in names if re.search(r",$|^\(|^$", name)] == []
 
 
 SCENARIO, LOG = "examples/asymmetric_noise.toml", "examples/samples.csv"

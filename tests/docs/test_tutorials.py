@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,17 @@ def test_tutorials_run(
     code = script.read_text(encoding="utf-8")
     exec(compile(code, script.name, "exec"), {"__name__": "__main__"})
     assert "nan" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.stem)
+def test_a_notebook_has_the_lines_of_its_script(script: Path) -> None:
+    cells = json.loads(script.with_suffix(".ipynb").read_text(encoding="utf-8"))["cells"]
+    lines = "\n".join("".join(cell["source"]) for cell in cells).splitlines()
+    written = re.sub(r"(?m)^# %%.*$", "", script.read_text(encoding="utf-8")).splitlines()
+    stripped = [
+        [line.lstrip("# ") for line in text if line.strip("# ")] for text in (lines, written)
+    ]
+    assert stripped[0] == stripped[1], "run: python docs/site/tutorials.py"
 
 
 def test_every_tutorial_is_on_the_site() -> None:
