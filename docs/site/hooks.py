@@ -80,29 +80,42 @@ CHAPTERS = {
         "identifiability.md",
         "filters.md",
         "filter_equations.md",
+        "filter_extensions.md",
         "innovation_tests.md",
         "filter_accuracy.md",
         "observer.md",
         "adaptation.md",
         "certificate.md",
+        "certificate_regions.md",
         "rates.md",
         "simulation.md",
         "export_accuracy.md",
         "robots.md",
+        "robot_gears.md",
+        "robot_paths.md",
         "arena.md",
         "paper.md",
+        "paper_repaired.md",
+        "paper_numbers.md",
     ],
     "Reference": [
         "command_line.md",
         "keys.md",
         "scenario.md",
         "json.md",
+        "json_logs.md",
         "versions.md",
         "notation.md",
         "references.md",
     ],
 }
-CONTRIBUTING = ["architecture.md", "testing.md", "decisions.md"]
+CONTRIBUTING = [
+    "architecture.md",
+    "testing.md",
+    "decisions.md",
+    "decisions_methods.md",
+    "decisions_code.md",
+]
 MOVED = {  # old address: new page
     "house.md": "architecture.md",
     "glossary.md": "notation.md",
@@ -149,16 +162,54 @@ MOVED_ANCHORS = {
         "what-else-may-be-wrong-censored": "filter_equations.md#disturbance-bias-and-model-error",
         "how-strong-the-disturbance-is": "filter_equations.md#multiple-models-of-the-disturbance",
         "what-silence-says": "filter_equations.md#censored-samples",
-        "readings-that-end": "filter_equations.md#limits-of-the-sensors-range",
-        "readings-that-are-wrong": "filter_equations.md#outliers",
+        "readings-that-end": "filter_extensions.md#limits-of-the-sensors-range",
+        "readings-that-are-wrong": "filter_extensions.md#outliers",
         "a-world-that-is-not-as-claimed": "innovation_tests.md",
-        "looking-back": "filter_equations.md#smoothing",
-        "what-cannot-be-known": "filter_equations.md#bias-or-centre-calibrated",
-        "to-the-controller": "filter_equations.md#feedback-of-the-estimated-model-error",
+        "looking-back": "filter_extensions.md#smoothing",
+        "what-cannot-be-known": "filter_extensions.md#bias-or-centre-calibrated",
+        "to-the-controller": "filter_extensions.md#feedback-of-the-estimated-model-error",
         "how-good-is-that": "filter_accuracy.md",
         "measured": "filter_accuracy.md#coverage-of-95-intervals",
     },
 }
+# Sections that stand on another page under their old anchors.
+MOVED_SECTIONS = {
+    ("paper.md", "paper_repaired.md"): """
+        adaptation-bounded bounded cancelled decomposition displacements figure-1 global
+        indicators lyapunov manipulator observer-poles practical-use reading-tracked
+        robust-noise state-1 state-2 switching symmetric theorem theorem-bounded
+        theorem-known tracking unknown-width width-bound widths
+    """,
+    ("paper.md", "paper_numbers.md"): "by-number theorem-41-with-its-own-law letters",
+    ("certificate.md", "certificate_regions.md"): """
+        disturbance-and-noise-l2-gain extensions falsification-attempts-to-break-it
+        nonlinear-plants-on-a-region plants-with-and-without-a-certificate
+        proof-by-interval-arithmetic region-and-gains ultimate-bound-and-leakage
+        uncertain-plant-in-closed-loop
+    """,
+    ("robots.md", "robot_gears.md"): """
+        control-and-estimation-across-the-gap elastic-joint export-to-mujoco gears
+        identifiability-of-the-gap where-is-the-encoder
+    """,
+    ("robots.md", "robot_paths.md"): """
+        from-the-tip-to-the-joints paths refused-paths
+    """,
+    ("filter_equations.md", "filter_extensions.md"): """
+        bias-or-centre-calibrated feedback-of-the-estimated-model-error
+        limits-of-the-sensors-range outliers sensor-shape smoothing
+    """,
+    ("decisions.md", "decisions_methods.md"): """
+        arms-behind-gears certificates-and-search filters gears identification
+    """,
+    ("decisions.md", "decisions_code.md"): """
+        compiler-and-kernels dependencies export
+    """,
+    ("json.md", "json_logs.md"): """
+        estimate identify watch
+    """,
+}
+for (page, place), names in MOVED_SECTIONS.items():
+    MOVED_ANCHORS.setdefault(page, {}).update({name: f"{place}#{name}" for name in names.split()})
 TRY = """# Try it
 
 The whole loop of plant, sensor, observer and controller, computed in your browser at each move of a
