@@ -102,6 +102,13 @@ CHAPTERS = {
         "command_line.md",
         "keys.md",
         "scenario.md",
+        "scenario_plant.md",
+        "scenario_observer.md",
+        "scenario_observer_2.md",
+        "scenario_observer_3.md",
+        "scenario_controller.md",
+        "scenario_controller_2.md",
+        "scenario_studies.md",
         "json.md",
         "json_logs.md",
         "versions.md",
@@ -174,6 +181,11 @@ MOVED_ANCHORS = {
 }
 # Sections that stand on another page under their old anchors.
 MOVED_SECTIONS = {
+    ("scenario.md", "scenario_plant.md"): "plant reference",
+    ("scenario.md", "scenario_observer.md"): "observer",
+    ("scenario.md", "scenario_controller.md"): "controller",
+    ("scenario.md", "scenario_controller_2.md"): "compensator",
+    ("scenario.md", "scenario_studies.md"): "ensemble tune",
     ("paper.md", "paper_repaired.md"): """
         adaptation-bounded bounded cancelled decomposition displacements figure-1 global
         indicators lyapunov manipulator observer-poles practical-use reading-tracked
