@@ -282,7 +282,7 @@ def test_pages_say_what_the_audit_found(paper: Paper) -> None:
     }
     for path, text in {**pages, **docs.pages(paper)}.items():
         written, rebuilt = path.read_text(encoding="utf-8").split(), text.split()
-        same([" ".join(written)], [" ".join(rebuilt)], f"{path.name}: run python docs/claims.py")
+        same(" ".join(written), " ".join(rebuilt), f"{path.name}: run python docs/claims.py")
 
 
 def test_claims_are_counted_in_a_sentence(paper: Paper) -> None:
