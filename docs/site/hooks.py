@@ -238,7 +238,8 @@ LINK = re.compile(r"(\]\()([^)#\s:]+)(#[^)]*)?(\))")
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
     """Order the pages."""
-    methods = sorted(path.name for path in METHODS.glob("*.md") if path.stem != "index")
+    table = (METHODS / "index.md").read_text(encoding="utf-8")
+    methods = dict.fromkeys(re.findall(r"\]\((\w+\.md)", table))  # in its order
     chapters = {title: list[Any](pages) for title, pages in CHAPTERS.items()}
     chapters["Tutorials"] += [f"tutorials/{name}.md" for name in tutorials.NAMES]
     chapters["Reference"].insert(0, "api.md")
