@@ -5,11 +5,12 @@ joint has to meet three conditions. Its link has to cross the gap. The strike ha
 readings of the encoder, against its noise and the unknown torque of the motor. And its coupling to
 others must be weak enough to tell their effects on its link, in their gaps, from its own: joint by
 joint they were noise, a gap of zero foretold best, and a Panda's gaps came out as zero
-(docs/robots.md). A joint that moves with one that is lost for its coupling is lost, too: the second
-gap of an xArm came out 4.2 deviations off. Of a link that others push to and fro most crossings
-have to show: it was lost by its filter where it floats, and the first gap of a Kinova came out 14
-deviations off. No motor may be too light for the sample time: friction of 0.4 N m on 1.4e-4 kg m^2
-made the filters of an xArm chaotic, and two gaps of other joints came out 13 and 14 deviations off.
+(docs/robot_gears.md). A joint that moves with one that is lost for its coupling is lost, too: the
+second gap of an xArm came out 4.2 deviations off. Of a link that others push to and fro most
+crossings have to show: it was lost by its filter where it floats, and the first gap of a Kinova
+came out 14 deviations off. No motor may be too light for the sample time: friction of 0.4 N m on
+1.4e-4 kg m^2 made the filters of an xArm chaotic, and two gaps of other joints came out 13 and 14
+deviations off.
 """
 
 from __future__ import annotations
