@@ -160,6 +160,8 @@ def read_map(rows: Rows) -> RestMap | None:
 
     Neither do holds, or a way up beside a way down, have a fold.
     """
+    if np.ptp(rows.u) == 0:
+        return None
     levels = _medians(rows.u, rows.y)
     x, v, w = levels
     if x.size < LEVELS or np.ptp(v) == 0:
@@ -337,7 +339,8 @@ def _is_flat(levels: Levels, inside: Flags, fits: list[Side], residual: Floats) 
     slope = min(abs(side.slope) + abs(side.step) / width for side in fits)
     hidden = slope * width if n > 1 else abs(float(v[inside][0] - fits[0].ahead))
     free = near.sum() - 2 - len(fits)
-    noise = max(float(np.sqrt(np.sum(residual[near] ** 2) / free)), KNOWN)
+    rounded = find_quantum(v) / np.sqrt(12)
+    noise = max(float(np.sqrt(np.sum(residual[near] ** 2) / free)), rounded, KNOWN)
     leans = n > 2 and abs(np.polyfit(x[inside], v[inside], 1, w=w[inside])[0]) > FLAT * slope
     explains = min(side.share for side in fits) > EXPLAINED
     if leans or not explains or hidden < max(HIDES * noise, LEAST):

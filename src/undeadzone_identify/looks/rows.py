@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.logs.kinds import TABLE
-from undeadzone.util.arrays import Floats, Integers
+from undeadzone.util.arrays import Flags, Floats, Integers
 from undeadzone_identify.logs.grid import find_quantum
 from undeadzone_identify.models.motion import white_noise_rms
 
@@ -18,6 +18,7 @@ HOLD = 6  # samples in a row at one command, from which it is held
 SLOW = 0.03  # of the reading's range: its median spread at one command, in a slow sweep
 SETTLED = 0.004  # of the reading's spread, by which the last quarter of a hold may still move
 FASTER = 0.7  # of the quarter before, by which the last quarter of a hold moves at most
+STEP = 0.3  # of the commands' range, from which a change is a step of a sweep
 COMING = 0.15  # of the reading's spread, by which it moves at most
 
 
@@ -139,6 +140,8 @@ def _sweep_rows(u: Floats, y: Floats, came: Floats) -> Rows | None:
 
     The way up may lie beside the way down.
     """
+    u, rests = _follow_steps(u, y)
+    u, y, came = u[rests], y[rests], came[rests]
     order = np.argsort(u, kind="stable")
     ways = [order[came[order] >= 0], order[came[order] < 0]]
     for how, some in (("sweep", [order]), ("ways", ways)):
@@ -146,6 +149,23 @@ def _sweep_rows(u: Floats, y: Floats, came: Floats) -> Rows | None:
         if np.median(spread) < SLOW:
             return Rows(u, y, came, how)
     return None
+
+
+def _follow_steps(u: Floats, y: Floats) -> tuple[Floats, Flags]:
+    """Return the commands that the rows of a sweep answer, and which rows follow no step (N).
+
+    After a step the reading moves on in the direction of its first change. Noise ends that early,
+    so that as many rows again are left out. The area below the answer over its height is the lag of
+    a sweep's readings, in rows.
+    """
+    follows, lags = np.zeros(u.size, bool), [0.0]
+    for k in np.flatnonzero(np.abs(np.diff(u)) > STEP * np.ptp(u)).tolist():
+        change = np.diff(y[k:])
+        answer = y[k : k + 1 + 2 * int(np.argmin(change * change[0] > 0))]
+        follows[k + 1 : k + answer.size] = True
+        lags.append(float(np.sum(answer - answer[-1])) / (answer[0] - answer[-1] or np.inf))
+    rows = np.arange(u.size)
+    return np.interp(rows - np.mean(lags[1:] or lags), rows, u), ~follows
 
 
 def _spread_at_commands(y: Floats) -> Floats:
