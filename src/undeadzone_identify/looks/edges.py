@@ -154,10 +154,11 @@ def _prices(
     return np.where(is_edge, price(loss, x.size, len(columns)), np.inf), c, residual
 
 
-def find_runs(v: Floats, tolerance: float, least: int) -> list[tuple[int, int]]:
-    """Return the disjoint runs of neighbours with a common level, the longest first.
+def find_runs(x: Floats, v: Floats, tolerance: float, least: int) -> list[tuple[int, int]]:
+    """Return the disjoint runs of neighbours with a common level, the longest in x first.
 
     Args:
+        x: commands, in order (n).
         v: readings (n).
         tolerance: distance of a reading from the level.
         least: number of rows of the shortest run.
@@ -168,7 +169,7 @@ def find_runs(v: Floats, tolerance: float, least: int) -> list[tuple[int, int]]:
         ends.append(k + int(np.searchsorted(reach, 2 * tolerance, side="right")))
     free: Flags = np.ones(v.size, bool)
     runs = []
-    for k in np.argsort(np.arange(v.size) - np.array(ends), kind="stable").tolist():
+    for k in np.argsort(x - x[np.array(ends) - 1], kind="stable").tolist():
         if ends[k] - k >= least and free[k : ends[k]].all():
             runs.append((k, ends[k]))
             free[k : ends[k]] = False

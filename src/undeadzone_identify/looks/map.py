@@ -237,10 +237,10 @@ def _nodes(levels: Levels, parts: list[FlatPart]) -> Floats:
 
 def _flat_parts(levels: Levels, legs: list[Levels]) -> list[FlatPart]:
     """Return the flat parts from left to right."""
-    v, n = levels.v, levels.v.size
+    x, v, n = levels.x, levels.v, levels.v.size
     fine = float(np.clip(4 * noise_of(v), FINE, APART))
-    runs = find_runs(v, fine, 3) + find_runs(v, WIDE, 3)
-    runs.sort(key=lambda run: run[0] - run[1])
+    runs = find_runs(x, v, fine, 3) + find_runs(x, v, WIDE, 3)
+    runs.sort(key=lambda run: x[run[0]] - x[run[1] - 1])
     short = [(0, 2), (n - 2, n)]
     parts: list[FlatPart] = []
     for run in [*runs[:CANDIDATES], *short]:
@@ -312,7 +312,7 @@ def _fit_part(levels: Levels, run: tuple[int, int], legs: list[Levels]) -> FlatP
         for way, side in fits.items()
     }
     before, after = edges.get(-1), edges.get(1)
-    if before and after and before.interval.high > after.interval.low:
+    if before and after and before.interval.value > after.interval.value:
         return None
     end_kind = "low end" if level < np.median(v[~inside]) else "high end"
     return FlatPart("band" if before and after else end_kind, level, before, after)
@@ -323,7 +323,7 @@ def _fit_outwards(levels: Levels, first: int, end: int, share: float) -> Side | 
 
     The fewer rows are at rest, the fewer moving ones count.
     """
-    last = end + NEAREST + (FARTHER * (end - first) if end - first > 2 else 0)
+    last = end + NEAREST + FARTHER * (end - first)
     x = levels.x[first:end]
     first += int(np.searchsorted(x, x[0] + share * (x[-1] - x[0])))
     return fit_side(levels.cut(slice(first, last)), end - first)
