@@ -11,7 +11,8 @@ import pytest
 from undeadzone.util.arrays import Floats
 from undeadzone_identify.looks import edges as edges_module
 from undeadzone_identify.looks import map as maps
-from undeadzone_identify.looks.map import Edge, FlatPart, RestMap, map_at_rest, map_of_rate
+from undeadzone_identify.looks.map import Edge, FlatPart, RestMap, map_at_rest
+from undeadzone_identify.looks.rate import map_of_rate
 from undeadzone_identify.looks.rows import noise_of, rows_at_rest, turns
 from undeadzone_identify.looks.stillness import longest_stillness
 

@@ -6,8 +6,9 @@ from typing import NamedTuple
 
 from undeadzone.logs.kinds import kind_of
 from undeadzone_identify.logs.log import Log
-from undeadzone_identify.looks.map import RestMap, map_at_rest, map_of_rate
+from undeadzone_identify.looks.map import RestMap, map_at_rest
 from undeadzone_identify.looks.pushes import FrictionLevel, friction_level
+from undeadzone_identify.looks.rate import map_of_rate
 from undeadzone_identify.looks.rests import FreePlay, free_play_between_rests
 from undeadzone_identify.looks.rows import known_samples
 from undeadzone_identify.looks.stillness import longest_stillness
@@ -52,9 +53,13 @@ def look_at(log: Log) -> Looks:
         moves = read in ("position", "speed")
         return Looks(friction=friction_level(t, u, y, read == "speed") if moves else None)
     at_rest = map_at_rest(t, u, y)
+    is_seen = at_rest is not None and (
+        bool(at_rest.flats) or at_rest.rows.how in ("table", "holds")
+    )
+    of_rate = None if is_seen else map_of_rate(t, u, y)
     return Looks(
-        at_rest,
-        None if at_rest is not None else map_of_rate(t, u, y),
+        None if of_rate is not None and of_rate.flats else at_rest,
+        of_rate,
         longest_stillness(t, u, y),
         free_play_between_rests(t, u, y) if kind == "goal" and read != "speed" else None,
         gap_between_valleys(u, y),

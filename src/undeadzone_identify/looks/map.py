@@ -18,7 +18,6 @@ from undeadzone_identify.looks.edges import KNOWN, Levels, Side, find_runs, fit_
 from undeadzone_identify.looks.rows import (
     LEVELS,
     Rows,
-    known_samples,
     noise_of,
     rows_at_rest,
     turns,
@@ -45,8 +44,6 @@ FOLDED = 0.03  # of the range, by which a reading must come back
 TURN = 0.3  # of the commands' range, from which the way back is a sweep of its own
 STAIRS = 2  # bands, from which they are steps of the reading and no effect
 RARELY = 0.2  # of the rows between both thresholds, at which the state may change
-STAYS = 0.1  # of the commands' range, by which a command moves that stays
-RATE_EXPLAINED = 0.8  # of the variance of rates, by the command
 
 
 class Edge(NamedTuple):
@@ -137,22 +134,6 @@ def map_at_rest(t: Floats | None, u: Floats, y: Floats) -> RestMap | None:
     """
     rows = rows_at_rest(t, u, y)
     return None if rows is None else read_map(rows)
-
-
-def map_of_rate(t: Floats | None, u: Floats, y: Floats) -> RestMap | None:
-    """Return the map of the rate of a reading that integrates, at the best lag; None without one.
-
-    A row is a window in which the command stays where it is for longer than the lag.
-    """
-    t, u, y = known_samples(t, u, y)
-    best, explained = None, RATE_EXPLAINED
-    for size in (2, 4, 8, 16, 32):
-        for lag in (0, size // 2, size, 2 * size):
-            rows = _rate_rows(t, u, y, size, lag)
-            if rows is not None and _neighbours_agree(rows) > explained:
-                best, explained = rows, _neighbours_agree(rows)
-    found = best and read_map(best)
-    return found if found and found.share > RATE_EXPLAINED else None
 
 
 def read_map(rows: Rows) -> RestMap | None:
@@ -409,26 +390,3 @@ def _bound(nodes: Floats, levels: Levels, noise: float) -> float:
     bent = max(float(np.std(v - np.polyval(np.polyfit(x, v, 1), x))), KNOWN)
     ends = max(x[END] - x[0], x[-1] - x[-1 - END])  # flat ends of fewer levels are not looked for
     return float(np.clip(HIDES * bent, ends, max(ends, np.quantile(widths[moving], 0.95))))
-
-
-# --- Rates
-
-
-def _rate_rows(t: Floats, u: Floats, y: Floats, size: int, lag: int) -> Rows | None:
-    """Return the rate over each window in which the command stays, from `lag` samples ahead."""
-    starts = np.arange(lag, y.size - size, size)
-    if starts.size < 4 * LEVELS:
-        return None
-    asked = np.lib.stride_tricks.sliding_window_view(u, size + lag + 1)[starts - lag]
-    passed = t[starts + size] - t[starts]
-    stays = (np.ptp(asked, axis=1) < STAYS * np.ptp(u)) & (passed > 0)
-    if np.sum(stays) < 4 * LEVELS:
-        return None
-    rate = (y[starts + size] - y[starts])[stays] / passed[stays]
-    return Rows(np.median(asked, axis=1)[stays], rate, np.zeros(rate.size), "sweep")
-
-
-def _neighbours_agree(rows: Rows) -> float:
-    """Return the share of the readings' variance that neighbours in the command have in common."""
-    y = rows.y[np.argsort(rows.u, kind="stable")]
-    return 1 - float(np.mean(np.diff(y, 2) ** 2) / 6 / max(float(np.var(y)), 1e-300))

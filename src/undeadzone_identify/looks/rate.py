@@ -1,0 +1,144 @@
+"""The map of a reading's rate: two lines that meet rate 0 at commands apart, by least squares.
+
+A command that moves within a window is no error here: what it has beyond both edges is averaged
+over the window, as the reading sums it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from undeadzone.util.arrays import Floats
+from undeadzone_identify.looks.edges import DEARER, PASSES, PLACES, price
+from undeadzone_identify.looks.map import CURVES, Edge, FlatPart, RestMap
+from undeadzone_identify.looks.rows import LEVELS, Rows, known_samples
+from undeadzone_identify.models.estimates import Interval
+
+EXPLAINED = 0.8  # of the variance of rates, by the command
+SIZES = (2, 4, 8, 16, 32)  # samples of a window
+
+
+class Fit(NamedTuple):
+    """Fit of two edges: price, edges with their intervals (2 x 3), coefficients (2 x k)."""
+
+    price: float
+    edges: Floats
+    c: Floats
+
+
+def map_of_rate(t: Floats | None, u: Floats, y: Floats) -> RestMap | None:
+    """Return the map of the rate of a reading that integrates, at the best lag; None without one.
+
+    Its part has a jump at its edges if that explains more, and none if its edges are not apart, or
+    if a line or a curve explains as much.
+
+    Args:
+        t: times (N); None for rows in the order of their record.
+        u: commands (N).
+        y: readings, some may be missing (N).
+    """
+    t, u, y = known_samples(t, u, y)
+    best: tuple[Floats, Floats] | None = None
+    least = math.log(1 - EXPLAINED)
+    for size in SIZES:
+        for lag in (-1, 0, 1, size // 2, size, 2 * size):
+            starts = np.arange(max(lag, 0), y.size - size + min(lag, 0), size)
+            if starts.size < 4 * LEVELS or not np.all(t[starts + size] > t[starts]):
+                continue
+            some = np.lib.stride_tricks.sliding_window_view(u, size)[starts - lag]
+            speed = (y[starts + size] - y[starts]) / (t[starts + size] - t[starts])
+            if np.ptp(some.mean(axis=1)) == 0 or np.ptp(speed) == 0:
+                continue
+            each = fit_edges(some, speed, False, 1).price / speed.size
+            if each < least:
+                best, least = (some, speed), each
+    return best and _map_of(*best)
+
+
+def fit_edges(asked: Floats, rate: Floats, jumps: bool, passes: int = PASSES) -> Fit:
+    """Fit rates by a line below the lower edge and one above the upper edge, and 0 between them.
+
+    Args:
+        asked: commands by window (W x size).
+        rate: rates (W).
+        jumps: whether the rate jumps at both edges.
+        passes: of grids of edges, each closer than the one before.
+    """
+    mean, unit, numbers = asked.mean(axis=1), rate / np.std(rate), 1 + jumps
+    grids = [np.linspace(mean.min(), mean.max(), PLACES)] * 2
+    for _ in range(passes):
+        columns = []
+        for way, grid in zip((-1, 1), grids, strict=True):
+            beyond = np.maximum(way * (asked[..., None] - grid), 0)
+            shapes = [beyond.mean(axis=1), (beyond > 0).mean(axis=1)][:numbers]
+            columns.append(np.stack(shapes, axis=-1).reshape(rate.size, -1))
+        both = np.hstack(columns)
+        k = np.arange(PLACES * numbers).reshape(PLACES, numbers)
+        pairs = np.stack(np.broadcast_arrays(k[:, None], k + k.size), axis=2)
+        pairs = pairs.reshape(PLACES, PLACES, 2 * numbers)
+        gram = both.T @ both + 1e-9 * rate.size * np.eye(both.shape[1]) * np.mean(both**2)
+        answer = (both.T @ unit)[pairs]
+        square = gram[pairs[..., :, None], pairs[..., None, :]]
+        c = np.linalg.solve(square, answer[..., None])[..., 0]
+        loss = np.maximum(unit @ unit - np.sum(c * answer, axis=-1), 0) / rate.size
+        falls, rises = c[..., :numbers], c[..., numbers:]
+        is_map = (falls[..., 0] * rises[..., 0] <= 0) & (grids[0][:, None] <= grids[1])
+        is_map &= (falls[..., 0] * falls[..., -1] >= 0) & (rises[..., 0] * rises[..., -1] >= 0)
+        sides = (grids[0] > mean.min()).astype(int)[:, None] + (grids[1] < mean.max())
+        prices = np.where(is_map, price(loss, rate.size, (1 + numbers) * sides), np.inf)
+        best = np.unravel_index(int(np.argmin(prices)), prices.shape)
+        edges, finer = [], []
+        for axis, grid in enumerate(grids):
+            same, inside = (
+                np.flatnonzero((prices <= prices[best] + more).any(axis=1 - axis))
+                for more in (0, DEARER)
+            )
+            edges.append(grid[[same[same.size // 2], inside[0], inside[-1]]])
+            first, last = max(inside[0] - 1, 0), min(inside[-1] + 1, PLACES - 1)
+            finer.append(np.linspace(grid[first], grid[last], PLACES))
+        grids = finer
+    return Fit(float(prices[best]), np.array(edges), c[best].reshape(2, -1) * np.std(rate))
+
+
+def _map_of(asked: Floats, rate: Floats) -> RestMap:
+    """Return the map of the rates (W) over windows of the command (W x size).
+
+    Curves that may explain a part are one over all commands, and one on each side of a jump.
+    """
+    mean = asked.mean(axis=1)
+    fits = {jumps: fit_edges(asked, rate, jumps) for jumps in (False, True)}
+    jumps = fits[True].price < fits[False].price
+    cost, (lower, upper), c = fits[jumps]
+    alike = np.array([one.edges for one in fits.values() if one.price < cost + DEARER])
+    low, high = alike[..., 1].min(axis=0), alike[..., 2].max(axis=0)
+    unit = (asked - mean.min()) / np.ptp(mean)
+    half = unit - ((lower[0] + upper[0]) / 2 - mean.min()) / np.ptp(mean)
+    bent = [np.where(way * half > 0, half**k, 0) for way in (-1, 1) for k in range(CURVES[0] + 1)]
+    curves = [[unit**k for k in range(degree + 1)] for degree in (1, *CURVES)]
+    is_part = low[1] > high[0]
+    for shapes in (*curves, bent):
+        columns = np.stack([one.mean(axis=1) for one in shapes], axis=1)
+        left = rate - columns @ np.linalg.lstsq(columns, rate)[0]
+        is_part &= bool(cost < price(float(np.var(left) / np.var(rate)), rate.size, len(shapes)))
+    far = (mean < lower[0], mean > upper[0])
+    left, right = (
+        Edge(Interval(float(edge[0]), *ends), bool(jumps), int(one.sum()))
+        if one.sum() > LEVELS
+        else None
+        for edge, ends, one in zip((lower, upper), zip(low, high, strict=True), far, strict=True)
+    )
+    kind = "band" if left and right else "low end" if np.mean(rate) > 0 else "high end"
+    x, first = np.unique(mean, return_index=True)
+    at_ends = c[:, 0] * [lower[0] - x[0], x[-1] - upper[0]] + (c[:, 1] if jumps else 0)
+    return RestMap(
+        rows=Rows(mean, rate, np.zeros(rate.size), "rate"),
+        x=x,
+        y=rate[first],
+        flats=(FlatPart(kind, 0.0, left, right),) if is_part and (left or right) else (),
+        bound=math.inf,
+        fold=None,
+        nodes=np.array([[x[0], lower[0], upper[0], x[-1]], [at_ends[0], 0, 0, at_ends[1]]]),
+    )
