@@ -19,7 +19,6 @@ from tools.fuzz.scenarios import text
 
 CASES = {
     "formulas": 150,
-    "urdfs": 60,
     "designs": 60,
     "journals": 15,
     "options": 15,
@@ -28,7 +27,7 @@ CASES = {
     "streams": 15,
     "splits": 5,
     "identify_logs": 12,
-    "arms": 30,
+    "arms": 120,
     "folders": 8,
     "engines": 4,
     "number_formats": 300,

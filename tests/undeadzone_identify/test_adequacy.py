@@ -58,17 +58,6 @@ def of_kind(kind: str, seed: int) -> uz.Identified:
     return identify_log(log.u, log.y, **log.options)
 
 
-@pytest.mark.parametrize("samples", [50, *further(5, 500)])
-def test_a_linear_motor_has_no_gap(samples: int) -> None:
-    """Of 500 samples the log holds four time constants: then nothing is named."""
-    answer = of_kind(f"motor of {samples}", 3 if samples == 500 else 1)
-    assert answer.verdict == ("unclear" if samples == 500 else "none")
-    assert answer.width is None
-    if samples == 500:
-        assert "ecord for longer" in answer.answer.reasons[0]
-        assert not answer.numbers()["odds"]
-
-
 def test_a_joint_that_rubs_is_named_with_its_friction() -> None:
     """The servo's predictor excludes a gap: its fit is that of friction, in the input's unit."""
     answer = of_kind("joint, friction .3", 1)
@@ -103,28 +92,6 @@ def test_another_curve_of_the_input_has_no_name_and_no_odds(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize(
-    ("kind", "seed", "seen"),
-    [
-        ("tank", 8411, "the size of the output as a force on the plant"),
-        *further(
-            ("spring that bends", 8411, "the size of the output as a force on the plant"),
-            ("tank", 8412, "a plant that bends leaves less than friction"),
-        ),
-    ],
-)
-def test_a_plant_that_bends_is_not_named(kind: str, seed: int, seen: str) -> None:
-    """They were `none` with 0.98 and `friction` with 1.00.
-
-    What a plant that bends leaves is slow, so that whitening takes it for the disturbance: of the
-    first tank 0.87 of the residual depends on the size of the output, of the innovations 0.04.
-    """
-    answer = of_kind(kind, seed)
-    assert answer.verdict == "unclear"
-    assert seen in answer.answer.reasons[0]
-    assert "the plant may bend" in answer.answer.reasons[1]
-
-
-@pytest.mark.parametrize(
     ("kind", "words"),
     [
         ("line", {"saturation"}),
@@ -143,7 +110,7 @@ def test_limits_of_the_readings_hide_nothing_between_them(kind: str, words: set[
     assert identify_log(log.u, limited, **log.options).verdict in words
 
 
-@pytest.mark.long("test_a_mean_of_readings_is_no_zone")
+@pytest.mark.long("undeadzone_identify/test_names_of_logs.py::test_a_log_has_its_name")
 def test_a_slow_disturbance_is_no_remainder() -> None:
     """It explains most of the residual of a line, but depends on no signal."""
     rng = np.random.default_rng(4)
@@ -178,7 +145,7 @@ def test_the_order_behind_two_zones_is_not_that_of_a_zone_of_the_sensor() -> Non
     assert all(one.share < 0.02 for one in answer.answer.found.remainders)
 
 
-@pytest.mark.long("test_a_strong_curve_is_found_beside_its_line")
+@pytest.mark.long("undeadzone_identify/test_names_of_logs.py::test_a_log_has_its_name")
 def test_a_curve_of_the_sensor_is_not_late_by_the_delay_of_a_zone() -> None:
     """In a loop a zone's model is late by a sample. What is left is the encoder's rounding."""
     log = make(9308, "cubic")
@@ -186,12 +153,6 @@ def test_a_curve_of_the_sensor_is_not_late_by_the_delay_of_a_zone() -> None:
     assert answer.verdict == "other"
     assert answer.answer.found.delay == 0
     assert answer.numbers()["held_out"]["error"] == pytest.approx(0.03 / np.sqrt(12), rel=0.1)
-
-
-def test_a_strong_curve_is_found_beside_its_line() -> None:
-    """From a line alone the climb ended beside the top: 12 % were left."""
-    log = make(9513, "cubic")
-    assert identify_log(log.u, log.y).verdict == "other"
 
 
 @pytest.mark.long("test_a_joint_that_rubs_is_named_with_its_friction")
@@ -202,12 +163,6 @@ def test_friction_may_leave_more_than_a_tenth_by_the_output() -> None:
     assert answer.verdict == "friction"
     _, low, high = answer.numbers()["friction"]
     assert low < log.widths[0] < high
-
-
-def test_friction_in_a_short_log_is_no_plant_that_bends() -> None:
-    """Three numbers of a bend leave as little as two of friction."""
-    log = make(9301, "friction")
-    assert identify_log(log.u, log.y).verdict == "friction"
 
 
 def test_a_dead_zone_leaves_nothing() -> None:
@@ -276,10 +231,6 @@ def test_a_lag_behind_the_zone_has_its_time_constant() -> None:
     assert shape["lag"][1] < STEP * 0.7 / 0.3 < shape["lag"][2]
 
 
-def test_a_mean_of_readings_is_no_zone() -> None:
-    assert of_kind("mean of 5", 1).verdict == "none"
-
-
 def sensed_zone(rounding: float, slope: float) -> tuple[Floats, Floats, Floats]:
     """Return input, output and readings of a zone with round edges and a left side of a slope."""
     rng = np.random.default_rng(5)
@@ -301,18 +252,6 @@ def test_the_shape_of_a_sensor_is_estimated_and_written(rounding: float, slope: 
     sensor = tomllib.loads(answer.scenario())["sensor"]
     assert sensor["rounding"] == pytest.approx(rounding, abs=0.02)
     assert sensor["slope_std"] == pytest.approx(abs(1 - slope), abs=0.01)
-
-
-@pytest.mark.parametrize(
-    ("kind", "seed"), [("relay", 1), *further(("relay with hysteresis", 8441))]
-)
-def test_a_relay_is_no_curve_and_no_slow_drive(kind: str, seed: int) -> None:
-    """Its best curve lies at its bound; a drive that never reaches its target is as good as it."""
-    answer = of_kind(kind, seed)
-    assert answer.verdict == "unclear"
-    assert "at the limit of its numbers" in answer.answer.reasons[0]
-    assert "Record steps" in answer.answer.reasons[1]
-    assert not answer.numbers()["odds"]
 
 
 def test_a_limit_of_the_rate_is_named_and_has_no_scenario() -> None:
@@ -380,36 +319,6 @@ def test_a_lag_ahead_of_the_zone_withholds_the_name(samples: float) -> None:
 # --- What a name must explain
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("kind", "verdict", "reason"),
-    [
-        # one regressor finds a path beside the zone that seven hat functions of the input share
-        *further(("zone beside a line", "unclear", "the input within its zone")),
-        # exp(p u) fits a little better than a line, but p is 0.19 +- 0.23
-        ("gain that sways", "undecided", "straight line"),
-    ],
-)
-def test_an_element_of_the_input_that_is_not_sure_has_no_name(
-    kind: str, verdict: str, reason: str
-) -> None:
-    answer = of_kind(kind, 8101)
-    assert answer.verdict == verdict
-    assert reason in answer.answer.reasons[0]
-    assert not answer.numbers()["odds"]
-    assert answer.width is None
-
-
-@pytest.mark.long("test_a_name_that_its_own_test_or_a_wider_model_denies_is_withheld")
-@pytest.mark.slow
-def test_a_larger_model_that_predicts_a_little_worse_is_not_denied() -> None:
-    """Two zones lose to the sensor's alone by 1.3 deviations of held-out errors."""
-    log = make(5201, "sensor and input")
-    answer = uz.identify(t=log.step, u=log.u, y=log.y)
-    assert isinstance(answer, uz.Identified)
-    assert answer.verdict in ("undecided", "two_zones")
-
-
 def test_distance_from_neutral_vanishes_for_what_passes_the_input() -> None:
     """Each element of the input passes a multiple of u with its neutral numbers."""
     u = walk(np.random.default_rng(3), 300)
@@ -445,14 +354,6 @@ def test_a_loop_whose_readings_nothing_foretells_has_no_name(tmp_path: Path) -> 
     assert answer.verdict == "unclear"
     assert "explains 0 % of the held-out readings" in answer.answer.reasons[0]
     assert not answer.numbers()["odds"]
-
-
-@pytest.mark.long("test_a_strong_curve_is_found_beside_its_line")
-def test_two_slopes_without_a_zone_are_another_curve() -> None:
-    """The zone of two slopes fits them with a width of 0: they are no line."""
-    answer = of_kind("two slopes, no zone", 8201)
-    assert answer.verdict == "other"
-    assert "0.6 times the slope" in answer.answer.reasons[0]
 
 
 @pytest.mark.long("test_limits_that_no_reading_reaches_are_not_reported")
@@ -537,13 +438,6 @@ def test_an_edge_that_the_input_never_passes_has_a_lower_bound_only(tmp_path: Pa
     assert found["width"] is None
 
 
-def test_readings_stored_on_change_have_no_name() -> None:
-    answer = of_kind("recorder on change", 8201)
-    assert answer.verdict == "unclear"
-    assert "else move by 0.2" in answer.answer.reasons[0]
-    assert not answer.numbers()["odds"]
-
-
 @pytest.mark.parametrize("quantum", [0.2, *further(0.002)])
 def test_rounded_readings_are_not_those_of_a_recorder(quantum: float) -> None:
     """Coarse ones repeat as well, and move by one spacing or more."""
@@ -602,45 +496,6 @@ def test_a_gate_that_passes_large_readings_whole_is_a_jump() -> None:
     assert answer.verdict == "jump"
     left = {one.on: one.share for one in answer.answer.found.remainders}
     assert left["steps"] < 0.03
-
-
-@pytest.mark.parametrize(
-    ("truth", "seed", "why"),
-    [
-        *further(("input", 10049, "a zone explains more than chance does (p = 1.9e-21)")),
-        ("sensor and input", 10056, "this record cannot decide a dead zone of the sensor from"),
-    ],
-)
-def test_a_name_that_its_own_test_or_a_wider_model_denies_is_withheld(
-    truth: str, seed: int, why: str
-) -> None:
-    """They were `none` at 0.99 and a zone of the sensor, at 0.46, with a zone of the input."""
-    log = make(seed, truth)
-    answer = uz.identify(t=log.step, u=log.u, y=log.y)
-    assert isinstance(answer, uz.Identified)
-    assert answer.verdict == "undecided"
-    assert answer.answer.reasons[0].startswith(why[:40])
-
-
-def test_a_motor_that_cogs_has_its_period_and_no_name() -> None:
-    """It was `none` at 1.00: its magnets pull it to 12 places a turn, 0.52 rad apart."""
-    answer = of_kind("motor that cogs", 7112)
-    assert answer.verdict == "undecided"
-    found = re.search(r"repeats itself every ([0-9.]+) of its way", answer.answer.reasons[0])
-    assert found is not None
-    assert float(found[1]) == pytest.approx(2 * np.pi / 12, rel=0.05)
-    assert not answer.numbers()["odds"]
-
-
-@pytest.mark.long(
-    "undeadzone_identify/test_alternatives.py::test_a_strong_disturbance_widens_a_servos_gap_or_withdraws_it"
-)
-def test_loads_that_come_and_go_are_no_play() -> None:
-    """Its gap was 0, without a width, at 0.96."""
-    answer = of_kind("loads that come and go", 1)
-    assert answer.verdict == "undecided"
-    assert "turns that no input made hide the gap" in answer.answer.reasons[0]
-    assert not answer.numbers()["odds"]
 
 
 @pytest.mark.parametrize(

@@ -363,25 +363,6 @@ def test_a_plant_that_integrates_is_neither_play_nor_friction() -> None:
         assert {share for _, share, _ in describe_rivals(answer.answer)} == {"-"}
 
 
-@pytest.mark.long("test_a_zone_is_not_named_for_a_larger_model_with_other_widths")
-def test_a_play_that_held_out_data_may_owe_to_chance_is_undecided() -> None:
-    """One-step errors prefer the play ahead of a zone, held-out blocks hardly."""
-    log = make_named_log(9806, "play and zone")
-    found = identify_log(log)
-    assert found.verdict == "undecided"
-    assert "by chance, perhaps" in found.answer.reasons[0]
-
-
-@pytest.mark.parametrize(
-    ("truth", "seed"), [("sensor and input", 9818), *further(("play and zone", 9619))]
-)
-def test_a_zone_is_not_named_for_a_larger_model_with_other_widths(truth: str, seed: int) -> None:
-    """A zone of the input was not excluded, and the sensor's alone had odds above 0.99."""
-    log = make_named_log(seed, truth)
-    found = identify_log(log)
-    assert found.verdict in ("undecided", "unclear")
-
-
 def test_the_steps_of_an_encoder_are_no_play() -> None:
     """An encoder's steps of 0.03 pass for a play of 0.014 with odds of 0.99."""
     log = make_named_log(8605, "operating point")

@@ -159,14 +159,6 @@ def test_derivatives_beside_a_level_and_without_correlation(shape) -> None:
         assert score[place] == pytest.approx(slope, rel=1e-4, abs=1e-4)
 
 
-def test_a_significant_zone_is_not_named_none() -> None:
-    """Of a few steps a zone of the input explains too little for odds, and too much for chance."""
-    log = make(8007, "input")
-    answer = identify_log(log, order=1, delay=0)
-    assert answer.verdict == "undecided"
-    assert "p = 0.00" in answer.answer.reasons[0]
-
-
 def test_a_saturation_pays_for_edges_that_few_readings_tell() -> None:
     rng, u, z = driven(3, 700)
     data = logged(u, z + 0.05 * rng.standard_normal(z.size))
@@ -187,14 +179,6 @@ def test_a_log_about_an_operating_point_tells_nothing_of_a_zone(seed: int) -> No
 
 
 # --- names
-
-
-def test_the_colour_of_a_loops_disturbance_is_no_friction() -> None:
-    """By noise of first order it was friction, with odds of .985."""
-    log = make(7001, "operating point")
-    found = identify_log(log, order=1, delay=0, kind="deadzone")
-    assert found.verdict == "operating_point"
-    assert found.numbers()["odds"]["none"] > 0.9
 
 
 def test_a_zone_at_both_ends_is_not_sold_as_the_sensors() -> None:
@@ -252,13 +236,6 @@ def test_most_readings_at_both_ends_are_a_saturation_whatever_curve_fits_the_res
     assert answer.verdict == "saturation"
 
 
-def test_an_encoder_that_sticks_at_both_ends_is_a_saturation() -> None:
-    """Between the ends its steps are larger than any zone, and nothing else was said of it."""
-    log = make(9023, "saturation")
-    answer = identify_log(log)
-    assert answer.verdict == "saturation"
-
-
 @pytest.mark.long("test_a_play_with_a_zone_is_no_servo")
 def test_what_looks_like_friction_is_tested_for_a_play() -> None:
     """Friction led with odds beyond .99."""
@@ -276,14 +253,6 @@ def test_what_looks_like_friction_is_tested_for_a_play() -> None:
     answer = uz.identify(t=STEP, u=u / u.std(), y=y)
     assert answer.verdict == "play"
     assert answer.numbers()["odds"]["play"] > 0.5
-
-
-@pytest.mark.long("test_a_play_with_a_zone_is_no_servo")
-def test_an_encoder_that_falls_silent_is_no_servo_without_a_zone() -> None:
-    """A motor behind a play alone explained four fifths of this log, with odds beyond .99."""
-    log = make(3002, "play and zone")
-    answer = identify_log(log, order=2, delay=0)
-    assert answer.verdict == "both"
 
 
 def is_play_with_zone(log: NamedLog, **more: object) -> None:
@@ -316,12 +285,6 @@ def test_a_noisy_servo_is_no_saturation_and_no_jump(seed: int, order: int) -> No
     assert answer.verdict == "play"
     assert answer.width.low < log.servo.gap < answer.width.high
     assert answer.numbers()["odds"]["play"] > 0.99
-
-
-def test_a_servo_whose_crossings_say_another_gap_is_no_saturation() -> None:
-    """Behind an encoder, with friction: a saturation had odds beyond .99, at a fit of .6."""
-    answer = identify_log(random_log(30051), order=2, delay=0)
-    assert answer.verdict in ("undecided", "unclear")
 
 
 @pytest.mark.long("test_a_noisy_servo_is_no_saturation_and_no_jump")
@@ -363,13 +326,6 @@ def test_two_silent_samples_that_a_start_explains_by_underflow_are_no_fit() -> N
     assert answer.left.low < log.widths[1] < answer.left.high
 
 
-def test_an_encoder_about_an_operating_point_is_named_though_its_steps_hide_a_zone() -> None:
-    """It was named `none`."""
-    log = make(21014, "operating point")
-    answer = identify_log(log, order=2, delay=0, place="sensor", kind="deadzone")
-    assert answer.verdict == "operating_point"
-
-
 def test_a_short_log_whose_encoder_passes_0_slowly_is_not_tested_for_a_servo() -> None:
     """As many readings stand at a hold of the play; a motor behind a play had odds beyond .99."""
     log = make(4001, "play and zone")
@@ -384,13 +340,6 @@ def test_a_servo_that_rests_at_0_is_a_servo(seed: int) -> None:
     answer = identify_log(log)
     assert answer.verdict == "play"
     assert answer.width.low <= log.servo.gap <= answer.width.high
-
-
-def test_no_memory_is_named_where_most_readings_stick_at_the_ends() -> None:
-    """Of this saturation 74 % do; a play between them had odds of 0.9."""
-    answer = identify_log(make(3002, "saturation"))
-    assert answer.verdict == "saturation"
-    assert any("readings stick at the ends" in one for one in answer.numbers()["remarks"])
 
 
 @pytest.mark.parametrize("seed", [8800, *further(8703)])  # 435 and 16005 samples
@@ -421,12 +370,6 @@ def test_a_play_that_reaches_its_ends_is_no_saturation() -> None:
     assert answer.answer.case.fitted.prepared.ends.has_ends
     assert answer.answer.case.limited is None
     assert answer.verdict != "saturation"
-
-
-@pytest.mark.long("test_the_limits_of_an_encoder_are_those_of_all_readings")
-def test_a_disturbance_ahead_of_limits_leaves_nothing_beyond_them() -> None:
-    """It rounds the corners of the mean reading: 3 % of the residual depended on the output."""
-    assert identify_log(make(8802, "saturation")).verdict == "saturation"
 
 
 def test_odds_are_printed_and_sum_to_1() -> None:

@@ -106,22 +106,6 @@ def test_readings_of_a_switch_have_no_name(noise: float) -> None:
     assert "two levels alone, as those of a switch" in found.answer.reasons[0]
 
 
-def test_a_sensor_slower_one_way_has_no_name() -> None:
-    """It was a curve of the input, since it shifts the mean."""
-    found = uz.identify(
-        t=STEP, **dict(zip("uy", log_of("sensor slower upwards", 8000), strict=True))
-    )
-    assert found.verdict == "unclear"
-    assert "how fast the output changes" in found.answer.reasons[0]
-
-
-@pytest.mark.long("test_the_slope_inside_a_zone_grows_with_the_roundness_of_its_edges")
-def test_a_curve_that_passes_most_of_what_lies_inside_is_no_zone() -> None:
-    """Two gains of a range were a zone with edges of five times its half width, at odds of 1."""
-    found = uz.identify(t=STEP, **dict(zip("uy", log_of("range that switches", 8001), strict=True)))
-    assert found.verdict in ("undecided", "unclear", "other")
-
-
 @pytest.mark.parametrize(("rounding", "slope"), [(0.01, 0.0), (0.45 / np.log(3), 0.5), (50.0, 1.0)])
 def test_the_slope_inside_a_zone_grows_with_the_roundness_of_its_edges(
     rounding: float, slope: float
@@ -179,24 +163,8 @@ def test_a_play_without_dynamics_is_measured() -> None:
     assert numbers["gap"].low < 0.7 < numbers["gap"].high
 
 
-def test_the_overlap_of_a_cylinders_valve_is_not_mistaken_for_friction() -> None:
-    """It rests as friction does, but brakes nothing: its odds were 1."""
-    u, y = log_of("cylinder", 8500)
-    found = uz.identify(t=STEP, u=u, y=y, integrators=1)
-    assert found.verdict == "undecided"
-    assert "a dead zone of the input, as of a valve that overlaps" in found.answer.reasons[0]
-
-
-@pytest.mark.long("test_a_sensor_slower_one_way_has_no_name")
+@pytest.mark.long("undeadzone_identify/test_names_of_logs.py::test_a_log_has_its_name")
 def test_much_noise_is_not_taken_for_readings_that_hardly_move() -> None:
     u, y = log_of("zone, much noise", 8501)
     found = uz.identify(t=STEP, u=u, y=y)
     assert not any("hardly move" in one for one in found.answer.reasons)
-
-
-def test_readings_beyond_the_limits_that_fit_best_are_no_saturation() -> None:
-    """A pendulum that went over its top hangs about two angles, and was a saturation at 1.00."""
-    u, y = log_of("pendulum", 7030)
-    found = uz.identify(t=STEP, u=u, y=y)
-    assert found.verdict == "unclear"
-    assert "readings exceed the fitted limits of the saturation" in found.answer.reasons[0]
