@@ -18,7 +18,7 @@ from scipy.signal import lfilter
 
 import undeadzone as uz
 from further import further
-from records import dead_zone
+from records import dead_zone, holds, write_log
 from undeadzone.cli import group
 from undeadzone.errors import InputError
 from undeadzone.util.arrays import Floats
@@ -76,8 +76,7 @@ def test_another_curve_of_the_input_has_no_name_and_no_odds(tmp_path: Path) -> N
     u = walk(rng)
     y = two_lags(np.tanh(2 * u)) + 0.02 * rng.standard_normal(u.size)
     log = tmp_path / "log.csv"
-    rows = np.column_stack([STEP * np.arange(u.size), u, y])
-    np.savetxt(log, rows, delimiter=",", header="t,u,y", comments="")
+    write_log(log, "t,u,y", STEP, u, y)
     words = ["identify", str(log), "--json", "--no-figures", "--out", str(tmp_path)]
     assert group.main(words, standalone_mode=False) == 0
     saved = json.loads((tmp_path / "identify.json").read_text())
@@ -172,8 +171,7 @@ def test_a_dead_zone_leaves_nothing() -> None:
     y = dead_zone(z, 0.5, 0.35) + 0.02 * rng.standard_normal(u.size)
     answer = identify_log(u, y)
     assert answer.verdict == "dead_zone"
-    assert answer.width is not None
-    assert answer.width.low < 0.85 < answer.width.high
+    assert holds(answer.width, 0.85)
 
 
 # --- Everyday truths
@@ -199,8 +197,7 @@ def test_a_curve_of_the_input_is_no_zone(kind: str) -> None:
 def test_play_ahead_of_the_plant_has_its_gap(kind: str, gap: float) -> None:
     answer = of_kind(kind, 1)
     assert answer.verdict == "input_play"
-    assert answer.width is not None
-    assert answer.width.low < gap < answer.width.high
+    assert holds(answer.width, gap)
     assert answer.width.value == pytest.approx(gap, rel=0.03)
     assert answer.headline().startswith("Backlash ahead of the plant: gap ")
     assert len(answer.answer.poles) == answer.order
@@ -214,7 +211,7 @@ def test_a_filter_behind_the_zone_is_no_friction(tmp_path: Path) -> None:
     assert answer.zone
     assert answer.width is not None
     assert log.width is not None
-    assert answer.width.low < log.width < answer.width.high
+    assert holds(answer.width, log.width)
     late = answer.numbers()["shape"]["lag"]
     assert 0 < late[1] < late[2] < 1.5 * STEP  # the plant holds the rest, which is a pure delay
     path = tmp_path / "zone.toml"
@@ -293,8 +290,7 @@ def test_an_undecided_log_has_an_effect_and_an_option_that_decides() -> None:
     assert {*answer.account.effects} <= {"input shape", "input loss"}
     placed = identify_log(u, y, place="actuator")
     assert placed.verdict == "input_zone"
-    assert placed.width is not None
-    assert placed.width.low < 0.7 < placed.width.high
+    assert holds(placed.width, 0.7)
 
 
 @pytest.mark.parametrize("samples", [4.0, *further(0.0)])
@@ -307,8 +303,7 @@ def test_a_lag_ahead_of_the_zone_withholds_the_name(samples: float) -> None:
     answer = identify_log(u, y)
     if not samples:
         assert answer.verdict == "input_zone"
-        assert answer.width is not None
-        assert answer.width.low < 0.7 < answer.width.high
+        assert holds(answer.width, 0.7)
         return
     assert answer.verdict == "unclear"
     assert "the input a few samples before" in answer.answer.reasons[0]
@@ -346,9 +341,8 @@ def test_a_loop_whose_readings_nothing_foretells_has_no_name(tmp_path: Path) -> 
     rng = np.random.default_rng(2)
     pv = 50 + rng.standard_normal(700)
     op = 40 - 0.3 * (pv - 50) - 0.05 * np.cumsum(pv - 50)
-    rows = np.column_stack([np.arange(700), op, pv, np.full(700, 50.0)])
     log = tmp_path / "loop.csv"
-    np.savetxt(log, rows, delimiter=",", header="time,OP,PV,SP", comments="")
+    write_log(log, "time,OP,PV,SP", 1.0, op, pv, np.full(700, 50.0))
     answer = uz.identify(log)
     assert isinstance(answer, uz.Identified)
     assert answer.verdict == "unclear"

@@ -20,11 +20,14 @@ from further import further
 from records import (
     dead_zone,
     driven,
+    holds,
+    holds_both,
     identify_log,
     identify_second_order,
     logged,
     second_order,
     steps,
+    write_log,
 )
 from undeadzone.cli import group
 from undeadzone.nonlinearities.play import levels
@@ -259,7 +262,7 @@ def is_play_with_zone(log: NamedLog, **more: object) -> None:
     """It is named so, and its gap holds."""
     answer = identify_log(log, **more)
     assert answer.verdict == "both"
-    assert answer.width.low < sum(log.widths) < answer.width.high
+    assert holds(answer.width, sum(log.widths))
 
 
 def test_a_play_with_a_zone_is_no_servo() -> None:
@@ -283,7 +286,7 @@ def test_a_noisy_servo_is_no_saturation_and_no_jump(seed: int, order: int) -> No
     log = random_log(seed)
     answer = identify_log(log, order=order, delay=0)
     assert answer.verdict == "play"
-    assert answer.width.low < log.servo.gap < answer.width.high
+    assert holds(answer.width, log.servo.gap)
     assert answer.numbers()["odds"]["play"] > 0.99
 
 
@@ -322,8 +325,7 @@ def test_two_silent_samples_that_a_start_explains_by_underflow_are_no_fit() -> N
     log = make(21000, "sensor")
     answer = identify_log(log._replace(u=log.u[:800], y=log.y[:800]), order=3, delay=0)
     assert answer.verdict == "dead_zone"
-    assert answer.right.low < log.widths[0] < answer.right.high
-    assert answer.left.low < log.widths[1] < answer.left.high
+    assert holds_both(answer, log.widths[0], log.widths[1])
 
 
 def test_a_short_log_whose_encoder_passes_0_slowly_is_not_tested_for_a_servo() -> None:
@@ -339,7 +341,7 @@ def test_a_servo_that_rests_at_0_is_a_servo(seed: int) -> None:
     log = resting_log(seed, 1500)
     answer = identify_log(log)
     assert answer.verdict == "play"
-    assert answer.width.low <= log.servo.gap <= answer.width.high
+    assert holds(answer.width, log.servo.gap)
 
 
 @pytest.mark.parametrize("seed", [8800, *further(8703)])  # 435 and 16005 samples
@@ -390,8 +392,7 @@ def test_dropouts_to_0_are_missing_and_counted() -> None:
     y = dead_zone(z, 0.4, 0.3) + 0.02 * rng.standard_normal(z.size)
     dropped = rng.random(z.size) < 0.02
     answer = identify_second_order(u, np.where(dropped, 0.0, y), place="sensor")
-    assert answer.right.low <= 0.4 <= answer.right.high
-    assert answer.left.low <= 0.3 <= answer.left.high
+    assert holds_both(answer, 0.4, 0.3)
     assert any("dropouts" in remark for remark in answer.answer.remarks)
 
 
@@ -403,8 +404,7 @@ def test_a_silence_between_two_glitches_is_no_dropout() -> None:
     y[[first + 1, last - 1]] = 6.0 * np.abs(y).max()
     answer = identify_second_order(u, y, place="sensor")
     assert not any("dropouts" in remark for remark in answer.answer.remarks)
-    assert answer.right.low <= 0.4 <= answer.right.high
-    assert answer.left.low <= 0.3 <= answer.left.high
+    assert holds_both(answer, 0.4, 0.3)
 
 
 def silence(y: Floats) -> tuple[int, int]:
@@ -431,8 +431,7 @@ def test_readings_without_noise_name_a_jump_sensor_among_all_orders() -> None:
         t=0.02, u=u, y=np.where((z > 0.5) | (z < -0.3), z, 0.0), order="1-2", delay=0
     )
     assert answer.verdict == "jump"
-    assert answer.right.low <= 0.5 <= answer.right.high
-    assert answer.left.low <= 0.3 <= answer.left.high
+    assert holds_both(answer, 0.5, 0.3)
 
 
 def test_a_stuck_reading_is_missing_and_counted() -> None:
@@ -441,7 +440,7 @@ def test_a_stuck_reading_is_missing_and_counted() -> None:
     y[400:490] = y[400]
     answer = identify_second_order(u, y, place="sensor")
     assert any("stuck" in remark for remark in answer.answer.remarks)
-    assert answer.right.low <= 0.4 <= answer.right.high
+    assert holds(answer.right, 0.4)
 
 
 def test_a_sensor_that_freezes_now_and_then_is_no_play() -> None:
@@ -492,7 +491,7 @@ def test_a_pause_at_the_end_is_no_reason_to_ask_about_columns() -> None:
     z = second_order(u)
     answer = identify_second_order(u, dead_zone(z + 0.03 * rng.standard_normal(900), 0.4, 0.3))
     assert answer.verdict == "dead_zone"
-    assert answer.right.low <= 0.4 <= answer.right.high
+    assert holds(answer.right, 0.4)
 
 
 def in_a_loop(seed: int, gain: float) -> tuple[Floats, Floats]:
@@ -515,7 +514,7 @@ def test_a_closed_loop_is_detected(gain: float) -> None:
     closed = any("closed loop" in remark for remark in answer.answer.remarks)
     assert closed == (gain > 0)
     assert (answer.numbers()["closed_loop"] < 1e-3) == (gain > 0)
-    assert answer.right.low <= 0.2 <= answer.right.high
+    assert holds(answer.right, 0.2)
 
 
 # --- a loop, with its reference
@@ -627,8 +626,7 @@ def test_a_log_with_a_setpoint_ends_in_a_scenario(
 ) -> None:
     """From a file whose header names the reference to what the command leaves behind."""
     monkeypatch.chdir(tmp_path)
-    columns = np.column_stack([loop.step * np.arange(loop.u.size), loop.u, loop.y, loop.r])
-    np.savetxt("log.csv", columns, delimiter=",", header="t,u,y,setpoint", comments="")
+    write_log("log.csv", "t,u,y,setpoint", loop.step, loop.u, loop.y, loop.r)
     words = ["identify", "log.csv", "--order", str(loop.order), "--no-figures", "--out", "found"]
     assert not group.main(words, standalone_mode=False)
     numbers = json.loads(Path("found/identify.json").read_text(encoding="utf-8"))

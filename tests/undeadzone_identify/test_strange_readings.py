@@ -12,6 +12,7 @@ from click.testing import CliRunner
 
 import undeadzone as uz
 from further import further
+from records import holds, write_log
 from requirements import needs
 from undeadzone.cli import group
 from undeadzone.errors import InputError
@@ -27,18 +28,12 @@ def log_of(kind: str, seed: int) -> tuple[Floats, Floats]:
     return log.u, log.y
 
 
-def write_log(u: Floats, y: Floats) -> None:
-    """Write log.csv into the folder."""
-    table = np.column_stack([STEP * np.arange(u.size), u, y])
-    np.savetxt("log.csv", table, delimiter=",", header="t,u,y", comments="")
-
-
 def test_an_input_that_acts_in_its_own_sample_is_taken_one_sample_earlier(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The widths hold, and the command that is printed estimates along the same log."""
     monkeypatch.chdir(tmp_path)
-    write_log(*log_of(FEEDTHROUGH, 8000))
+    write_log("log.csv", "t,u,y", STEP, *log_of(FEEDTHROUGH, 8000))
     run = CliRunner()
     told = run.invoke(group, ["identify", "log.csv", "--no-figures", "--out", "o"])
     words = " ".join(told.output.split())
@@ -60,7 +55,7 @@ def test_a_log_of_an_input_of_its_own_row_ends_in_firmware(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    write_log(*log_of(FEEDTHROUGH, 8000))
+    write_log("log.csv", "t,u,y", STEP, *log_of(FEEDTHROUGH, 8000))
     words = ["identify", "log.csv", "--no-figures", "--out", "o", "--chain", "fw"]
     told = CliRunner().invoke(group, words)
     assert told.exit_code == 0, told.output
@@ -78,7 +73,7 @@ def test_an_input_taken_earlier_gives_the_same_answer_as_a_shifted_log() -> None
     assert (found.recorded_delay, shifted.recorded_delay) == (-1, 0)
     assert found.width is not None
     assert shifted.width is not None
-    assert found.width.low < 0.85 < found.width.high
+    assert holds(found.width, 0.85)
     assert found.width.value == pytest.approx(shifted.width.value, abs=1e-3)
     system = found.to_control()
     assert system.D.item() > 0.1  # what passes at once
@@ -160,7 +155,7 @@ def test_a_play_without_dynamics_is_measured() -> None:
     found = uz.identify(t=STEP, u=u, y=y)
     assert found.verdict == "play"
     (numbers,) = found.account.effects.values()
-    assert numbers["gap"].low < 0.7 < numbers["gap"].high
+    assert holds(numbers["gap"], 0.7)
 
 
 @pytest.mark.long("undeadzone_identify/test_names_of_logs.py::test_a_log_has_its_name")
