@@ -112,7 +112,6 @@ def alone() -> list[str]:
         rival("heyoka, events, tol 1e-9", "heyoka_events", long),
         rival("JAX, plain RK4", "jax_scan", long, unroll=8),
         rival("diffrax, Tsit5 1e-6", "diffrax_tsit5", long),
-        rival("CasADi fold, plain RK4", "casadi_map", long),
         rival("SciPy, RK45 1e-6 (2 s)", "scipy_ivp", short),
         rival("SciPy, DOP853 1e-9, events (2 s)", "scipy_ivp", short, **exact),
     ]
@@ -132,7 +131,6 @@ def many(runs: int, duration: float) -> list[str]:
     others = [
         rival("heyoka in batches, events, tol 1e-9", "heyoka_events", work, batch=True),
         rival("JAX, plain RK4", "jax_scan", work),
-        rival("CasADi map, plain RK4 (100 runs)", "casadi_map", draw(100, duration)),
         rival("SciPy, RK45 1e-6 (10 runs)", "scipy_ivp", few),
     ]
     if runs <= 1000:

@@ -14,7 +14,7 @@ import numpy as np
 
 from benchmarks.filters import coverage
 from benchmarks.filters.problems.random_plants import DURATION, STEP, Problems, World, problems
-from benchmarks.markdown import row
+from benchmarks.markdown import head, row
 from undeadzone.observers import Auto
 from undeadzone.util.arrays import Floats
 
@@ -155,20 +155,13 @@ def observe(options: Callable[[Problems, int], Any], posed: Problems) -> Outcome
         posed: the problems.
     """
     out = coverage.along(options, posed, ESTIMATES)
-    right, left, z, right_std, left_std, width_std, z_std, consistent = out[:, -1].T
-    verdict = coverage.verdict(
-        coverage.truth(posed),
-        np.stack([right, left, z], axis=1),
-        coverage.covariance(right_std, left_std, width_std),
-        z_std,
-        np.zeros(0),
-    )
     late = HALF + int(2 / STEP)
     error = out[:, late:, 2] - posed.z[late:].T
-    return Outcome(verdict, np.sqrt(np.mean(error**2, axis=1)), consistent)
+    rms = np.sqrt(np.mean(error**2, axis=1))
+    return Outcome(coverage.final_verdict(posed, out), rms, out[:, -1, 7])
 
 
-ESTIMATES = coverage.selected("right left z right_std left_std width_std x_std consistent")
+ESTIMATES = coverage.selected(coverage.FINAL + "consistent")
 
 
 def trusting(options: Callable[[Problems, int], Any]) -> Callable[[Problems, int], Any]:
@@ -182,7 +175,7 @@ def trusting(options: Callable[[Problems, int], Any]) -> Callable[[Problems, int
 
 def table(count: int = 200, seed: int = 0) -> str:
     """The table, from `count` problems a row whose z reaches both edges."""
-    lines = ["## Wrong readings, and steps\n", row(*COLUMNS), row(*["---"] * len(COLUMNS))]
+    lines = ["## Wrong readings, and steps\n", *head(*COLUMNS)]
     for name, (options, world) in FILTERS.items():
         for kind, (spoil, late) in KINDS.items():
             posed = problems("both edges", world._replace(late=late), ORDER, count, seed)
