@@ -12,9 +12,8 @@ import numpy as np
 import pandas as pd
 import pytest
 from benchmarks.identify.logs.names import make
-from benchmarks.identify.logs.strangers import ALL, lags, zone
+from benchmarks.identify.logs.strangers import ALL, STEP, lags, walk, zone
 from click.testing import CliRunner
-from scipy.signal import lfilter
 
 import undeadzone as uz
 from further import further
@@ -29,22 +28,6 @@ from undeadzone_identify.results.assemble import ODDS_OF, withhold_poor_fit
 from undeadzone_identify.selection.adequacy import Remainder, largest_remainder
 from undeadzone_identify.selection.alternatives import Findings
 from undeadzone_identify.selection.decision import MODELS, build_verdict
-
-STEP = 0.01
-
-
-def walk(rng: np.random.Generator, size: int = 1200, hold: float = 8.0) -> Floats:
-    """Coloured noise of rms 1."""
-    u = lfilter([1.0], [1.0, -np.exp(-1 / hold)], rng.standard_normal(size))
-    return np.asarray(u / u.std())
-
-
-def two_lags(u: Floats, samples: float = 12.0) -> Floats:
-    """A plant of two equal time constants, its output of rms 1."""
-    keep = np.exp(-1 / samples)
-    for _ in range(2):
-        u = lfilter([0.0, 1 - keep], [1.0, -keep], u)
-    return np.asarray(u / u.std())
 
 
 def identify_log(u: Floats, y: Floats, **more: object) -> uz.Identified:
@@ -74,7 +57,7 @@ def test_another_curve_of_the_input_has_no_name_and_no_odds(tmp_path: Path) -> N
     """A soft limit of the input: nothing known holds it; the command says what it saw."""
     rng = np.random.default_rng(1)
     u = walk(rng)
-    y = two_lags(np.tanh(2 * u)) + 0.02 * rng.standard_normal(u.size)
+    y = lags(np.tanh(2 * u)) + 0.02 * rng.standard_normal(u.size)
     log = tmp_path / "log.csv"
     write_log(log, "t,u,y", STEP, u, y)
     words = ["identify", str(log), "--json", "--no-figures", "--out", str(tmp_path)]
@@ -115,7 +98,7 @@ def test_a_slow_disturbance_is_no_remainder() -> None:
     rng = np.random.default_rng(4)
     u = walk(rng)
     slow = walk(rng, u.size, 100.0)
-    answer = identify_log(u, two_lags(u) + 0.2 * slow + 0.02 * rng.standard_normal(u.size))
+    answer = identify_log(u, lags(u) + 0.2 * slow + 0.02 * rng.standard_normal(u.size))
     assert answer.verdict == "none"
 
 
@@ -167,7 +150,7 @@ def test_friction_may_leave_more_than_a_tenth_by_the_output() -> None:
 def test_a_dead_zone_leaves_nothing() -> None:
     rng = np.random.default_rng(2)
     u = walk(rng)
-    z = two_lags(u)
+    z = lags(u)
     y = dead_zone(z, 0.5, 0.35) + 0.02 * rng.standard_normal(u.size)
     answer = identify_log(u, y)
     assert answer.verdict == "dead_zone"
@@ -232,7 +215,7 @@ def sensed_zone(rounding: float, slope: float) -> tuple[Floats, Floats, Floats]:
     """Return input, output and readings of a zone with round edges and a left side of a slope."""
     rng = np.random.default_rng(5)
     u = walk(rng)
-    z = two_lags(u)
+    z = lags(u)
     up, down = rounding * np.logaddexp(0, np.array([z - 0.5, -z - 0.4]) / rounding)
     return u, z, up - slope * down + 0.01 * rng.standard_normal(u.size)
 
@@ -437,7 +420,7 @@ def test_rounded_readings_are_not_those_of_a_recorder(quantum: float) -> None:
     """Coarse ones repeat as well, and move by one spacing or more."""
     rng = np.random.default_rng(5)
     u = walk(rng)
-    y = quantum * np.round(two_lags(u) / quantum)
+    y = quantum * np.round(lags(u) / quantum)
     assert identify_log(u, y).verdict in ("none", "operating_point")
 
 
@@ -446,7 +429,7 @@ def test_noise_behind_a_coarse_sensor_hides_no_steps(step: float, noise: float) 
     """They were a jump, or a play, with 1.00."""
     rng = np.random.default_rng(7103)
     u = walk(rng)
-    readings = step * np.round(two_lags(u) / step) + noise * rng.standard_normal(u.size)
+    readings = step * np.round(lags(u) / step) + noise * rng.standard_normal(u.size)
     answer = identify_log(u, readings)
     assert answer.verdict == "none"
     assert f"larger than any zone ({step:g})" in answer.answer.reasons[0]
@@ -479,7 +462,7 @@ def test_a_zone_behind_blurred_steps_goes_from_its_log_to_an_estimate(tmp_path: 
 def test_steps_that_noise_blurs_are_no_jump() -> None:
     rng = np.random.default_rng(7104)
     u = walk(rng)
-    answer = identify_log(u, 0.6 * np.round(two_lags(u) / 0.6) + 0.18 * rng.standard_normal(u.size))
+    answer = identify_log(u, 0.6 * np.round(lags(u) / 0.6) + 0.18 * rng.standard_normal(u.size))
     assert answer.verdict == "unclear"
     assert "the place of the output between equal steps" in answer.answer.reasons[0]
     assert not answer.numbers()["odds"]

@@ -9,12 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from benchmarks.identify.logs.random_plants import dead_zone, motor
+from benchmarks.identify.logs.random_plants import motor
 from click.testing import CliRunner
 from scipy.signal import lfilter
 
 import undeadzone as uz
 from records import (
+    dead_zone,
     holds,
     holds_both,
     identify_log,

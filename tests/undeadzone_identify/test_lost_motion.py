@@ -17,7 +17,6 @@ from benchmarks.identify.logs.lost_motion import (
     MotionLog,
     axis_at_rest,
     axis_on_one_flank,
-    follow,
     goal_and_current,
     jittered,
     noisy_and_late,
@@ -25,6 +24,7 @@ from benchmarks.identify.logs.lost_motion import (
     two_encoders,
     wrong_ratio,
 )
+from benchmarks.identify.logs.strangers import dragged
 
 import undeadzone as uz
 from further import further
@@ -150,7 +150,7 @@ def test_the_profile_is_that_of_a_closer_scan() -> None:
     """The best gap, delay and lag lie where a dense scan of all three has its least square."""
     t = np.sort(np.random.default_rng(4).uniform(0, 20, 400))
     u = np.sin(t)
-    y = 2 * follow(np.interp(t - 0.03, t, u), 0.2) + 1
+    y = 2 * dragged(np.interp(t - 0.03, t, u), 0.2) + 1
     fit = MotionFit(Positions(t, u, y), Structure(late=True))
     found = fit.fit()
     gaps = np.linspace(0.15, 0.25, 21)
