@@ -168,9 +168,29 @@ class Outcome(NamedTuple):
     covered: float = np.nan
     warned: bool = False
 
+    def is_lost(self) -> bool:
+        """Whether a gap or the link's angle is far outside of what is claimed."""
+        return bool((np.abs(self.score) > 5).any() or self.covered < 0.5)
 
-def driven(setup: Bench, arm: Arm, seed: int) -> Floats:
-    """The outputs of a loop around MuJoCo's arm, to the first that are no numbers."""
+
+def as_it_moves(twin: Twin, k: int, count: int) -> Floats:
+    """The state of an arm, which its encoders show."""
+    return twin.state()
+
+
+Shown = Callable[[Twin, int, int], Floats]
+"""(arm, sample, samples in all) -> state of motors and links as encoders show it."""
+
+
+def driven(setup: Bench, arm: Arm, seed: int, shown: Shown = as_it_moves) -> Floats:
+    """The outputs of a loop around MuJoCo's arm, to the first that are no numbers.
+
+    Args:
+        setup: the loop.
+        arm: its numbers.
+        seed: of noise and of the flanks where it starts.
+        shown: what its encoders show; it may change the arm.
+    """
     problem, stepper = setup.problem, setup.stepper
     N, Ts = len(arm.half), problem.scenario.simulation.step
     where = tree.leaf_slices(setup.loop.outputs)
@@ -180,7 +200,7 @@ def driven(setup: Bench, arm: Arm, seed: int) -> Floats:
     stepper.state[:] = setup.start
     outputs = np.empty((len(inputs), stepper.out.size))
     for k, instant in enumerate(inputs):
-        stepper.state[: 4 * N] = twin.state()
+        stepper.state[: 4 * N] = shown(twin, k, len(inputs))
         stepper.w[:] = instant
         stepper()
         outputs[k] = stepper.out
@@ -190,9 +210,9 @@ def driven(setup: Bench, arm: Arm, seed: int) -> Floats:
     return outputs
 
 
-def outcome(setup: Bench, arm: Arm, seed: int) -> Outcome:
-    """What becomes of one loop around MuJoCo's arm."""
-    outputs = driven(setup, arm, seed)
+def outcome(setup: Bench, arm: Arm, seed: int, shown: Shown = as_it_moves) -> Outcome:
+    """What becomes of one loop around MuJoCo's arm; the arguments are those of `driven`."""
+    outputs = driven(setup, arm, seed, shown)
     return (
         evaluate_outputs(setup, arm, outputs) if np.isfinite(outputs[-1]).all() else Outcome(True)
     )
@@ -267,8 +287,7 @@ def format_outcomes(label: str, results: list[Outcome], N: int) -> str:
     link_errors = 1e3 * np.array([each.estimated for each in fine])
     error = np.abs(np.array([each.half for each in fine]) - 1)
     score = np.abs(np.array([each.score for each in fine]))
-    lost = [each for each in fine if (np.abs(each.score) > 5).any() or each.covered < 0.5]
-    silent = [each for each in lost if not each.warned]
+    silent = [each for each in fine if each.is_lost() and not each.warned]
     warned = sum(each.warned for each in fine)
     return row(
         label,
