@@ -48,7 +48,7 @@ def undeadzone(
     read, out, err = io.BytesIO(given), io.BytesIO(), io.BytesIO()
     streams = [io.TextIOWrapper(stream, "utf-8") for stream in (read, out, err)]
     with _as_a_shell(words, streams, cwd or Path.cwd(), environment):
-        code = run_to_exit_code(lambda: group.main(words, standalone_mode=False))
+        code = run_to_exit_code(lambda: group.main(words, "undeadzone", standalone_mode=False))
         streams[1].flush()
         streams[2].flush()
     return Done(code, out.getvalue().decode(), err.getvalue().decode())
@@ -131,7 +131,7 @@ def _copy(
         sys.argv = ["undeadzone", *words]
         os.environ.update(more)
         os.chdir(folder or Path.cwd())
-        code = run_to_exit_code(lambda: group.main(words, standalone_mode=False))
+        code = run_to_exit_code(lambda: group.main(words, "undeadzone", standalone_mode=False))
         sys.stdout.flush()
         sys.stderr.flush()
     finally:

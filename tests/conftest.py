@@ -71,8 +71,8 @@ TOGETHER = {
 }
 
 # What takes longest, dealt first, so that all processes end at about the same time.
-LONGEST = ("design", "test_docs", "test_exporting", "test_to_scenario", "test_odds",
-           "test_alternatives",
+LONGEST = ("design", "test_docs", "test_exporting", "test_to_scenario", "test_names_of_logs",
+           "test_odds", "test_alternatives",
            "paper", "test_kernel", "test_plc", "test_contact", "test_tune", "test_consistency",
            "test_notebook", "test_pipeline", "test_servo")  # fmt: skip
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -54,3 +55,19 @@ def identify_second_order(u: Floats, y: Floats, **more: object) -> uz.Identified
     answer = uz.identify(t=0.05, u=u, y=y, **{"order": 2, "delay": 0} | more)
     assert isinstance(answer, uz.Identified)
     return answer
+
+
+def holds(interval: Any, truth: float) -> bool:
+    """Whether an interval holds the truth."""
+    return bool(interval.low <= truth <= interval.high)
+
+
+def holds_both(answer: Any, right: float, left: float) -> bool:
+    """Whether the intervals of both edges hold the truth."""
+    return holds(answer.right, right) and holds(answer.left, left)
+
+
+def write_log(path: Path | str, header: str, step: float, *columns: Floats) -> None:
+    """Write columns behind their times to a CSV file."""
+    table = np.column_stack([step * np.arange(len(columns[0])), *columns])
+    np.savetxt(path, table, delimiter=",", header=header, comments="")

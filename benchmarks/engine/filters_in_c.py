@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import tempfile
+import time
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 import undeadzone as uz
-from benchmarks.engine.kernels import least
 from benchmarks.firmware.emulated_c import ROOT
 from benchmarks.markdown import head, row
+from benchmarks.timing import least
 from undeadzone.compile import lanes
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
@@ -54,7 +55,7 @@ def _row(name: str, scenario: Scenario, rounds: int) -> str:
     readings = np.stack([rows[k % len(rows) :][:STEPS] for k in range(RUNS)])
     with tempfile.TemporaryDirectory() as folder:
         ways = {"gcc": by_gcc(step, readings, Path(folder)), "lanes": in_lanes(step, readings)}
-        seconds = least(ways, rounds)
+        seconds = least(ways, rounds, time.process_time)
     each = {way: 1e6 * value / RUNS / STEPS for way, value in seconds.items()}
     count = f"{sum(count_operations(build_code(step, False).results).values()):,}"
     ratios = (f"{each['gcc']:.3g}", f"{each['lanes']:.3g}", f"{each['lanes'] / each['gcc']:.2f}")

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import tempfile
 import time
 from pathlib import Path
 from typing import NamedTuple
 
-from benchmarks.engine.kernels import variable
+from benchmarks.engine.kernels import private_cache
 from benchmarks.markdown import head, row
 from undeadzone.compile import cache, lanes
 from undeadzone.scenario.problem import resolve_scenario
@@ -36,7 +35,7 @@ def table() -> str:
     """Each loop once."""
     columns = ("loop", "for", "instructions", "until it runs", "until it is best")
     lines = ["## First compilation\n", NOTE, *head(*columns)]
-    with tempfile.TemporaryDirectory() as folder, variable("UNDEADZONE_CACHE", folder):
+    with private_cache():
         for name in NAMES:
             lines += _rows(name)
     return "\n".join([*lines, ""])

@@ -1,4 +1,7 @@
-"""Kernels of the lanes engine beside C by hand, in the form assumed and in the one measured."""
+"""Kernels of the lanes engine in the form that is assumed, and in others.
+
+`speed` has the same loops beside C by hand.
+"""
 
 from __future__ import annotations
 
@@ -6,14 +9,16 @@ import os
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import Any, NamedTuple
+from unittest.mock import patch
 
 import numpy as np
 
-from benchmarks.engine import lanes_engine, rivals
+from benchmarks.engine import lanes_engine
 from benchmarks.engine.work.paper_loop import Work, draw
 from benchmarks.markdown import head, row
+from benchmarks.timing import least
 from undeadzone.compile import cache, lanes, machine
 from undeadzone.compile.machine import FIXED, Form, Machine, host_machine
 
@@ -32,12 +37,8 @@ OF_AVX2 = (
     *(Form(4, 1, False, 0, 300), Form(4, 1, False, 26)),
     *(Form(4, 2, False, registers) for registers in (20, 12, 0)),
 )
-NOTE = f"""ns per step and run of {RUNS} runs of {STEPS} steps on one thread, least CPU time of
-interleaved rounds; in brackets, as a share of C's. "C, grouped" has the sum of RK4 as our graph has
-it, k1 + k4 + 2 (k2 + k3). Forms are lanes, streams, slots and registers ({FIXED}): the one that is
-assumed, and the one that a long run found to be the fastest, as an ensemble does; a loop shares it
-with those of its size, and of long steps none is measured. `lanes.run` is the call with 1000 runs,
-checks and copies included, as a share of its kernel.
+NOTE = f"""Time of {RUNS} runs of {STEPS} steps on one thread, least CPU time of interleaved rounds.
+Forms are lanes, streams, slots and registers ({FIXED}).
 """
 
 
@@ -69,35 +70,33 @@ LOOPS = (
 )
 
 
-def table(rounds: int = 16) -> str:
+def table(rounds: int = 4) -> str:
     """The table of kernels."""
-    columns = ("loop", "C", "C, grouped", "assumed", "kernel", "measured", "kernel")
-    machine = host_machine()
-    size = machine.vector_shape[0]
-    lines = [f"## Kernels\n\n{machine.processor}, vectors of {size}. {NOTE}"]
-    lines += head(*columns, "`lanes.run` / kernel")
-    with tempfile.TemporaryDirectory() as folder, variable("UNDEADZONE_CACHE", folder):
-        for loop in LOOPS:
-            lines.append(_row(loop, rounds))
-        lines += ["", *_forms(LOOPS, FORMS, rounds // 4)]
+    lines = [f"## Kernels\n\n{NOTE}", *_forms(LOOPS, FORMS, rounds)]
     with as_machine(Machine(host_machine().triple, *AVX2)):
-        return "\n".join([*lines, *_forms(LOOPS[:6], OF_AVX2, rounds // 4)])
+        return "\n".join([*lines, *_forms(LOOPS[:6], OF_AVX2, rounds)])
 
 
 @contextmanager
 def as_machine(other: Machine) -> Iterator[None]:
     """Code for another machine, which has to run on this one, too."""
-    rooms: tuple[Any, ...] = (cache, lanes, machine)
-    with tempfile.TemporaryDirectory() as folder, variable("UNDEADZONE_CACHE", folder):
-        for room in rooms:
-            room.here = lambda: other
+    with ExitStack() as changes:
+        changes.enter_context(private_cache())
+        for room in (cache, lanes, machine):
+            changes.enter_context(patch.object(room, "host_machine", lambda: other))
         cache.load_or_compile.cache_clear()
-        try:
-            yield
-        finally:
-            for room in rooms:
-                room.here = host_machine
-            cache.load_or_compile.cache_clear()
+        yield
+    cache.load_or_compile.cache_clear()
+
+
+@contextmanager
+def private_cache() -> Iterator[None]:
+    """A cache of kernels that is empty at first."""
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        patch.dict(os.environ, UNDEADZONE_CACHE=folder),
+    ):
+        yield
 
 
 def _forms(loops: Sequence[Loop], forms: Sequence[Form], rounds: int) -> list[str]:
@@ -111,7 +110,7 @@ def _forms(loops: Sequence[Loop], forms: Sequence[Form], rounds: int) -> list[st
         for form in forms:
             if form.streams * loop.options.get("n", 2) <= LONGEST:
                 programs[form.setting_text] = alone(formed(form, work, **options), work)
-        seconds = least(programs, rounds)
+        seconds = least(programs, rounds, time.process_time)
         whole = seconds["assumed"]
         columns.append({name: f"{value / whole:.2f}" for name, value in seconds.items()})
     names = [form.setting_text for form in forms]
@@ -128,66 +127,17 @@ def _work_of(loop: Loop) -> tuple[Work, dict[str, Any]]:
     return work, {"step": loop.step, "known": loop.known}
 
 
-@contextmanager
-def variable(name: str, value: str) -> Iterator[None]:
-    """A variable of the environment for a while."""
-    before = os.environ.get(name)
-    os.environ[name] = value
-    try:
-        yield
-    finally:
-        os.environ.pop(name)
-        if before is not None:
-            os.environ[name] = before
-
-
 def formed(form: Form, work: Work, **options: Any) -> lanes_engine.Program:
     """The program in a form."""
-    with variable(FIXED, form.setting_text):
+    with patch.dict(os.environ, {FIXED: form.setting_text}):
         return lanes_engine.build_program(work, **options)
 
 
 def assumed(work: Work, **options: Any) -> lanes_engine.Program:
     """The program in the form that is assumed, and stays so."""
-    with tempfile.TemporaryDirectory() as folder, variable("UNDEADZONE_CACHE", folder):
+    with private_cache():
         form = lanes_engine.build_program(work, **options).kernel.form
     return formed(form, work, **options)
-
-
-def measured(work: Work, **options: Any) -> lanes_engine.Program:
-    """The program after runs long enough for its form to be measured."""
-    while True:
-        program = lanes_engine.build_program(work, **options)
-        trial = program.kernel.block.trial
-        if trial is None or trial.is_done:
-            return lanes_engine.build_program(work, **options)
-        run = alone(program, work)
-        for _ in range(100):
-            run()
-
-
-def _row(loop: Loop, rounds: int) -> str:
-    """One loop."""
-    work, options = _work_of(loop)
-    few = draw(1000, STEPS * 1e-3, **loop.options)
-    before, after = assumed(work, **options), measured(work, **options)
-    programs = {
-        "C": rivals.prepare("c", work, **options),
-        "grouped": rivals.prepare("c", work, grouped=True, **options),
-        "assumed": alone(before, work),
-        "measured": alone(after, work),
-        "run": lanes_engine.prepare(few, **options),
-    }
-    seconds = least({name: one for name, one in programs.items() if one is not None}, rounds)
-    each = {name: 1e9 * value / STEPS / RUNS for name, value in seconds.items()}
-    each["run"] *= RUNS / 1000
-    cells = [f"{each['C']:.3g}" if "C" in each else "not installed"]
-    for name in ("grouped", "assumed", "measured"):
-        share = f" ({each[name] / each['C']:.2f})" if "C" in each and name in each else ""
-        cells.append(f"{each[name]:.3g}{share}" if name in each else "not installed")
-    cells[2:2] = [before.kernel.form.setting_text]
-    cells[4:4] = [after.kernel.form.setting_text]
-    return row(loop.name, *cells, f"{each['run'] / each['measured']:.2f}")
 
 
 def alone(program: lanes_engine.Program, work: Work) -> Callable[[], None]:
@@ -204,15 +154,3 @@ def alone(program: lanes_engine.Program, work: Work) -> Callable[[], None]:
         kernel.block(len(program.exogenous), len(states), arrays.work, *shared)
 
     return run
-
-
-def least(programs: dict[str, Callable[[], Any]], rounds: int) -> dict[str, float]:
-    """The least CPU time of each program [s], in interleaved rounds after one that warms up."""
-    times: dict[str, list[float]] = {name: [] for name in programs}
-    for k in range(rounds + 1):
-        for name, program in programs.items():
-            began = time.process_time()
-            program()
-            if k:
-                times[name].append(time.process_time() - began)
-    return {name: min(values) for name, values in times.items()}

@@ -102,7 +102,7 @@ def rows(group: str, entries: list[Entry], rounds: int = 5) -> list[str]:
 
 def alone() -> list[str]:
     """(a) One run."""
-    long, short, shorter = (draw(1, duration) for duration in (20.0, 2.0, 0.2))
+    long, short = draw(1, 20.0), draw(1, 2.0)
     exact = {"method": "DOP853", "rtol": 1e-9, "events": True}
     entries = [
         our("located", long, width=1),
@@ -112,11 +112,8 @@ def alone() -> list[str]:
         rival("heyoka, events, tol 1e-9", "heyoka_events", long),
         rival("JAX, plain RK4", "jax_scan", long, unroll=8),
         rival("diffrax, Tsit5 1e-6", "diffrax_tsit5", long),
-        rival("CasADi fold, plain RK4", "casadi_map", long),
         rival("SciPy, RK45 1e-6 (2 s)", "scipy_ivp", short),
         rival("SciPy, DOP853 1e-9, events (2 s)", "scipy_ivp", short, **exact),
-        rival("python-control, RK45 1e-6 (0.2 s)", "python_control", shorter),
-        rival("PathSim, plain RK4 (0.2 s)", "pathsim_blocks", shorter),
     ]
     return rows("(a) one run", entries)
 
@@ -134,7 +131,6 @@ def many(runs: int, duration: float) -> list[str]:
     others = [
         rival("heyoka in batches, events, tol 1e-9", "heyoka_events", work, batch=True),
         rival("JAX, plain RK4", "jax_scan", work),
-        rival("CasADi map, plain RK4 (100 runs)", "casadi_map", draw(100, duration)),
         rival("SciPy, RK45 1e-6 (10 runs)", "scipy_ivp", few),
     ]
     if runs <= 1000:

@@ -22,7 +22,7 @@ from benchmarks.filters.problems.random_plants import (
 )
 from benchmarks.filters.problems.random_plants import World as World
 from benchmarks.filters.rivals.filterpy_filters import extended, unscented
-from benchmarks.markdown import row
+from benchmarks.markdown import head, row
 from undeadzone.compile import lanes
 from undeadzone.interfaces import Estimate, Observer, Reading
 from undeadzone.linalg.hold import zoh
@@ -36,6 +36,7 @@ from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
 
 ORDERS = (1, 2, 3)
+NONE = np.zeros(0)
 ROUNDING = 1e-12  # of z: without a disturbance the state's variance decays below it
 COLUMNS = (
     "world",
@@ -109,15 +110,21 @@ def observe(options: Callable[[Problems, int], Any], posed: Problems) -> Verdict
         posed: the problems
     """
     out = along(options, posed, ESTIMATES)
-    right, left, z, right_std, left_std, width_std, z_std = out[:, -1, :7].T
     used = out[:, :, 7] != 0
-    return verdict(
-        truth(posed),
-        np.stack([right, left, z], axis=1),
-        covariance(right_std, left_std, width_std),
-        z_std,
-        out[used][:, 7] / out[used][:, 8],
-    )
+    return final_verdict(posed, out, out[used][:, 7] / out[used][:, 8])
+
+
+def final_verdict(posed: Problems, out: Floats, innovations: Floats = NONE) -> Verdict:
+    """The verdict on the last of estimates that begin with those of `FINAL`.
+
+    Args:
+        posed: the problems
+        out: numbers of estimates (K x samples x numbers)
+        innovations: over their claimed deviations
+    """
+    right, left, z, right_std, left_std, width_std, z_std = out[:, -1, :7].T
+    d_cov = covariance(right_std, left_std, width_std)
+    return verdict(truth(posed), np.stack([right, left, z], 1), d_cov, z_std, innovations)
 
 
 def along(
@@ -183,15 +190,33 @@ def selected(names: str) -> Callable[[Estimate], list[Any]]:
     return lambda estimate: [getattr(estimate, name)[0] for name in names.split()]
 
 
-ESTIMATES = selected("right left z right_std left_std width_std x_std innovation innovation_std")
+FINAL = "right left z right_std left_std width_std x_std "
+ESTIMATES = selected(FINAL + "innovation innovation_std")
 
 
-def step_of(observer: Observer, select: Callable[[Estimate], list[Any]]) -> ca.Function:
-    """next, out = step(s, [y, u], p); kept: gives what is in out."""
+def plain_reading(w: Any) -> Reading:
+    """The reading of a sensor without limits."""
+    return Reading(w[0], side(w[0]))
+
+
+def step_of(
+    observer: Observer,
+    select: Callable[[Estimate], list[Any]],
+    read: Callable[[Any], Reading] = plain_reading,
+    size: int = 2,
+) -> ca.Function:
+    """next, out = step(s, w, p).
+
+    Args:
+        observer: the observer
+        select: the numbers of an estimate that are in out
+        read: the reading of w
+        size: of w = [y, u, ...]
+    """
     p, params = tree.create_symbols(observer.params, "p")
     s, state = tree.create_symbols(observer.init(observer.params), "s")
-    w = ca.SX.sym("w", 2)
-    after, estimate = observer.step(params, state, w[1], Reading(w[0], side(w[0])))
+    w = ca.SX.sym("w", size)
+    after, estimate = observer.step(params, state, w[1], read(w))
     names = (["s", "w", "p"], ["next", "out"])
     out = [tree.stack_leaves(after), ca.vertcat(*select(estimate))]
     return ca.Function("observe", [s, w, p], out, *names, {"cse": True})
@@ -301,8 +326,7 @@ def table(count: int = 600, rivals: int = 25, seed: int = 0) -> str:
     """The table, from `count` problems of each order for ours and `rivals` for filterpy's."""
     lines = [
         "## Coverage of claimed 95 % intervals\n",
-        row(*COLUMNS),
-        row(*["---"] * len(COLUMNS)),
+        *head(*COLUMNS),
     ]
     for name, world in WORLDS.items():
         for reach in REACHES:

@@ -14,8 +14,7 @@ import numpy as np
 
 from benchmarks.filters import coverage
 from benchmarks.filters.problems.random_plants import DURATION, STEP, Problems, World, problems
-from benchmarks.markdown import row
-from undeadzone.interfaces import Observer
+from benchmarks.markdown import head, row
 from undeadzone.observers import Auto
 from undeadzone.util.arrays import Floats
 
@@ -34,8 +33,6 @@ COLUMNS = (
     "x median",
     "90 %",
 )
-
-ABLATED = ("right", "0.3 s of random ones", "stuck for 1 s", "10 % random", "bias steps by 1")
 
 Spoil = Callable[[np.random.Generator, Floats], Floats]
 """(generator, readings (samples x K)) -> readings of which some are wrong."""
@@ -144,6 +141,8 @@ KINDS: dict[str, tuple[Spoil, float]] = {
     "stuck for 1 s": (frozen, 0.0),
     "10 % are 0": (tenth_of(zeros), 0.0),
     "10 % random": (tenth_of(anywhere), 0.0),
+    "stuck and noisy for 1 s": (restless, 0.0),
+    "the first three": (at_first, 0.0),
     "bias steps by 1": (clean, 1.0),
 }
 
@@ -156,20 +155,13 @@ def observe(options: Callable[[Problems, int], Any], posed: Problems) -> Outcome
         posed: the problems.
     """
     out = coverage.along(options, posed, ESTIMATES)
-    right, left, z, right_std, left_std, width_std, z_std, consistent = out[:, -1].T
-    verdict = coverage.verdict(
-        coverage.truth(posed),
-        np.stack([right, left, z], axis=1),
-        coverage.covariance(right_std, left_std, width_std),
-        z_std,
-        np.zeros(0),
-    )
     late = HALF + int(2 / STEP)
     error = out[:, late:, 2] - posed.z[late:].T
-    return Outcome(verdict, np.sqrt(np.mean(error**2, axis=1)), consistent)
+    rms = np.sqrt(np.mean(error**2, axis=1))
+    return Outcome(coverage.final_verdict(posed, out), rms, out[:, -1, 7])
 
 
-ESTIMATES = coverage.selected("right left z right_std left_std width_std x_std consistent")
+ESTIMATES = coverage.selected(coverage.FINAL + "consistent")
 
 
 def trusting(options: Callable[[Problems, int], Any]) -> Callable[[Problems, int], Any]:
@@ -181,47 +173,9 @@ def trusting(options: Callable[[Problems, int], Any]) -> Callable[[Problems, int
     return plain
 
 
-class Stubborn(NamedTuple):
-    """Options of a filter that never opens its belief, however many readings it refuses."""
-
-    options: Any
-
-    def build(self, model: Any, sensor: Any) -> Observer:
-        """The filter whose mean share of refused readings never rises."""
-        observer: Observer = self.options.build(model, sensor)
-        doubt = observer.params.doubt._replace(forget=np.asarray(1.0))
-        return observer._replace(params=observer.params._replace(doubt=doubt))
-
-
-def stubborn(known: Problems, k: int) -> Any:
-    """`doubting` that never opens its belief."""
-    return Stubborn(doubting(known, k))
-
-
-def ablation(count: int = 200, seed: int = 0) -> str:
-    """What it is worth that a belief opens after most readings were refused."""
-    kinds = {kind: KINDS[kind] for kind in ABLATED}
-    kinds |= {"stuck and noisy for 1 s": (restless, 0.0), "the first three": (at_first, 0.0)}
-    names = ("readings", "belief", "worst coverage", "flagged", "x median", "90 %", "most")
-    lines = ["### A belief that opens, and one that does not\n", row(*names)]
-    lines.append(row(*["---"] * len(names)))
-    for kind, (spoil, late) in kinds.items():
-        posed = problems("both edges", SHAKEN._replace(late=late), ORDER, count, seed)
-        usual = observe(trusting(doubting), posed)
-        wrong = posed._replace(y=spoil(np.random.default_rng(seed + 1), posed.y))
-        for name, options in (("opens", doubting), ("never opens", stubborn)):
-            outcome = observe(options, wrong)
-            ratio = outcome.rms / np.fmax(usual.rms, 1e-12)
-            sizes = [f"{size:.3g}" for size in np.quantile(ratio, [0.5, 0.9, 1.0])]
-            worst = f"{outcome.verdict.covered().min():.2f}"
-            flagged = f"{1 - outcome.consistent.mean():.2f}"
-            lines.append(row(kind, name, worst, flagged, *sizes))
-    return "\n".join([*lines, "", f"`censored`, {count} problems a row, as above.", ""])
-
-
 def table(count: int = 200, seed: int = 0) -> str:
     """The table, from `count` problems a row whose z reaches both edges."""
-    lines = ["## Wrong readings, and steps\n", row(*COLUMNS), row(*["---"] * len(COLUMNS))]
+    lines = ["## Wrong readings, and steps\n", *head(*COLUMNS)]
     for name, (options, world) in FILTERS.items():
         for kind, (spoil, late) in KINDS.items():
             posed = problems("both edges", world._replace(late=late), ORDER, count, seed)
@@ -234,7 +188,7 @@ def table(count: int = 200, seed: int = 0) -> str:
         "z - z^ from 2 s after the middle on, over that of the same filter that takes all readings "
         "for right, on readings that are right."
     )
-    return "\n".join([*lines, "", note, "", ablation(count, seed)])
+    return "\n".join([*lines, "", note, ""])
 
 
 def _cells(outcome: Outcome, usual: Outcome) -> list[str]:

@@ -8,16 +8,21 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import casadi as ca
 import msgspec
 import numpy as np
 
 from benchmarks.filters import coverage
 from benchmarks.filters.problems.random_plants import RANGE, STEP, WORLDS, Problems, problems
-from benchmarks.loops.plants.random_loops import Loops, random_plant, ratio_cells, run_loops
-from benchmarks.markdown import row
+from benchmarks.loops.plants.random_loops import (
+    Loops,
+    random_plant,
+    ratio_cells,
+    run_loops,
+    white_censored,
+)
+from benchmarks.markdown import head, row
 from undeadzone.controllers import StateFeedback
-from undeadzone.interfaces import Observer, to_reading
+from undeadzone.interfaces import Reading, to_reading
 from undeadzone.nonlinearities.limits import Limits
 from undeadzone.nonlinearities.sensor import Sensor, deadzone
 from undeadzone.observers import Censored, Certified, Kalman
@@ -25,7 +30,6 @@ from undeadzone.registry import ObserverOptions
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario, Simulation
 from undeadzone.signals.exosystem import Random, Sine
-from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
 
 SHARES = (0.44, 0.12, 0.02)  # of the readings that are exact
@@ -41,17 +45,7 @@ Options = Callable[[Floats], ObserverOptions]
 
 def censored(right: Any, left: Any) -> Censored:
     """`Censored` told what disturbs it."""
-    return Censored(
-        right=right,
-        left=left,
-        disturbance=DISTURBANCE,
-        correlation_time=STEP,
-        bias=0.0,
-        calibrated=0.0,
-        tolerance=0.0,
-        drift=0.0,
-        levels=1,
-    )
+    return white_censored(STEP, right=right, left=left, disturbance=DISTURBANCE)
 
 
 def knowing(d: Floats) -> Censored:
@@ -135,7 +129,7 @@ def run(options: Options, is_known: bool, share: float, count: int) -> Loops:
 def loops_table(count: int) -> list[str]:
     """The table of closed loops."""
     names = ("exact readings", "observer", "rms z - r", "ratio to known", "90 %", "d_r, d_l")
-    lines = [row(*names), row(*["---"] * len(names))]
+    lines = head(*names)
     for share in SHARES:
         known = run(*OBSERVERS["widths known"], share, count)
         for name, (options, is_known) in OBSERVERS.items():
@@ -159,36 +153,22 @@ def observe(
         built.append(coverage.built_for(options(known, k), model, sensor, STEP))
     y = np.clip(known.y, -limits, limits)
     own = np.stack([y, known.u, np.broadcast_to(limits, y.shape)], axis=1)
-    out = coverage.run_observers(built, _step(built[0]), own)
-    right, left, z, right_std, left_std, width_std, z_std = out[:, -1].T
-    return coverage.verdict(
-        coverage.truth(known),
-        np.stack([right, left, z], axis=1),
-        coverage.covariance(right_std, left_std, width_std),
-        z_std,
-        np.zeros(0),
-    )
+    step = coverage.step_of(built[0], ESTIMATES, limited_reading, 3)
+    return coverage.final_verdict(known, coverage.run_observers(built, step, own))
 
 
-def _step(observer: Observer) -> ca.Function:
-    """next, out = step(s, [y, u, limit], p); out: widths, z and their deviations."""
-    p, params = tree.create_symbols(observer.params, "p")
-    s, state = tree.create_symbols(observer.init(observer.params), "s")
-    w = ca.SX.sym("w", 3)
-    reading = to_reading(w[0], 0.0, Limits(-w[2], w[2]))
-    after, estimate = observer.step(params, state, w[1], reading)
-    stds = (estimate.right_std, estimate.left_std, estimate.width_std, estimate.x_std[0])
-    record = ca.vertcat(estimate.right, estimate.left, estimate.z, *stds)
-    names = (["s", "w", "p"], ["next", "out"])
-    return ca.Function(
-        "observe", [s, w, p], [tree.stack_leaves(after), record], *names, {"cse": True}
-    )
+def limited_reading(w: Any) -> Reading:
+    """The reading y of [y, u, limit]."""
+    return to_reading(w[0], 0.0, Limits(-w[2], w[2]))
+
+
+ESTIMATES = coverage.selected(coverage.FINAL)
 
 
 def coverage_table(count: int, seed: int) -> list[str]:
     """The table of coverage."""
     names = ("world", "exact readings", "filter", "d_r", "d_l", "width", "centre", "z", "std")
-    lines = [row(*names), row(*["---"] * len(names))]
+    lines = head(*names)
     for world in WORLDS:
         for order in (1, 2):
             lines += _rows(world, order, problems("both edges", WORLDS[world], order, count, seed))
@@ -217,7 +197,6 @@ def _rows(world: str, order: int, known: Problems) -> list[str]:
 
 def table(loops: int = 40, count: int = 200, seed: int = 0) -> str:
     """Both tables, of that many loops and problems a row."""
-    head = "## Readings that end\n"
     about_loops = (
         f"{loops} random loops a row of second order: |r| = {AMPLITUDE:g}, {FREQUENCY:g} Hz, "
         f"{1 / STEP:g} Hz, noise {NOISE:g}, white disturbance of {DISTURBANCE:g} rms, widths of "
@@ -229,7 +208,7 @@ def table(loops: int = 40, count: int = 200, seed: int = 0) -> str:
         f"{count} problems a row, as under coverage above, z reaches both edges. std: claimed "
         "deviation of the width over that without a range, median."
     )
-    parts = [head, *loops_table(loops), "", about_loops]
+    parts = ["## Readings that end\n", *loops_table(loops), "", about_loops]
     return "\n".join([*parts, *coverage_table(count, seed), "", about_coverage, ""])
 
 

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import os
 import time
+import tomllib
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -33,105 +35,9 @@ LOOPS = 100
 LAST = 4.0  # time at the end over which errors are taken [s]
 AWAY = 1.5  # error of a joint beyond which a loop has diverged [rad]
 
-SERVO = {
-    "plant": {
-        "arm": {
-            "kind": "one_link",
-            "torque_max": 3.0,
-            "gears": {"half": 0.024, "inertia": 0.012, "friction": 0.08, "viscous": 0.05},
-        },
-        "x0": [-1.5708, 0.0],
-        "parameters": {"m": 0.35, "l": 0.25, "c": 0.125, "I": 0.0018, "f1": 0.02, "b1": 0.01},
-    },
-    "sensor": {"right": 0.0, "left": 0.0, "noise": 5e-4},
-    "observer": {"method": "contact", "half": [0.0, 0.06], "payload": [0.0, 0.5]},
-    "controller": {"method": "computed_torque", "bandwidth": 15.0, "crossing": 40.0},
-    "simulation": {"time": "sampled", "duration": 6.5, "step": 1e-3, "substeps": 1},
-}
-ARM = {
-    "plant": {
-        "arm": {
-            "kind": "two_link",
-            "torque_max": [60.0, 25.0],
-            "gears": {
-                "half": 0.05,
-                "inertia": [0.08, 0.03],
-                "friction": [0.3, 0.1],
-                "viscous": [0.4, 0.2],
-            },
-        },
-        "x0": [-1.7, 1.4, 0.0, 0.0],
-        "parameters": {"f1": 0.1, "f2": 0.03, "b1": 0.05, "b2": 0.02},
-    },
-    "sensor": {"right": 0.0, "left": 0.0, "noise": 1e-3},
-    "reference": {
-        "kind": "figure_eight",
-        "centre": [0.2351, -0.4853],
-        "width": 0.3,
-        "height": 0.2,
-        "period": 4.0,
-    },
-    "observer": {"method": "contact", "half": [0.0, 0.12], "payload": [0.0, 1.0]},
-    "controller": {"method": "computed_torque", "bandwidth": 14.0},
-    "simulation": {"time": "sampled", "duration": 9.0, "step": 1e-3, "substeps": 1},
-}
-SIX = {
-    "plant": {
-        "arm": {
-            "kind": "urdf",
-            "path": str(UR5),
-            "tip": "tool0",
-            "gears": {
-                "half": 0.025,
-                "inertia": [1.5, 1.5, 0.6, 0.2, 0.2, 0.02],
-                "friction": [2.0, 2.0, 1.0, 0.3, 0.3, 0.1],
-                "viscous": [2.0, 2.0, 1.0, 0.3, 0.3, 0.05],
-            },
-        },
-        "x0": [0.2, -1.2, 2.05, -1.4, -0.9, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-        "parameters": {
-            **{"f1": 0.2, "f2": 0.2, "f3": 0.1, "f4": 0.03, "f5": 0.03, "f6": 0.005},
-            **{"b1": 0.1, "b2": 0.1, "b3": 0.05, "b4": 0.02, "b5": 0.02, "b6": 0.003},
-        },
-    },
-    "sensor": {"right": 0.0, "left": 0.0, "noise": 5e-4},
-    "reference": {
-        "kind": "figure_eight",
-        "centre": [0.3674, 0.2380, 0.0762],
-        "width": 0.4,
-        "height": 0.3,
-        "normal": [-0.5, 0.4, -0.8],
-        "period": 4.0,
-        "swing": {
-            "points": [
-                [0.7, -1.2, 2.05, -0.7, -0.9, 0.1],
-                [-0.3, -1.2, 2.05, -2.1, -0.9, 0.1],
-                [0.7, -1.2, 2.05, -0.7, -0.9, 0.1],
-                [0.2, -2.3, 2.05, -1.4, -0.3, 0.1],
-                [0.2, -1.2, 2.05, -1.4, -1.5, 0.1],
-                [0.2, -2.3, 2.05, -1.4, -0.3, 0.1],
-                [0.2, -0.5, 2.9, -1.4, -0.9, 0.9],
-                [0.2, -0.7, 1.6, -1.4, -0.9, -0.7],
-                [0.2, -0.5, 2.9, -1.4, -0.9, 0.9],
-            ],
-            "times": [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.2, 8.2, 9.2],
-            "until": 10.2,
-        },
-    },
-    "observer": {
-        "method": "contact",
-        "half": [0.0, 0.06],
-        "payload": [0.0, 1.0],
-        "joints": "separate",
-    },
-    "controller": {"method": "computed_torque", "bandwidth": 14.0},
-    "simulation": {"time": "sampled", "duration": 14.2, "step": 1e-3, "substeps": 1},
-}
-SWING = {
-    "points": [[-1.0, 0.5], [-2.0, -0.8], [-1.0, 0.5], [-2.0, -0.8], [-1.0, 0.5]],
-    "times": [0.8, 1.6, 2.4, 3.2, 4.0],
-    "until": 4.8,
-}
+TOLD = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+SERVO, ARM, SIX = (TOLD[name] for name in ("servo", "two_links", "six_joints"))
+SIX["plant"]["arm"]["path"] = str(UR5)
 
 
 class Row(NamedTuple):
@@ -181,7 +87,7 @@ def rows() -> list[Row]:
     resting = changed(resting, plant={"x0": [-0.6, 0.0]})
     slow = changed(hanging, simulation={"step": 5e-3, "substeps": 3})
     coarse = changed(hanging, sensor={"noise": 0.0, "quantum": 0.001534})
-    swung = changed(ARM, reference={"swing": SWING})
+    swung = changed(ARM, reference={"swing": TOLD["swing"]})
     ignored = changed(swung, observer={"half": [0.0, 1e-4]})
     heavy = {"m1": 3.3, "m2": 2.2, "I1": 0.044, "I2": 0.0165}
     parameters = {**ARM["plant"]["parameters"], **heavy}
@@ -262,9 +168,29 @@ class Outcome(NamedTuple):
     covered: float = np.nan
     warned: bool = False
 
+    def is_lost(self) -> bool:
+        """Whether a gap or the link's angle is far outside of what is claimed."""
+        return bool((np.abs(self.score) > 5).any() or self.covered < 0.5)
 
-def driven(setup: Bench, arm: Arm, seed: int) -> Floats:
-    """The outputs of a loop around MuJoCo's arm, to the first that are no numbers."""
+
+def as_it_moves(twin: Twin, k: int, count: int) -> Floats:
+    """The state of an arm, which its encoders show."""
+    return twin.state()
+
+
+Shown = Callable[[Twin, int, int], Floats]
+"""(arm, sample, samples in all) -> state of motors and links as encoders show it."""
+
+
+def driven(setup: Bench, arm: Arm, seed: int, shown: Shown = as_it_moves) -> Floats:
+    """The outputs of a loop around MuJoCo's arm, to the first that are no numbers.
+
+    Args:
+        setup: the loop.
+        arm: its numbers.
+        seed: of noise and of the flanks where it starts.
+        shown: what its encoders show; it may change the arm.
+    """
     problem, stepper = setup.problem, setup.stepper
     N, Ts = len(arm.half), problem.scenario.simulation.step
     where = tree.leaf_slices(setup.loop.outputs)
@@ -274,7 +200,7 @@ def driven(setup: Bench, arm: Arm, seed: int) -> Floats:
     stepper.state[:] = setup.start
     outputs = np.empty((len(inputs), stepper.out.size))
     for k, instant in enumerate(inputs):
-        stepper.state[: 4 * N] = twin.state()
+        stepper.state[: 4 * N] = shown(twin, k, len(inputs))
         stepper.w[:] = instant
         stepper()
         outputs[k] = stepper.out
@@ -284,9 +210,9 @@ def driven(setup: Bench, arm: Arm, seed: int) -> Floats:
     return outputs
 
 
-def outcome(setup: Bench, arm: Arm, seed: int) -> Outcome:
-    """What becomes of one loop around MuJoCo's arm."""
-    outputs = driven(setup, arm, seed)
+def outcome(setup: Bench, arm: Arm, seed: int, shown: Shown = as_it_moves) -> Outcome:
+    """What becomes of one loop around MuJoCo's arm; the arguments are those of `driven`."""
+    outputs = driven(setup, arm, seed, shown)
     return (
         evaluate_outputs(setup, arm, outputs) if np.isfinite(outputs[-1]).all() else Outcome(True)
     )
@@ -361,8 +287,7 @@ def format_outcomes(label: str, results: list[Outcome], N: int) -> str:
     link_errors = 1e3 * np.array([each.estimated for each in fine])
     error = np.abs(np.array([each.half for each in fine]) - 1)
     score = np.abs(np.array([each.score for each in fine]))
-    lost = [each for each in fine if (np.abs(each.score) > 5).any() or each.covered < 0.5]
-    silent = [each for each in lost if not each.warned]
+    silent = [each for each in fine if each.is_lost() and not each.warned]
     warned = sum(each.warned for each in fine)
     return row(
         label,

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
-from benchmarks.loops.plants.random_loops import Loops, ratio_cells, run_loops
+from benchmarks.loops.plants.random_loops import Loops, ratio_cells, run_loops, white_censored
 from benchmarks.markdown import head, row
 from undeadzone.controllers import StateFeedback
 from undeadzone.nonlinearities.sensor import Sensor, resolve
@@ -104,16 +104,7 @@ def known(world: World, gaps: Widths) -> Kalman:
 
 def censored(world: World, gaps: Widths) -> Censored:
     """It knows the range of the gaps, and hears what a held reading bounds."""
-    return Censored(
-        right=world.gap_range,
-        disturbance=world.disturbance,
-        correlation_time=world.step,
-        bias=0.0,
-        calibrated=0.0,
-        tolerance=0.0,
-        drift=0.0,
-        levels=1,
-    )
+    return white_censored(world.step, right=world.gap_range, disturbance=world.disturbance)
 
 
 def ranges_alone(world: World, gaps: Widths) -> Censored:

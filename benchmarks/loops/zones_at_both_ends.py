@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.loops.plants.random_loops import Loops, ratio_cells, run_loops
+from benchmarks.loops.plants.random_loops import Loops, ratio_cells, run_loops, white_censored
 from benchmarks.markdown import head, row
 from undeadzone.compensators import NoInverse, SmoothZoneInverse, ZoneInverse
 from undeadzone.controllers import StateFeedback
@@ -81,16 +81,8 @@ def filter_of(world: World, known: bool) -> Kalman:
 
 def heedful(world: World) -> Censored:
     """A filter for which the entry of B is one more unknown."""
-    return Censored(
-        right=list(OUTPUT),
-        disturbance=DISTURBANCE,
-        correlation_time=STEP,
-        bias=0.0,
-        calibrated=0.0,
-        tolerance={"B[1,0]": OFF},
-        drift=0.0,
-        levels=1,
-    )
+    options: dict[str, Any] = {"right": list(OUTPUT), "disturbance": DISTURBANCE}
+    return white_censored(STEP, tolerance={"B[1,0]": OFF}, **options)
 
 
 def actuator_of(world: World, known: bool) -> ActuatorModel:

@@ -6,7 +6,6 @@ import io
 import json
 import platform
 import re
-import signal
 import subprocess
 import sys
 import time
@@ -437,35 +436,6 @@ def test_watch_flushes_every_line(scenario: Path) -> None:
             assert json.loads(process.stdout.readline())["t"] == pytest.approx(k * 1e-2)
         process.stdin.close()
         assert process.wait(20) == 0
-
-
-@pytest.mark.parametrize(("stop", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_a_stopped_watch_prints_what_it_has(scenario: Path, stop: int, code: int) -> None:
-    with subprocess.Popen(
-        [*COMMAND, "watch", str(scenario)],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        preexec_fn=restore_signals,
-    ) as process:
-        assert process.stdin is not None
-        assert process.stdout is not None
-        process.stdin.write("y,u\n0.5,1.0\n0.4,1.0\n")
-        process.stdin.flush()
-        for _ in range(3):
-            process.stdout.readline()
-        process.send_signal(stop)
-        _, printed = process.communicate(timeout=20)
-    assert process.returncode == code
-    assert "2 samples, 0 missing" in printed
-    assert "consistent" in printed
-    assert printed.splitlines()[-1].startswith("undeadzone: ")
-
-
-def restore_signals() -> None:
-    """A background job ignores SIGINT unless it is told otherwise."""
-    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.mark.parametrize(

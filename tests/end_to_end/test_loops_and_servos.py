@@ -16,6 +16,7 @@ from benchmarks.identify.logs.strangers import walk, zone
 from benchmarks.identify.logs.valves import ValveLoop, make
 from click.testing import CliRunner
 
+from records import write_log
 from requirements import needs
 from undeadzone.cli import group
 
@@ -30,8 +31,7 @@ def invoke(*words: str) -> str:
 
 
 def write_loop(loop: ValveLoop, path: Path) -> None:
-    columns = np.column_stack([np.arange(loop.op.size), loop.op, loop.pv, loop.sp])
-    np.savetxt(path, columns, delimiter=",", header="time,OP,PV,SP", comments="")
+    write_log(path, "time,OP,PV,SP", 1.0, loop.op, loop.pv, loop.sp)
 
 
 def compiled(snippet: Path, name: str) -> Callable[[float], float]:
@@ -98,10 +98,7 @@ def test_a_servo_by_current_and_encoder_ends_in_firmware(
     draw = np.random.default_rng(1)
     command, torque = input_at_random(draw, 1600), 0.03 * draw.standard_normal(1600)
     u, y = recorded(servo, 0.005, command, torque, np.zeros(1600), False)
-    table = np.column_stack([0.005 * np.arange(1600), u, y])
-    np.savetxt(
-        "servo.csv", table, delimiter=",", header="t [s],current [A],encoder [rad]", comments=""
-    )
+    write_log("servo.csv", "t [s],current [A],encoder [rad]", 0.005, u, y)
     printed = invoke("identify", "servo.csv", "--no-figures", "--out", "o", "--chain", "fw")
     assert "every bit agrees" in printed
     low, high = json.loads(Path("o/identify.json").read_text())["width"][1:]
@@ -124,8 +121,7 @@ def test_an_unstable_plant_is_said_to_be_one_and_estimate_finds_the_width(
         y[k] = float(zone(np.array(z), 0.5, 0.5)) + 0.02 * draw.standard_normal()
         u[k] = 3.0 * (r[k] - y[k])
         z = 1.03 * z + 0.06 * u[k]
-    table = np.column_stack([0.01 * np.arange(size), u, y])
-    np.savetxt("loop.csv", table, delimiter=",", header="t,u,y", comments="")
+    write_log("loop.csv", "t,u,y", 0.01, u, y)
     told = CliRunner().invoke(group, ["identify", "loop.csv", "--no-figures", "--out", "o"])
     why = " ".join(told.output.split())
     pole = float(re.search(r"seems unstable \(a pole of \+(\S+) 1/s\)", why)[1])  # type: ignore[index]

@@ -11,6 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 from further import further
+from records import write_log
 from undeadzone.cli import group
 from undeadzone.util.arrays import Floats
 
@@ -40,8 +41,7 @@ def test_a_sensor_without_a_left_edge_ends_in_code(jump: bool, tmp_path: Path) -
     """Readings that are shifted need the option; those of a jump sensor show it by themselves."""
     u, y = flow(jump)
     log = tmp_path / "flow.csv"
-    table = np.column_stack([STEP * np.arange(u.size), u, y])
-    np.savetxt(log, table, delimiter=",", header="t,u,y", comments="")
+    write_log(log, "t,u,y", STEP, u, y)
     options = () if jump else ("--left", "inf")
     words = ("--order", "1", "--delay", "0", "--no-figures", "--out", str(tmp_path))
     invoke("identify", str(log), *options, *words)

@@ -8,7 +8,6 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from benchmarks.identify.damaged_logs import counted
 from click.testing import CliRunner
 from scipy.io import savemat
 from scipy.signal import lfilter
@@ -233,14 +232,6 @@ def test_quantum_and_long_logs() -> None:
     assert short.t.size == 100_000
     assert short.start.tolist() == [0, 20_000, 40_000, 60_000, 80_000]
     assert (np.diff(short.t)[19_999::20_000] > 1000).all()
-
-
-# --- damaged files
-
-
-def test_damaged_csv_files_end_in_a_log_or_in_words(tmp_path: Path) -> None:
-    counts = counted(700, tmp_path / "log.csv")
-    assert min(counts.values()) > 20
 
 
 # --- the command

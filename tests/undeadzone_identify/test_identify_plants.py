@@ -9,12 +9,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from benchmarks.identify.logs.random_plants import dead_zone, motor
+from benchmarks.identify.logs.random_plants import motor
 from click.testing import CliRunner
 from scipy.signal import lfilter
 
 import undeadzone as uz
-from records import identify_log, identify_second_order, second_order, steps
+from records import (
+    dead_zone,
+    holds,
+    holds_both,
+    identify_log,
+    identify_second_order,
+    second_order,
+    steps,
+    write_log,
+)
 from undeadzone.cli import group
 from undeadzone.errors import InputError
 from undeadzone.linalg.hold import zoh
@@ -90,7 +99,7 @@ def test_the_width_of_an_integrating_plant() -> None:
     answer = identify_log(log, integrators=1, order=2, delay=0)
     width = log.right + log.left
     assert answer.verdict == "dead_zone"
-    assert answer.width.low <= width <= answer.width.high
+    assert holds(answer.width, width)
     assert answer.width.half_width < 0.25 * width
     assert answer.right.value == pytest.approx(0.5 * answer.width.value)
     assert answer.centre is None
@@ -109,8 +118,7 @@ def test_a_mode_that_rings_for_half_of_the_record_is_found() -> None:
     y = dead_zone(y, 0.6, 0.3)
     answer = uz.identify(t=1.0, u=u, y=y, order=2, delay=0)
     assert answer.verdict == "dead_zone"
-    assert answer.right.low <= 0.6 <= answer.right.high
-    assert answer.left.low <= 0.3 <= answer.left.high
+    assert holds_both(answer, 0.6, 0.3)
     assert answer.right.half_width < 0.03
 
 
@@ -156,7 +164,7 @@ def test_a_late_input_is_found_and_its_scenario_says_it() -> None:
     u, z = driven(late=3, seed=0)
     answer = uz.identify(t=STEP, u=u, y=dead_zone(z, 0.5, 0.3), order=2)
     assert answer.answer.found.delay == 3
-    assert answer.right.low <= 0.5 <= answer.right.high
+    assert holds(answer.right, 0.5)
     written = tomllib.loads(answer.scenario())
     assert written["plant"]["delay"] == 3
 
@@ -182,7 +190,7 @@ def test_a_jump_sensor_is_named_and_measured(tmp_path: Path) -> None:
     assert answer.verdict == "jump"
     assert not answer.zone
     for edge, truth in ((answer.right, 0.5), (answer.left, 0.3)):
-        assert edge.low <= truth <= edge.high
+        assert holds(edge, truth)
         assert edge.high - edge.low < 0.03
     assert 'kind = "jump"' in answer.scenario()
     with pytest.raises(InputError, match="no exact zeros"):
@@ -200,7 +208,7 @@ def test_an_offset_behind_the_zone_is_named() -> None:
     assert answer.verdict == "other"
     assert "constant offset behind the zone" in answer.answer.reasons[0]
     cured = uz.identify(t=STEP, u=u, y=y, order=2, zero=0.1, place="sensor", delay=0)
-    assert cured.right.low <= 0.5 <= cured.right.high
+    assert holds(cured.right, 0.5)
     exact = uz.identify(t=STEP, u=u, y=1.25 + dead_zone(z, 0.5, 0.3), order=2)
     assert exact.verdict == "dead_zone"
     assert exact.right.value == pytest.approx(0.5, abs=0.01)
@@ -213,8 +221,7 @@ def test_the_level_of_a_silent_sensor_is_followed_to_its_end(
     """The scenario and the commands that are printed count from it; lines about 0 are none."""
     monkeypatch.chdir(tmp_path)
     u, z = driven()
-    table = np.column_stack([STEP * np.arange(u.size), u, 1.25 + dead_zone(z, 0.5, 0.3)])
-    np.savetxt("log.csv", table, delimiter=",", header="t,u,y", comments="")
+    write_log("log.csv", "t,u,y", STEP, u, 1.25 + dead_zone(z, 0.5, 0.3))
     run = CliRunner()
     words = ["identify", "log.csv", "--order", "2", "--delay", "0", "--no-figures", "--out", "o"]
     found = run.invoke(group, words)
@@ -262,7 +269,7 @@ def test_an_edge_that_is_hardly_passed_has_its_profile() -> None:
     y = dead_zone(z + 0.03 * rng.standard_normal(1200), right, 0.3)
     answer = identify_second_order(u, y)
     assert answer.answer.excitation.visits[0] == 2
-    assert answer.right.low <= right <= answer.right.high
+    assert holds(answer.right, right)
     assert answer.width.half_width >= answer.right.half_width
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import undeadzone as uz
-from records import dead_zone, logged, second_order
+from records import dead_zone, logged, second_order, write_log
 from undeadzone_identify.models import plant
 from undeadzone_identify.models.plant import (
     PlantSimulator,
@@ -121,9 +121,8 @@ def test_friction_is_compared_on_one_of_two_records(tmp_path) -> None:
     y = v + 0.005 * rng.standard_normal(v.size)
     paths = []
     for name, part in (("a", slice(0, 600)), ("b", slice(600, 1400))):
-        rows = np.column_stack([0.05 * np.arange(u[part].size), u[part], y[part]])
         paths.append(str(tmp_path / f"{name}.csv"))
-        np.savetxt(paths[-1], rows, delimiter=",", header="t,u,y", comments="")
+        write_log(paths[-1], "t,u,y", 0.05, u[part], y[part])
     found = uz.identify(paths, order=1)
     assert isinstance(found, uz.Identified)
     assert found.verdict == "friction"

@@ -8,6 +8,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
+from records import holds
 from undeadzone.util.arrays import Floats
 from undeadzone_identify.looks import edges as edges_module
 from undeadzone_identify.looks import map as maps
@@ -83,7 +84,7 @@ def test_a_map_has_the_shape_and_the_edges_of_its_truth(name: str, size: int) ->
         for edge, truth in zip((rest.flats[0].left, rest.flats[0].right), edges, strict=True):
             assert (edge is None) == (truth is None)
             if edge is not None and truth is not None:
-                assert edge.interval.low <= truth <= edge.interval.high
+                assert holds(edge.interval, truth)
                 assert edge.interval.value == pytest.approx(truth, abs=0.03)
                 assert edge.jumps == (name == "threshold")
 
@@ -234,7 +235,7 @@ def test_levels_with_repeats_are_a_table_and_one_outlier_does_no_harm() -> None:
     y[37] = 400.0
     rest = found(u, y)
     edge = right_edge(rest).interval
-    assert edge.low <= 2.6 <= edge.high
+    assert holds(edge, 2.6)
 
 
 def test_holds_give_their_last_readings() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 import pytest
-from benchmarks.identify.logs.lost_motion import follow
+from benchmarks.identify.logs.strangers import dragged
 from scipy.signal import lfilter
 
 import undeadzone as uz
@@ -79,7 +79,7 @@ def focus_sweeps(seed: int, gap: float, sweeps: int = 4) -> tuple[Floats, Floats
     rng = np.random.default_rng(seed)
     up = np.linspace(-1000, 1000, 41)
     u = np.concatenate([up[:: 1 if k % 2 == 0 else -1] for k in range(sweeps)])
-    size = np.hypot(2.0, 0.01 * (follow(u, gap) - 60))
+    size = np.hypot(2.0, 0.01 * (dragged(u, gap) - 60))
     return u, size * (1 + 0.02 * rng.standard_normal(u.size))
 
 
@@ -200,7 +200,7 @@ def step_goals(seed: int, gap: float) -> dict[str, Floats]:
     at = 0.0
     for k, one in enumerate(goal):
         motor[k] = at = at + 0.35 * (one - at)
-    y = np.floor(follow(motor, gap) + 0.5 + 0.55 * rng.standard_normal(goal.size))
+    y = np.floor(dragged(motor, gap) + 0.5 + 0.55 * rng.standard_normal(goal.size))
     return {"t [s]": 0.005 * np.arange(goal.size), "target [counts]": goal, "measured [counts]": y}
 
 
@@ -235,7 +235,7 @@ def test_play_that_alone_leaves_noise_needs_no_name_of_a_position() -> None:
     for seed in range(SEEDS):
         rng = np.random.default_rng(seed)
         u = np.interp(np.arange(800), np.arange(0, 840, 40), rng.uniform(2, 18, 21))
-        y = 15 * follow(u, 0.5) + 0.3 * rng.standard_normal(u.size)
+        y = 15 * dragged(u, 0.5) + 0.3 * rng.standard_normal(u.size)
         columns = {"time": 0.05 * np.arange(u.size), "plunger": u, "volume": y}
         found, stands = ask(columns, "y=volume,u=plunger")
         assert (found.verdict, stands) == ("play", True)

@@ -17,7 +17,6 @@ from benchmarks.identify.logs.lost_motion import (
     MotionLog,
     axis_at_rest,
     axis_on_one_flank,
-    follow,
     goal_and_current,
     jittered,
     noisy_and_late,
@@ -25,9 +24,11 @@ from benchmarks.identify.logs.lost_motion import (
     two_encoders,
     wrong_ratio,
 )
+from benchmarks.identify.logs.strangers import dragged
 
 import undeadzone as uz
 from further import further
+from records import holds
 from requirements import needs
 from undeadzone.cli import group
 from undeadzone.errors import InputError
@@ -85,9 +86,8 @@ def test_a_servo_loses_gap_and_friction_together_and_a_current_tells_them_apart(
     assert log.lost is not None
     both = identified(log)
     parts = both.answer.parts
-    assert parts is not None
-    assert parts.gap.low <= log.gap <= parts.gap.high
-    assert parts.friction.low <= log.lost - log.gap <= parts.friction.high
+    assert holds(parts.gap, log.gap)
+    assert holds(parts.friction, log.lost - log.gap)
     assert both.headline().startswith("Backlash: ")
     assert re.search(r"gap .* rad, friction .* rad$", both.headline())
     del log.columns["current [A]"]
@@ -95,7 +95,7 @@ def test_a_servo_loses_gap_and_friction_together_and_a_current_tells_them_apart(
     assert alone.answer.parts is None
     assert alone.headline().startswith("Lost motion, gap and friction together: gap ")
     assert alone.numbers()["lost_motion"]["with_friction"]
-    assert alone.gap.low <= log.lost <= alone.gap.high
+    assert holds(alone.gap, log.lost)
 
 
 def test_a_current_that_follows_no_error_tells_nothing_apart() -> None:
@@ -116,7 +116,7 @@ def test_single_pulses_are_summed() -> None:
     found = identified(log)
     assert found.answer.is_summed
     assert log.lost is not None
-    assert found.gap.low <= log.lost <= found.gap.high
+    assert holds(found.gap, log.lost)
 
 
 def test_a_plant_with_dynamics_is_left_to_the_fit_of_plants() -> None:
@@ -150,7 +150,7 @@ def test_the_profile_is_that_of_a_closer_scan() -> None:
     """The best gap, delay and lag lie where a dense scan of all three has its least square."""
     t = np.sort(np.random.default_rng(4).uniform(0, 20, 400))
     u = np.sin(t)
-    y = 2 * follow(np.interp(t - 0.03, t, u), 0.2) + 1
+    y = 2 * dragged(np.interp(t - 0.03, t, u), 0.2) + 1
     fit = MotionFit(Positions(t, u, y), Structure(late=True))
     found = fit.fit()
     gaps = np.linspace(0.15, 0.25, 21)

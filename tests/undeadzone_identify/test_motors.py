@@ -15,6 +15,7 @@ from scipy.io import savemat
 
 import undeadzone as uz
 from further import further
+from records import holds
 from undeadzone.errors import InputError
 from undeadzone_identify.logs.log import read_log
 from undeadzone_identify.models.free_load import fit_free_load
@@ -89,7 +90,7 @@ def test_a_load_that_floats_in_its_gap_is_measured_by_both_encoders(seed: int) -
     found = uz.identify(pd.DataFrame(columns))
     assert isinstance(found, uz.IdentifiedMotion)
     assert found.verdict == "play"
-    assert found.gap.low < motor.gap < found.gap.high
+    assert holds(found.gap, motor.gap)
     assert found.gap.value == pytest.approx(motor.gap, rel=0.15)
     assert "floats in its gap" in found.answer.remarks[-1]
 

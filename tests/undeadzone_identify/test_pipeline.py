@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 import undeadzone as uz
 from further import further
-from records import dead_zone, steps
+from records import dead_zone, holds, holds_both, steps
 from requirements import import_package
 from undeadzone.errors import InputError
 from undeadzone.util.arrays import Floats
@@ -393,8 +393,7 @@ def test_widths_lie_in_their_intervals(where: str) -> None:
     answer = uz.identify(t=t, u=u, y=y, order="1-2")
     assert answer.verdict == "dead_zone"
     assert answer.order == 2
-    assert answer.right.low <= 0.5 <= answer.right.high
-    assert answer.left.low <= 0.3 <= answer.left.high
+    assert holds_both(answer, 0.5, 0.3)
     assert answer.width.value == pytest.approx(answer.right.value + answer.left.value)
     states = answer.states()
     inside = np.abs(z) < 0.3
@@ -420,14 +419,14 @@ def test_edges_that_are_given_or_never_reached() -> None:
     assert never.verdict == "unreached"
     assert never.left.low > 0.3
     assert math.isinf(never.left.high)
-    assert never.right.low <= 0.5 <= never.right.high
+    assert holds(never.right, 0.5)
     one_sided = uz.identify(t=t, u=u, y=y, order=2, left=math.inf, delay=0)
     assert one_sided.verdict == "dead_zone"
     assert one_sided.left is None
     t, u, y, _ = record(seed=7)
     known = uz.identify(t=t, u=u, y=y, order=2, right=0.5, place="sensor", delay=0)
     assert known.right == (0.5, 0.5, 0.5)
-    assert known.left.low <= 0.3 <= known.left.high
+    assert holds(known.left, 0.3)
     with pytest.raises(InputError, match="readings lie beyond it"):
         uz.identify(t=t, u=u, y=y, left=math.inf)
 
@@ -450,7 +449,7 @@ def test_missing_readings_glitches_and_two_records() -> None:
     holed[500] = 40.0
     t2, u2, y2, _ = record(seed=10)
     one = uz.identify(t=t, u=u, y=holed, order=2, place="sensor", delay=0)
-    assert one.right.low <= 0.5 <= one.right.high
+    assert holds(one.right, 0.5)
     assert any("missing" in remark for remark in one.answer.remarks)
     pandas = import_package("pandas")
     frames = []
@@ -460,7 +459,7 @@ def test_missing_readings_glitches_and_two_records() -> None:
         )
     both = uz.identify(frames, order=2, delay=0)
     assert both.answer.fit.objective.layout.records == 2
-    assert both.right.low <= 0.5 <= both.right.high
+    assert holds(both.right, 0.5)
     assert both.answer.case.grid.output_unit == "mm"
 
 

@@ -9,6 +9,7 @@ import pytest
 from benchmarks.identify.logs.servo import Servo as Truth
 from benchmarks.identify.logs.servo import input_at_random, recorded, torque_at_random
 
+from records import holds
 from undeadzone_identify.servo.gap import identify_servo_gap
 from undeadzone_identify.servo.likelihood import At, Servo, ServoStructure, discretise_servo
 from undeadzone_identify.servo.observations import Observations, build_observations
@@ -74,5 +75,5 @@ def test_friction_beside_a_spring_is_no_part_of_the_gap() -> None:
     found = identify_servo_gap(build_observations(u, y, whole, np.zeros(1, int), step))
     assert found is not None
     assert {"friction", "spring"} <= found.servo.structure.parts
-    assert found.gap.low < truth.gap < found.gap.high
+    assert holds(found.gap, truth.gap)
     assert found.gap.high < 0.5 * (truth.gap + 2 * truth.friction * truth.gain / truth.spring)

@@ -26,7 +26,7 @@ from scipy.stats import norm
 
 import undeadzone as uz
 from further import further
-from records import identify_log
+from records import holds, identify_log
 from requirements import needs
 from undeadzone.cli import group
 from undeadzone.scenario.reader import parse
@@ -148,7 +148,7 @@ def test_friction_of_the_load_is_not_felt_in_the_gap(reading: str) -> None:
     assert "load" in one.structure.parts
     assert abs(float(one.theta[At.LOAD]) * found.log.u_scale / 0.15 - 1) < 0.15
     assert not found.reasons
-    assert found.gap.low <= 0.03 <= found.gap.high
+    assert holds(found.gap, 0.03)
     assert abs(found.gap.value / 0.03 - 1) < 0.03
 
 
@@ -173,7 +173,7 @@ def test_the_gap_of_a_joint_in_mujoco() -> None:
     log = mujoco_log(12)
     found = answered(log.u, log.y, log.step)
     assert not found.reasons
-    assert found.gap.low <= log.servo.gap <= found.gap.high
+    assert holds(found.gap, log.servo.gap)
     assert abs(found.gap.value / log.servo.gap - 1) < 0.03
 
 
@@ -393,7 +393,7 @@ def test_a_fast_damping_may_be_a_pole_and_the_pole_the_damping() -> None:
     assert min(apart) < 0.03
     log = random_log(30037)
     found = answered(log.u, log.y, log.step)
-    assert found.gap.low < log.servo.gap < found.gap.high
+    assert holds(found.gap, log.servo.gap)
 
 
 def with_errors(e: Floats) -> ErrorSlopes:

@@ -17,7 +17,7 @@ import pytest
 import undeadzone as uz
 from commands import undeadzone
 from further import further
-from records import dead_zone
+from records import dead_zone, holds, write_log
 from requirements import needs
 from undeadzone.errors import InputError
 from undeadzone.scenario.reader import parse
@@ -139,7 +139,7 @@ def test_a_noisy_log_that_a_converter_rounds_ends_in_a_scenario(element: str, st
     y = step * np.round(y / step)
     answer = uz.identify(t=STEP, u=u, y=y, order=2, delay=0)
     assert answer.verdict == WORDS[element]
-    assert answer.width.low <= RIGHT + LEFT <= answer.width.high
+    assert holds(answer.width, RIGHT + LEFT)
     assert answer.width.half_width < 0.02
     scenario = parse(answer.scenario())
     assert scenario.sensor.quantum == pytest.approx(step)
@@ -232,9 +232,8 @@ def test_a_log_ends_in_firmware(
     """As a user goes: each command is the one that the last one named."""
     monkeypatch.setattr(exporting, "STEPS", 2000)  # of float beside double: less is refused later
     u, y = record(element, "noise", False, order=1)
-    table = np.column_stack([STEP * np.arange(y.size), u, y])
     path = tmp_path / "log.csv"
-    np.savetxt(path, table, delimiter=",", header="t [s],u [V],y [mm]", comments="")
+    write_log(path, "t [s],u [V],y [mm]", STEP, u, y)
     found = undeadzone("identify", "log.csv", "--order", "1", "--no-figures", cwd=tmp_path)
     assert found.returncode == 0, found.stderr
     *_, last = found.stdout.splitlines()
@@ -258,9 +257,8 @@ def test_one_command_leads_from_a_log_to_firmware_that_has_followed_it(
 ) -> None:
     monkeypatch.setattr(exporting, "STEPS", 2000)
     u, y = record("zone", "noise", False, order=1)
-    table = np.column_stack([STEP * np.arange(y.size), u, y])
     path = tmp_path / "log.csv"
-    np.savetxt(path, table, delimiter=",", header="t [s],u [V],y [mm]", comments="")
+    write_log(path, "t [s],u [V],y [mm]", STEP, u, y)
     done = undeadzone(
         "identify",
         "log.csv",
@@ -296,8 +294,7 @@ def test_the_next_record_narrows_the_widest_interval_as_predicted(tmp_path: Path
 
     def write(name: str, u: Floats) -> None:
         y = zone(np.array(lag(u))) + 0.02 * draw.standard_normal(u.size)
-        table = np.column_stack([STEP * np.arange(u.size), u, y])
-        np.savetxt(tmp_path / name, table, delimiter=",", header="t,u,y", comments="")
+        write_log(tmp_path / name, "t,u,y", STEP, u, y)
 
     u = np.repeat(draw.standard_normal(20), 15)
     write("first.csv", u)

@@ -18,6 +18,7 @@ from scipy.signal import freqz, lfilter
 import undeadzone as uz
 from commands import undeadzone
 from further import further
+from records import holds, write_log
 from undeadzone.nonlinearities.play import levels
 from undeadzone_identify.models.least_squares import CHANCE, Density
 from undeadzone_identify.models.valve import (
@@ -45,8 +46,7 @@ SIZE = 800
 
 def write(loop: ValveLoop, path: Path) -> Path:
     """The log of a loop as a process historian exports it."""
-    columns = np.column_stack([np.arange(loop.op.size), loop.op, loop.pv, loop.sp])
-    np.savetxt(path, columns, delimiter=",", header="time,OP,PV,SP", comments="")
+    write_log(path, "time,OP,PV,SP", 1.0, loop.op, loop.pv, loop.sp)
     return path
 
 
@@ -98,7 +98,7 @@ def test_a_missing_reading_is_left_out_of_the_regression() -> None:
     assert not set(fits.regression.rows) & set(np.flatnonzero(~ok))
     assert fits.best.density.bic < fits.densities["none"].bic
     stick = fits.intervals(fits.best)[0].scale_by(float(np.ptp(loop.op)))
-    assert stick.low < loop.stick < stick.high
+    assert holds(stick, loop.stick)
 
 
 @pytest.mark.parametrize("stride", [1, 3])
@@ -137,7 +137,7 @@ def test_a_loop_is_named_by_its_cause(named: tuple[ValveLoop, Any]) -> None:
     numbers = found.numbers()
     if loop.stick:
         assert found.verdict in ("stiction", "input_play")
-        assert found.width.low < loop.stick < found.width.high
+        assert holds(found.width, loop.stick)
         assert numbers["loop"]["S"] == list(found.width)
         assert numbers["held_out"]["error"] < numbers["loop"]["held_out_without"]
     else:

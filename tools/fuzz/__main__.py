@@ -18,7 +18,6 @@ from tools.fuzz.perform import perform
 
 NAMES: Final = (
     "formulas",
-    "urdfs",
     "designs",
     "journals",
     "options",

@@ -6,26 +6,23 @@ Half of the commands have --untrusted. What leads out of DIR is neither read, to
 from __future__ import annotations
 
 import functools
-import hashlib
 import itertools
 import os
 import random
-import stat
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import click
 from tests.traps import SHORT
 
 from tools.fuzz.case import Case, End
+from tools.fuzz.folders import HOME, OUT, SECRET, STRANGE, seen
 from tools.fuzz.identify_logs import sound
 from tools.fuzz.urdfs import SMALL
 from undeadzone.cli import group
 from undeadzone.cli.common import UserPath
 
-STRANGE, HOME, OUT = "strange", "home", "results"
-SECRET: Final = "hunter2-of-home"
 SECRETS: Final = {
     "secret.csv": f"t,u,y,{SECRET}\n0.0,1.0,2.0,3\n",
     "secret.toml": SHORT.replace('"short"', f'"{SECRET}"'),
@@ -87,7 +84,7 @@ def case(draw: random.Random) -> Case:
         words.append("--no-figures")
     if untrusted:
         words += ["--untrusted", STRANGE]
-    before: dict[str, object] = {}
+    before: dict[str, tuple[object, ...]] = {}
     return Case(
         f"{name}{', untrusted' if untrusted else ''}",
         _files(draw),
@@ -152,7 +149,7 @@ def _log(draw: random.Random) -> str:
     return "\n".join(["t,y,u", *rows]) + "\n"
 
 
-def _made(before: dict[str, object], folder: Path) -> None:
+def _made(before: dict[str, tuple[object, ...]], folder: Path) -> None:
     """Put links and pipes into the stranger's folder; remember what is there."""
     strange = folder / STRANGE
     (strange / "in").mkdir()
@@ -166,21 +163,12 @@ def _made(before: dict[str, object], folder: Path) -> None:
         (strange / f"loop{suffix}").symlink_to(f"loop{suffix}")
     for own in ("s.toml", "log.csv", "arm.urdf"):
         (strange / f"own{Path(own).suffix}").symlink_to(own)
-    before.update(_seen(folder / HOME))
+    before.update(seen(folder / HOME, links=True))
 
 
-def _seen(folder: Path) -> dict[str, object]:
-    """Kind, content and number of names of everything in a folder."""
-    found: dict[str, object] = {}
-    for path in sorted(folder.rglob("*")):
-        state: Any = path.lstat()
-        plain = stat.S_ISREG(state.st_mode)
-        content = hashlib.sha256(path.read_bytes()).hexdigest() if plain else ""
-        found[str(path.relative_to(folder))] = (state.st_mode, content, state.st_nlink)
-    return found
-
-
-def _left(before: dict[str, object], untrusted: bool, above: bool, folder: Path, end: End) -> str:
+def _left(
+    before: dict[str, tuple[object, ...]], untrusted: bool, above: bool, folder: Path, end: End
+) -> str:
     """What was told or replaced that is elsewhere.
 
     Args:
@@ -190,7 +178,7 @@ def _left(before: dict[str, object], untrusted: bool, above: bool, folder: Path,
         folder: above it.
         end: of the command.
     """
-    after = _seen(folder / HOME)
+    after = seen(folder / HOME, links=True)
     replaced = [name for name in before if before[name] != after.get(name)]
     if replaced:
         return f"replaced elsewhere: {replaced}"

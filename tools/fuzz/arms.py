@@ -10,6 +10,7 @@ from tools.fuzz.case import Case, End
 from tools.fuzz.damage import TEXTS, bent, number
 from tools.fuzz.urdfs import ARM, SMALL, changed
 from undeadzone.errors import UndeadzoneError
+from undeadzone.plants.build import system
 from undeadzone.scenario.reader import read
 
 NAME: Final = "arm.urdf"
@@ -43,7 +44,7 @@ def case(draw: random.Random) -> Case:
     kind = draw.choice(
         ("structure", "structure", "bytes", "entities", "missing", "ring", "numbers")
     )
-    base = ARM if draw.random() < 0.1 else SMALL
+    base = ARM if draw.random() < 0.2 else SMALL
     content = {
         "structure": lambda: changed(draw, base),
         "bytes": lambda: bent(draw, base),
@@ -66,7 +67,7 @@ def _left(folder: Path, end: End) -> str:
         return f"written, and refused: {files[0].name}"
     for path in files:
         try:
-            read(path)
+            system(read(path).plant)
         except UndeadzoneError as error:
             return f"its scenario: {error}"
     return ""

@@ -199,26 +199,26 @@ def _made(
     )
     for number, name in enumerate(planted):
         acts[number % len(acts)](folder / OUT / name)
-    before.update(_seen(folder))
+    before.update(seen(folder))
 
 
-def _seen(folder: Path) -> dict[str, tuple[object, ...]]:
-    """Everything outside of --out: its kind, mode, times and content."""
+def seen(folder: Path, links: bool = False) -> dict[str, tuple[object, ...]]:
+    """Everything outside of --out: its kind, mode, content, time, and if asked for its links."""
     found: dict[str, tuple[object, ...]] = {}
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder).as_posix()
         if name.split("/")[0] == OUT:
             continue
-        state = path.lstat()
+        state: os.stat_result = path.lstat()
         plain = stat.S_ISREG(state.st_mode)
         content = hashlib.sha256(path.read_bytes()).hexdigest() if plain else ""
-        found[name] = (state.st_mode, content, state.st_mtime_ns if plain else 0)
+        found[name] = (state.st_mode, content, plain * state.st_mtime_ns, links * state.st_nlink)
     return found
 
 
 def _left(before: dict[str, tuple[object, ...]], started: bool, folder: Path, end: End) -> str:
     """What was written elsewhere, or run."""
-    after = _seen(folder)
+    after = seen(folder)
     ran = [name for name in folder.rglob("*") if name.name == "RAN"]
     if ran:
         return f"it ran: {ran[0]}"

@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
-import functools
+import contextlib
 import io
 import json
 import os
 import signal
 import subprocess
-import sys
 import tempfile
 import traceback
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
+from tests.commands import undeadzone
 from tests.traps import COMMAND
 
 from tools.fuzz.case import Case, End
-from undeadzone.cli import group
-from undeadzone.cli.ending import run_to_exit_code
 from undeadzone.errors import UndeadzoneError
 from undeadzone.util.text import escape_controls
 
@@ -30,13 +27,14 @@ LONGEST: Final = 120  # [s] of the clock that a process of its own may take
 
 def perform(case: Case) -> End:
     """Run a case in an empty folder."""
-    with tempfile.TemporaryDirectory() as name, _inside(Path(name)) as folder:
+    with tempfile.TemporaryDirectory() as name, contextlib.chdir(name):
+        folder = Path(name)
         for file, content in case.files.items():
             (folder / file).parent.mkdir(parents=True, exist_ok=True)
             (folder / file).write_bytes(content)
         if case.made is not None:
             case.made(folder)
-        with _native() as written, _inside(folder / case.inside):
+        with _native() as written, contextlib.chdir(folder / case.inside):
             end = _ended(case, folder)
         left = "" if case.judged is None else case.judged(folder, end)
         return end._replace(native=written.getvalue(), left=left)
@@ -103,36 +101,10 @@ def _called(case: Case, folder: Path) -> End:
 
 def _commanded(case: Case) -> End:
     """The end of a command."""
-    out, err = io.TextIOWrapper(io.BytesIO(), "utf-8"), io.TextIOWrapper(io.BytesIO(), "utf-8")
-    before = sys.stdin, sys.stdout, sys.stderr
-    sys.stdin, sys.stdout, sys.stderr = io.TextIOWrapper(io.BytesIO(case.stdin)), out, err
-    try:
-        code = run_to_exit_code(
-            functools.partial(
-                group.main, list(case.command or ()), "undeadzone", standalone_mode=False
-            )
-        )
-        texts = []
-        for stream in (out, err):
-            stream.flush()
-            texts.append(stream.buffer.getvalue().decode("utf-8", "replace"))
-    finally:
-        sys.stdin, sys.stdout, sys.stderr = before
-    return End(code, *texts)
+    return End(*undeadzone(*(case.command or ()), stdin=case.stdin))
 
 
-@contextmanager
-def _inside(folder: Path) -> Iterator[Path]:
-    """The folder as the current one."""
-    before = Path.cwd()
-    os.chdir(folder)
-    try:
-        yield folder
-    finally:
-        os.chdir(before)
-
-
-@contextmanager
+@contextlib.contextmanager
 def _native() -> Iterator[io.StringIO]:
     """What is written to the descriptors of stdout and stderr meanwhile."""
     written = io.StringIO()

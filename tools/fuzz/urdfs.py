@@ -1,20 +1,14 @@
-"""URDF files: attributes and elements of an arm changed one at a time, and bytes damaged."""
+"""URDF files for `arms`: attributes and elements of an arm changed one at a time."""
 
 from __future__ import annotations
 
 import copy
-import functools
 import random
 from pathlib import Path
 from xml.etree import ElementTree
 
-from tools.fuzz.case import Case
-from tools.fuzz.damage import TEXTS, bent, number
-from undeadzone.plants.build import system
-from undeadzone.plants.options import URDF, Plant
-from undeadzone.plants.robots import urdf_elements
+from tools.fuzz.damage import TEXTS, number
 
-NAME = "arm.urdf"
 ARM = (Path(__file__).parents[2] / "examples" / "ur5.urdf").read_bytes()
 SMALL = b"""<robot name="r"><link name="a"/>
 <link name="b"><inertial><origin xyz="0.1 0 0" rpy="0 0 0"/><mass value="1.0"/>
@@ -22,26 +16,6 @@ SMALL = b"""<robot name="r"><link name="a"/>
 <joint name="j" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 0 1"/>
 <origin xyz="0 0 0.1" rpy="0 0 0"/><limit lower="-1" upper="1" effort="10" velocity="2"/>
 <dynamics damping="0.1" friction="0.05"/></joint></robot>"""
-
-
-def case(draw: random.Random) -> Case:
-    """A changed file; one in five is made a plant."""
-    small = draw.random() < 0.5
-    base = SMALL if small else ARM
-    kind, content = "structure", changed(draw, base)
-    if draw.random() < 0.35:
-        kind, content = "bytes", bent(draw, base)
-    build = small and draw.random() < 0.2
-    return Case(kind, {NAME: content}, call=functools.partial(_read, build))
-
-
-def _read(build: bool, folder: Path) -> None:
-    """A file read, and made a plant."""
-    robot = urdf_elements.read_urdf(folder / NAME)
-    for link in robot.links:
-        robot.joints_to_link(link)
-    if build:
-        system(Plant(arm=URDF(path=str(folder / NAME)), x0=None))
 
 
 def changed(draw: random.Random, content: bytes) -> bytes:

@@ -20,11 +20,9 @@ FOLDING = ("-ffinite-math-only", "-fno-signed-zeros")
 
 
 @functools.cache
-def compiled(n: int, step: str, width: int, known: str = "", grouped: bool = False) -> ctypes.CDLL:
+def compiled(n: int, step: str, width: int, known: str = "") -> ctypes.CDLL:
     """The library for n states. Raises ImportError where gcc is missing or cannot compile it."""
     flags = [*FLAGS, f"-DN={n}", f"-DSTEP={step}", f"-DW={width}"]
-    if grouped:
-        flags.append("-DGROUPED")
     if known:
         flags += [*FOLDING, f"-DKNOWN={known}"]
     with tempfile.TemporaryDirectory() as folder:
@@ -43,7 +41,6 @@ def prepare(
     width: int = 64,
     known: bool = False,
     threads: int = 1,
-    grouped: bool = False,
 ) -> Callable[[], Result]:
     """The work made ready.
 
@@ -53,7 +50,6 @@ def prepare(
         width: lanes of a block, 1 for one trajectory at a time
         known: all numbers are known when compiled
         threads: on which it runs
-        grouped: the sum of RK4 as our graph has it, k1 + k4 + 2 (k2 + k3)
     """
     runs, steps = len(work.states), len(work.targets)
     plant = (work.A.ravel(), work.B, work.C)
@@ -61,7 +57,7 @@ def prepare(
     observer = (work.L, [work.gamma, work.limit])
     numbers = np.concatenate([*plant, *plant, *observer, work.K, [work.step]])
     written = ",".join(map(repr, numbers.tolist())) if known else ""
-    library = compiled(len(work.B), step, width, written, grouped)
+    library = compiled(len(work.B), step, width, written)
 
     def run() -> Result:
         states, sums = work.states.copy(), np.empty(runs)

@@ -1,6 +1,6 @@
 /* The loop by hand, for N states: time outermost, W lanes innermost (W = 1: one trajectory at a time).
    STEP is plain (RK4, the sensor's side taken at each stage), located (the change of side found inside the step) or sampled.
-   GROUPED: the sum of RK4 as our graph has it. KNOWN: the numbers of a Loop, where they are known to the compiler. V is a vector of VL lanes, M a mask of as many. */
+   KNOWN: the numbers of a Loop, where they are known to the compiler. V is a vector of VL lanes, M a mask of as many. */
 #include <stdint.h>
 #include <stdlib.h>
 
@@ -97,24 +97,14 @@ INLINE void move(const Loop *q, const V *s, Side on, Widths d, V v, V *out) {
 /* next = s after h, on one side or (free) on that of each stage. */
 INLINE void rk4(const Loop *q, const V *s, Side on, int free, Widths d, V start, V middle, V end, V h, V *next) {
     V k[S], sum[S], t[S];
-#ifdef GROUPED
-    V inner[S]; /* k1 + k4 + 2 (k2 + k3): one multiplication a state goes to the adders */
-#define ADDED inner[i] = k[i]
-#define MORE inner[i] += k[i]
-#define LAST sum[i] + k[i] + 2.0 * inner[i]
-#else
-#define ADDED sum[i] += 2.0 * k[i]
-#define MORE sum[i] += 2.0 * k[i]
-#define LAST sum[i] + k[i]
-#endif
     move(q, s, on, d, start, k);
     EACH(i, S) sum[i] = k[i], t[i] = s[i] + 0.5 * h * k[i];
     move(q, t, free ? side(q, t, d) : on, d, middle, k);
-    EACH(i, S) ADDED, t[i] = s[i] + 0.5 * h * k[i];
+    EACH(i, S) sum[i] += 2.0 * k[i], t[i] = s[i] + 0.5 * h * k[i];
     move(q, t, free ? side(q, t, d) : on, d, middle, k);
-    EACH(i, S) MORE, t[i] = s[i] + h * k[i];
+    EACH(i, S) sum[i] += 2.0 * k[i], t[i] = s[i] + h * k[i];
     move(q, t, free ? side(q, t, d) : on, d, end, k);
-    EACH(i, S) next[i] = s[i] + h / 6.0 * (LAST);
+    EACH(i, S) next[i] = s[i] + h / 6.0 * (sum[i] + k[i]);
 }
 
 INLINE M plain(const Loop *q, const V *s, Widths d, const Target *v, V *next) {

@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from benchmarks.identify.logs.strangers import dragged
+
 Floats = NDArray[np.float64]
 
 
@@ -31,14 +33,6 @@ class MotionLog(NamedTuple):
     gap: float | None = None
 
 
-def follow(u: Floats, gap: float) -> Floats:
-    """Return the position behind a gap, from its middle (N)."""
-    out, now = np.empty(u.size), float(u[0])
-    for k, at in enumerate(u):
-        out[k] = now = max(min(now, at + gap / 2), at - gap / 2)
-    return out
-
-
 def _two_sines(t: Floats, rng: np.random.Generator, sizes: tuple[float, float]) -> Floats:
     """Return slow motion of two tones (N)."""
     first, second = rng.uniform(0, 2 * np.pi, 2)
@@ -50,7 +44,7 @@ def axis_at_rest(rng: np.random.Generator) -> MotionLog:
     """An axis that stops at each of 120 targets, where a camera looks."""
     gap, up = float(rng.uniform(0.05, 0.4)), np.arange(0.0, 30.5)
     u = np.concatenate([up, up[-2::-1], up[1:], up[-2::-1]])[:120]
-    y = (1 + 2e-3 * rng.standard_normal()) * follow(u, gap) + 0.004 * rng.standard_normal(u.size)
+    y = (1 + 2e-3 * rng.standard_normal()) * dragged(u, gap) + 0.004 * rng.standard_normal(u.size)
     return MotionLog({"t [s]": 1.0 * np.arange(u.size), "target [mm]": u, "camera [mm]": y},
                      ("play",), gap)  # fmt: skip
 
@@ -59,7 +53,7 @@ def two_encoders(rng: np.random.Generator) -> MotionLog:
     """Two encoders of 4096 counts a turn, on both sides of a gear."""
     gap, t, count = float(rng.uniform(0.3, 1.5)), 0.01 * np.arange(1500), 360 / 4096
     u = _two_sines(t, rng, (30.0, 12.0))
-    motor, joint = (count * np.round(one / count) for one in (u, follow(u, gap)))
+    motor, joint = (count * np.round(one / count) for one in (u, dragged(u, gap)))
     return MotionLog({"t [s]": t, "motor [deg]": motor, "joint [deg]": joint}, ("play",), gap)
 
 
@@ -67,7 +61,7 @@ def noisy_and_late(rng: np.random.Generator) -> MotionLog:
     """The same with noise behind the gear, which is read a sample late."""
     gap, t = float(rng.uniform(0.3, 1.5)), 0.01 * np.arange(1500)
     u = _two_sines(t, rng, (30.0, 12.0))
-    y = follow(np.append(u[0], u[:-1]), gap) + 0.03 * rng.standard_normal(u.size)
+    y = dragged(np.append(u[0], u[:-1]), gap) + 0.03 * rng.standard_normal(u.size)
     return MotionLog({"t [s]": t, "motor [deg]": u, "joint [deg]": y}, ("play",), gap)
 
 
@@ -85,7 +79,7 @@ def pulses_and_star(rng: np.random.Generator) -> MotionLog:
     t = np.cumsum(rng.uniform(0.7, 1.5, size))
     ways = 200 * np.sign(np.sin(2 * np.pi * np.arange(size) / 60))
     u = np.cumsum(np.round(250 * rng.standard_normal(size) + ways))
-    y = 0.0075 * follow(u, gap) + 0.4 * rng.standard_normal(size)
+    y = 0.0075 * dragged(u, gap) + 0.4 * rng.standard_normal(size)
     return MotionLog({"t [s]": t, "pulses [ms]": u, "star [arcsec]": y}, ("play",), gap)
 
 
@@ -105,7 +99,7 @@ def jittered(rng: np.random.Generator) -> MotionLog:
     def moved(times: Floats) -> Floats:
         return np.asarray(np.sin(1.1 * times) + 0.4 * np.sin(2.9 * times + 1))
 
-    y = np.interp(t - 0.008, fine, follow(moved(fine), gap)) + 0.003 * rng.standard_normal(t.size)
+    y = np.interp(t - 0.008, fine, dragged(moved(fine), gap)) + 0.003 * rng.standard_normal(t.size)
     return MotionLog({"millis": 1e3 * t, "motor [rad]": moved(t), "joint [rad]": y}, ("play",), gap)
 
 
@@ -113,7 +107,7 @@ def dial_gauge(rng: np.random.Generator) -> MotionLog:
     """Twenty-five readings of a dial gauge, to a hundredth."""
     gap, up = float(rng.uniform(0.05, 0.2)), np.arange(0.0, 6.5)
     u = np.concatenate([up, up[-2::-1], up[1:], up[-2::-1]])
-    y = np.round(follow(u, gap), 2)
+    y = np.round(dragged(u, gap), 2)
     return MotionLog({"t [s]": 10.0 * np.arange(u.size), "goal [mm]": u, "dial [mm]": y},
                      ("play",), gap)  # fmt: skip
 
@@ -136,7 +130,7 @@ def goal_servo(rng: np.random.Generator, current: bool = False) -> MotionLog:
             w = v + short * (a - np.sign(v if v else a) * friction)
             w = 0.0 if w * v < 0 else w
             x, v = x + short * (v + w) / 2, w
-    y = 1e-4 * np.round(1e4 * follow(motor, gap))
+    y = 1e-4 * np.round(1e4 * dragged(motor, gap))
     columns = {"t [s]": t, "goal [rad]": u, "position [rad]": y}
     if current:
         noise = 0.002 * rng.standard_normal(size)

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import cont2discrete, lfilter
 
+from benchmarks.identify.logs.strangers import zone
 from undeadzone.util.arrays import Floats
 
 SAMPLES = 1500
@@ -39,10 +40,6 @@ class Log(NamedTuple):
     n: int
     right: float
     left: float
-
-
-def dead_zone(z: Floats, right: float, left: float) -> Floats:
-    return np.maximum(z - right, 0.0) + np.minimum(z + left, 0.0)
 
 
 def plant(rng: np.random.Generator) -> tuple[Floats, Floats, float, float, int]:
@@ -105,11 +102,11 @@ def make(seed: int, family: str, samples: int = SAMPLES) -> Log:
     if family == "none":
         return Log(step, u, z + e, n, 0.0, 0.0)
     if family == "behind":
-        return Log(step, u, dead_zone(z + w, right, left) + e, n, right, left)
+        return Log(step, u, zone(z + w, right, left) + e, n, right, left)
     if family == "jumps":
         z = z + e
         return Log(step, u, z * ((z > right) | (z < -left)), n, right, left)
-    return Log(step, u, dead_zone(z + w + e, right, left), n, right, left)
+    return Log(step, u, zone(z + w + e, right, left), n, right, left)
 
 
 def motor(rng: np.random.Generator) -> Log:
@@ -130,7 +127,7 @@ def motor(rng: np.random.Generator) -> Log:
     u, z = u / z.std(), z / z.std()
     right, left = rng.uniform(0.1, 0.8, 2)
     e = float(rng.choice([0.02, 0.05])) * rng.standard_normal(SAMPLES)
-    return Log(step, u, dead_zone(z + e, right, left), 2, right, left)
+    return Log(step, u, zone(z + e, right, left), 2, right, left)
 
 
 def disturbance(

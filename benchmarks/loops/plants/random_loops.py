@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from undeadzone.compile import lanes
 from undeadzone.interfaces import Estimate
 from undeadzone.nonlinearities.play import levels
+from undeadzone.observers import Censored
 from undeadzone.plants.options import Plant
 from undeadzone.scenario.problem import Problem
 from undeadzone.simulation.simulate import prepare
@@ -70,6 +71,12 @@ def ratio_cells(rms: Floats, best: Floats, digits: int = 2) -> list[str]:
     middle = quantile_interval(ratio, 0.5)
     interval = f"{middle.value:.2f} [{middle.low:.2f}, {middle.high:.2f}]"
     return [f"{np.median(rms):.3g}", interval, f"{np.quantile(ratio, 0.9):.{digits}f}"]
+
+
+def white_censored(step: float, **options: Any) -> Censored:
+    """`Censored` told that a white disturbance is all that it does not know of the plant."""
+    told = {"bias": 0.0, "calibrated": 0.0, "tolerance": 0.0, "drift": 0.0, "levels": 1}
+    return Censored(correlation_time=step, **told | options)
 
 
 def random_plant(rng: np.random.Generator) -> Plant:

@@ -618,36 +618,32 @@ def test_a_linear_plant_and_the_same_as_formulas_get_one_verdict() -> None:
     assert "practically not" in summary["reasons"][-1]
 
 
+def beside_white(rms: float, correlation_time: float) -> list[dict[str, float]]:
+    """Deviations of the widths beside a disturbance, and beside white noise of its intensity."""
+    model, schedule = plan(scene())
+    noise, white = np.array([0.01]), 2 * rms**2 * correlation_time * model.B @ model.B.T
+    colour = first_order_inputs(model.B, np.array([rms]), correlation_time)
+    return [
+        optimal_deviations(
+            model, schedule, ReadingConditions(noise, 1e-2, 20.0, **{name: value})
+        ).widths[0]
+        for name, value in (("colour", colour), ("process", white))
+    ]
+
+
 def test_a_slow_random_disturbance_is_no_worse_than_an_offset_of_its_rms() -> None:
     """The plant's gain at 0 is 1: the centre is off by the rms at most."""
-    model, schedule = plan(scene())
-    noise, random = np.array([0.01]), 0.1
+    rms = 0.1
     for correlation_time in (1.0, 1e2, 1e4):
-        colour = first_order_inputs(model.B, np.array([random]), correlation_time)
-        coloured = optimal_deviations(
-            model, schedule, ReadingConditions(noise, 1e-2, 20.0, colour=colour)
-        ).widths[0]
-        white = 2 * random**2 * correlation_time * model.B @ model.B.T
-        stand_in = optimal_deviations(
-            model, schedule, ReadingConditions(noise, 1e-2, 20.0, process=white)
-        ).widths[0]
-        assert coloured["centre"] <= random * 1.001
+        coloured, stand_in = beside_white(rms, correlation_time)
+        assert coloured["centre"] <= rms * 1.001
         assert coloured["centre"] <= stand_in["centre"] * 1.001
-    assert coloured["centre"] == pytest.approx(random, rel=1e-2)
+    assert coloured["centre"] == pytest.approx(rms, rel=1e-2)
     assert stand_in["centre"] > 10 * coloured["centre"]
 
 
 def test_a_fast_random_disturbance_is_white() -> None:
-    model, schedule = plan(scene())
-    noise, random, correlation_time = np.array([0.01]), 1.0, 1e-3
-    colour = first_order_inputs(model.B, np.array([random]), correlation_time)
-    white = 2 * random**2 * correlation_time * model.B @ model.B.T
-    coloured = optimal_deviations(
-        model, schedule, ReadingConditions(noise, 1e-2, 20.0, colour=colour)
-    ).widths[0]
-    stand_in = optimal_deviations(
-        model, schedule, ReadingConditions(noise, 1e-2, 20.0, process=white)
-    ).widths[0]
+    coloured, stand_in = beside_white(1.0, 1e-3)
     for name in ("right", "centre"):
         assert coloured[name] == pytest.approx(stand_in[name], rel=0.01)
 

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import functools
+import math
+import tomllib
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
@@ -13,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from scenes import linear, random_plant, seeds, tables_of
+from scenes import linear, random_plant, scene, seeds, tables_of
 from undeadzone.analysis.branch_schedule import reading_levels, schedule_of_record
 from undeadzone.analysis.convergence.floquet import matrix_exponentials
 from undeadzone.analysis.identifiability import linearised_run, nonlinear
@@ -28,7 +31,7 @@ from undeadzone.analysis.identifiability.nonlinear import (
 )
 from undeadzone.nonlinearities.sensor import Sensor, Zone, deadzone, resolve, zone
 from undeadzone.plants.build import initial_state, system
-from undeadzone.plants.options import ElasticJoint, OneLink, Plant, TwoLink
+from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, sample_plant
 from undeadzone.scenario.reader import convert
 from undeadzone.signals.exosystem import Step
@@ -36,77 +39,8 @@ from undeadzone.simulation.simulate import simulate
 from undeadzone.util.arrays import Floats
 
 STEP = 2e-3
-TABLE = {"g": 0.0}
-SWINGING = {  # plants, and torques under which every output passes -0.2 and 0.3
-    "pendulum": (
-        Plant(arm=OneLink(reference=-np.pi / 2), x0=[-1.0, 0.0]),
-        lambda t, x: [1.5 * np.sin(3 * t) - 0.1 * x[1]],
-    ),
-    "upright": (
-        Plant(arm=OneLink(reference=np.pi / 2), x0=[1.6, 0.0]),
-        lambda t, x: [4 * np.sin(3 * t) - 9 * (x[0] - np.pi / 2) - 0.5 * x[1]],
-    ),
-    "one link on a table": (
-        Plant(arm=OneLink(), parameters=TABLE),
-        lambda t, x: [np.sin(3 * t) - 2 * x[0] - 0.2 * x[1]],
-    ),
-    "two links": (
-        Plant(arm=TwoLink(), x0=[0.5, 0.0, 0.0, 0.0]),
-        lambda t, x: [
-            12 * np.cos(x[0]) + 9 * np.sin(2 * t) - 9 * x[0] - 3 * x[2],
-            3 * np.cos(x[0] + x[1]) + 4 * np.sin(3 * t) - 5 * x[1] - x[3],
-        ],
-    ),
-    "two links on a table": (
-        Plant(arm=TwoLink(), parameters=TABLE),
-        lambda t, x: [
-            10 * np.sin(2 * t) - 20 * x[0] - 4 * x[2],
-            8 * np.sin(3 * t) - 10 * x[1] - 2 * x[3],
-        ],
-    ),
-    "speeds of two links on a table": (
-        Plant(arm=TwoLink(measured="velocity"), parameters=TABLE),
-        lambda t, x: [
-            10 * np.sin(2 * t) - 20 * x[0] - 4 * x[2],
-            8 * np.sin(3 * t) - 10 * x[1] - 2 * x[3],
-        ],
-    ),
-    "motor of an elastic joint on a table": (
-        Plant(arm=ElasticJoint(measured="motor"), parameters=TABLE),
-        lambda t, x: [8 * np.sin(2 * t) - 9 * x[0] - 2 * x[2]],
-    ),
-    "motor of an elastic joint": (
-        Plant(arm=ElasticJoint(measured="motor")),
-        lambda t, x: [3 * np.cos(x[1]) + 6 * np.sin(2 * t) - 9 * x[0] - 2 * x[2]],
-    ),
-    "link of an elastic joint": (
-        Plant(arm=ElasticJoint(measured="link")),
-        lambda t, x: [3 * np.cos(x[1]) + 6 * np.sin(2 * t) - 9 * x[0] - 2 * x[2]],
-    ),
-    "duffing": (
-        Plant(
-            f=["v", "-k*s**3 - c*v + F"],
-            h=["s"],
-            states=["s", "v"],
-            inputs=["F"],
-            parameters={"k": 2.0, "c": 0.5},
-        ),
-        lambda t, x: [2 * np.sin(1.5 * t)],
-    ),
-    "cart and pole": (
-        Plant(
-            f=["v", "F", "w", "9.81*sin(a) - F*cos(a)"],
-            h=["s", "5*a"],
-            states=["s", "v", "a", "w"],
-            inputs=["F"],
-        ),
-        lambda t, x: [30 * x[2] + 9 * x[3] + 1.5 * (x[0] - np.sin(2.5 * t)) + 2 * x[1]],
-    ),
-    "a bent integrator": (
-        Plant(f=["F / (1 + s**2)"], h=["s + s**3 / 3"], states=["s"], inputs=["F"]),
-        lambda t, x: [3 * np.cos(2 * t)],
-    ),
-}
+SWINGING = tomllib.loads(Path(__file__).with_name("swinging.toml").read_text(encoding="utf-8"))
+FUNCTIONS = {"sin": math.sin, "cos": math.cos, "pi": math.pi}
 
 
 class Trial(NamedTuple):
@@ -144,16 +78,23 @@ def outputs(model: System, start: Floats, u: Floats) -> tuple[Floats, Floats]:
     return both[:, : model.n], both[:, model.n :]
 
 
+def plant_of(name: str) -> Plant:
+    """A plant of `SWINGING`."""
+    return scene(plant=SWINGING[name]["plant"]).plant
+
+
 @functools.cache
 def swinging(name: str, duration: float = 6.0, step: float = STEP) -> Trial:
-    plant, torque = SWINGING[name]
+    plant = plant_of(name)
+    torques = [compile(text, name, "eval") for text in SWINGING[name]["torques"]]
     model = sample_plant(system(plant), step, 1)
     x, u = ca.SX.sym("x", model.n), ca.SX.sym("u", model.m)
     move = ca.Function("move", [x, u], [model.move(ca.SX(model.params), x, u)])
     start = now = initial_state(plant, model)
     inputs = []
     for k in range(round(duration / step)):
-        inputs.append(np.ravel(torque(k * step, now)))
+        known = FUNCTIONS | {"t": k * step, "x": now}
+        inputs.append(np.array([eval(torque, known) for torque in torques]))
         now = move(now, inputs[-1]).full().ravel()
     x_all, z = outputs(model, start, np.array(inputs))
     return Trial(
@@ -260,7 +201,7 @@ def test_a_run_in_continuous_time() -> None:
         ),
         check_step=False,
     )
-    model = system(SWINGING["a bent integrator"][0])
+    model = system(plant_of("a bent integrator"))
     (found,) = width_identifiability_along(
         model, run.x, run.u, run.z, resolve(Sensor(right=0.3, left=0.2), 1, STEP), STEP
     )

@@ -348,32 +348,6 @@ def test_a_layout_says_what_it_took() -> None:
     assert (layout.seconds, units) == (1e-3, ["N", "V"])
 
 
-def test_damaged_logs_give_an_error_or_samples() -> None:
-    rng = np.random.default_rng(1)
-    rows = [f"{0.01 * k:.2f},{np.sin(k):.4f},{np.cos(k):.4f}" for k in range(30)]
-    clean = ("t,y,u\n" + "\n".join(rows) + "\n").encode()
-    for _ in range(2000):
-        data = bytearray(clean)
-        for _ in range(rng.integers(1, 8)):
-            where = int(rng.integers(len(data)))
-            kind = rng.integers(3)
-            if kind == 0:
-                data[where] = int(rng.integers(256))
-            elif kind == 1:
-                del data[where : where + int(rng.integers(1, 20))]
-            else:
-                data[where:where] = bytes(rng.integers(32, 127, int(rng.integers(1, 10))).tolist())
-        try:
-            reader = LogReader("log", 1, 1, {})
-            read = reader.feed(bytes(data), last=True)
-            layout = reader.layout
-            timed = layout is not None and layout.time is not None
-            regular = place_on_steps(read, timed, 0.01, "log").samples
-        except InputError:
-            continue
-        assert regular.y.shape == (regular.t.size, 1)
-
-
 @pytest.mark.parametrize(
     ("values", "regular"),
     [

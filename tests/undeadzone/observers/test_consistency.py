@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from functools import cache
+from collections.abc import Callable
+from functools import cache, partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -236,29 +237,40 @@ def test_readings_that_leave_silence_as_fast_as_z_moves_are_believed(missing: fl
     assert np.sqrt(np.mean(np.square(errors[150:]))) < 0.05
 
 
-def test_a_tenth_of_wrong_readings_costs_little_by_default() -> None:
-    """Coverage of the width was .84, and a tenth of the errors ten times the usual ones."""
-    posed = assumed_worlds.problems(assumed_worlds.KINDS["both edges"], 1, 120, 12)
-    clean = glitches.observe(glitches.from_ranges, posed)
-    wrong = glitches.KINDS["10 % random"][0](np.random.default_rng(5), posed.y)
-    outcome = glitches.observe(glitches.from_ranges, posed._replace(y=wrong))
-    assert outcome.verdict.covered().min() >= 0.92
-    ratio = outcome.rms / clean.rms
-    assert np.median(ratio) < 1.1
-    assert np.quantile(ratio, 0.9) < 2.0
-
-
-def test_a_tenth_of_wrong_readings_keeps_kalman_in_size() -> None:
-    """Half of the runs were flagged, and a tenth of the errors hundreds of times the usual."""
-    posed = coverage.problems("both edges", glitches.QUIET, 2, 100, 31)
-    usual = glitches.observe(coverage.kalman, posed)
-    wrong = glitches.KINDS["10 % random"][0](np.random.default_rng(5), posed.y)
-    outcome = glitches.observe(coverage.kalman, posed._replace(y=wrong))
-    assert outcome.verdict.covered().min() >= 0.9
-    assert np.mean(outcome.consistent == 0) <= 0.25
+@pytest.mark.parametrize(
+    ("options", "posed", "least", "flagged", "median", "most"),
+    [
+        # coverage of the width was .84, and a tenth of the errors ten times the usual ones
+        (
+            glitches.from_ranges,
+            partial(assumed_worlds.problems, assumed_worlds.KINDS["both edges"], 1, 120, 12),
+            *(0.92, 1.0, 1.1, 2.0),
+        ),
+        # half of the runs were flagged, and a tenth of the errors hundreds of times the usual
+        (
+            coverage.kalman,
+            partial(coverage.problems, "both edges", glitches.QUIET, 2, 100, 31),
+            *(0.9, 0.25, 1.5, 10.0),
+        ),
+    ],
+)
+def test_a_tenth_of_wrong_readings_costs_little_by_default(
+    options: Any,
+    posed: Callable[[], coverage.Problems],
+    least: float,
+    flagged: float,
+    median: float,
+    most: float,
+) -> None:
+    right = posed()
+    usual = glitches.observe(options, right)
+    wrong = glitches.KINDS["10 % random"][0](np.random.default_rng(5), right.y)
+    outcome = glitches.observe(options, right._replace(y=wrong))
+    assert outcome.verdict.covered().min() >= least
+    assert np.mean(outcome.consistent == 0) <= flagged
     ratio = outcome.rms / usual.rms
-    assert np.median(ratio) < 1.5
-    assert np.quantile(ratio, 0.9) < 10.0
+    assert np.median(ratio) < median
+    assert np.quantile(ratio, 0.9) < most
 
 
 # --- Claims of a disturbance that are too small, and defaults

@@ -5,29 +5,21 @@ And a fuzz that lets nothing else out.
 
 from __future__ import annotations
 
-import copy
 import re
-from collections.abc import Iterator
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 import pytest
 import tomli_w
-from hypothesis import example, given, settings
-from hypothesis import strategies as st
 
 from scenes import PAPER, scene, table, tables_of
 from undeadzone.errors import (
     FileError,
     InputError,
-    UndeadzoneError,
 )
 from undeadzone.scenario.problem import resolve_scenario
-from undeadzone.scenario.reader import convert, parse, read
-from undeadzone.scenario.schema import Scenario
+from undeadzone.scenario.reader import parse, read
 from undeadzone.simulation.simulate import simulate
 from undeadzone.util.toml import to_tables
 
@@ -87,8 +79,6 @@ parameters = { g = 9.81, b = 0.8 }
 x0 = [0.1, 0.0]
 x_eq = [0.0, 0.0]
 """)
-INTEGRATORS = {"method": "certified", "L": [3.0, 2.0], "gamma": 1.0}
-AT_100_HZ = {"time": "sampled", "step": 0.01, "duration": 1.0, "seed": 1, "substeps": 3}
 
 
 # --- files that run ---
@@ -168,8 +158,6 @@ def test_fast_plants_in_their_own_unit_of_time_run_alike() -> None:
 
 # --- wrong inputs ---
 
-FREE = {"method": "certified"}
-
 
 @pytest.mark.parametrize(
     ("text", "words"),
@@ -217,256 +205,6 @@ def test_wrong_csv_in_a_scenario(tmp_path: Path, rows: str, words: str) -> None:
     for key in ("reference", "disturbance"):
         with pytest.raises(FileError, match=f"{key}.path: .*bad.csv.*{words}"):
             resolve_scenario(scene(**{key: {"kind": "csv", "path": str(tmp_path / "bad.csv")}}))
-
-
-# --- fuzz ---
-
-BASES = [
-    table(),
-    table(
-        """
-        model = { A = [[0.0, 1.0], [-1.0, -2.0]], B = [[0.0], [1.0]] }
-        sensor = { noise = 0.02, threshold = 0.1 }
-        disturbance = { kind = "sine", amplitude = 10.0, frequency = 0.3 }
-        controller = { method = "state_feedback", poles = [-10.0, -10.0] }
-        """,
-        simulation=AT_100_HZ,
-    ),
-    table(plant=PENDULUM, model={"parameters": {"g": 9.0}}),
-    table("""
-        plant = { second_order = { zeta = 0.5, omega_n = 3.0, gain = 2.0 } }
-        observer = { method = "luenberger", poles = [-3.0, -4.0] }
-        reference.kind = "sines"
-        reference.components = [{ amplitude = 1.0, frequency = 1.0, phase = 0.1 }]
-        reference.offset = 0.1
-        disturbance = { kind = "random", rms = 1.0, correlation_time = 0.1 }
-        """),
-    table("""
-        plant = { transfer_function = { numerator = [1.0, 2.0], denominator = [1.0, 3.0, 3.0] } }
-        observer.method = "printed"
-        observer.L = [12.0, 15.0]
-        observer.widths0 = 1.0
-        observer.sharpness = 100.0
-        observer.left_sign = 1.0
-        controller = { method = "pd", alpha = 10.0, Q = 1.0, L = [1.0, 2.0], filter_time = 0.01 }
-        reference = { kind = "trapezoid", amplitude = 1.0, rise = 0.3, hold = 0.2 }
-        """),
-    table("""
-        plant = { companion = [1.0, 3.0, 3.0] }
-        observer = { method = "oracle", L = [0.0, 0.0, 0.0], silence = true }
-        tracked = [0]
-        controller.method = "state_feedback"
-        controller.K = [0.0, 0.0, 0.0]
-        controller.Q = 1.0
-        controller.robust = { gain = 1.0, width = 0.1 }
-        reference = { kind = "step", amplitude = 1.0, time = 0.5, before = 0.1 }
-        units = { output = "m", input = "N", state = ["m", "m", "m"] }
-        """),
-    table("""
-        plant.A = [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, -3.0, -3.0]]
-        plant.B = [[0.0, 1.0], [1.0, 0.0], [0.0, 1.0]]
-        plant.C = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
-        sensor.kind = "jump"
-        sensor.right = [1.0, 0.5]
-        sensor.left = [1.0, 0.5]
-        sensor.noise = [0.0, 0.1]
-        sensor.noise_before = [0.0, 0.1]
-        sensor.false_alarm_rate = 0.1
-        observer.method = "certified"
-        observer.gamma = [1.0, 2.0]
-        observer.widths0 = [[0.1, 0.1], [0.1, 0.2]]
-        reference.kind = "sine"
-        reference.amplitude = [1.0, 2.0]
-        reference.frequency = 1.0
-        reference.phase = [0.0, 0.1]
-        reference.offset = [0.0, 1.0]
-        """),
-    table(plant={"integrators": 2}, observer=INTEGRATORS),
-    table(
-        """
-        observer.method = "kalman"
-        observer.right = [0.0, 2.0]
-        observer.left = [0.0, 1.0]
-        observer.noise = 0.1
-        observer.x_std = 1.0
-        observer.drift = 0.01
-        """,
-        simulation=AT_100_HZ,
-    ),
-    table(
-        """
-        observer.method = "censored"
-        observer.right = [0.0, 2.0]
-        observer.noise = 0.1
-        observer.disturbance = 0.1
-        observer.tolerance = { "A[1,0]" = 0.1 }
-        """,
-        simulation=AT_100_HZ,
-    ),
-    table(
-        simulation=AT_100_HZ,
-        observer=FREE | {"adaptation": {"method": "least_squares", "forgetting": 0.1}},
-    ),
-]
-SIZES = [
-    0,
-    1,
-    2,
-    -1,
-    0.0,
-    -0.0,
-    0.1,
-    0.5,
-    2.0,
-    10.0,
-    1e3,
-    1e6,
-    1e12,
-    1e30,
-    1e49,
-    1e60,
-    -1e-3,
-    -2.0,
-    -1e6,
-    -1e49,
-    1e-3,
-    1e-12,
-    1e-60,
-    1e-320,
-    2**62,
-    2**70,
-]
-garbage = st.one_of(
-    st.sampled_from(
-        [
-            *SIZES,
-            float("nan"),
-            float("inf"),
-            -float("inf"),
-            True,
-            "",
-            "sine",
-            "csv",
-            "certified",
-            "\0",
-            [],
-            {},
-            {"method": "oracle"},
-        ]
-    ),
-    st.sampled_from(
-        [
-            {"kind": "csv", "path": "/dev/null"},
-            {"kind": "csv", "path": "\0"},
-            np.eye(30).tolist(),
-            [-1.0] * 30,
-            [[1.0], [2.0, 3.0]],
-        ]
-    ),
-    st.lists(st.sampled_from(SIZES), max_size=4),
-    st.lists(st.lists(st.sampled_from(SIZES), min_size=2, max_size=2), max_size=3),
-    st.recursive(
-        st.one_of(st.floats(), st.text(max_size=5), st.integers()),
-        lambda inner: (
-            st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3)
-        ),
-    ),
-)
-
-
-def places(data: Any) -> Iterator[tuple[Any, Any]]:
-    """(container, key) of everything in nested tables and lists."""
-    for key, value in list(data.items() if isinstance(data, dict) else enumerate(data)):
-        yield data, key
-        if isinstance(value, dict | list):
-            yield from places(value)
-
-
-@st.composite
-def mutants(draw: st.DrawFn) -> dict[str, Any]:
-    """A scenario's tables, one or two things dropped, renamed, replaced, wrapped or repeated."""
-    data = copy.deepcopy(draw(st.sampled_from(BASES)))
-    for _ in range(draw(st.sampled_from([1, 1, 1, 2]))):
-        container, key = draw(st.sampled_from(list(places(data))))
-        value = container[key]
-        number = isinstance(value, int | float) and not isinstance(value, bool)
-        match draw(
-            st.sampled_from(
-                [
-                    "replace",
-                    "size" if number else "replace",
-                    "size" if number else "drop",
-                    "drop",
-                    "rename",
-                    "wrap",
-                    "repeat",
-                ]
-            )
-        ):
-            case "size":
-                container[key] = draw(st.sampled_from(SIZES))
-            case "drop":
-                del container[key]
-            case "rename" if isinstance(container, dict):
-                container[
-                    draw(
-                        st.sampled_from(["", "gama", "L", "A", "kind", "method", "x y", f"{key}s"])
-                    )
-                ] = container.pop(key)
-            case "wrap":
-                container[key] = [value]
-            case "repeat" if isinstance(value, list) and value:
-                value.append(copy.deepcopy(value[0]))
-            case _:
-                container[key] = copy.deepcopy(draw(garbage))
-    return data
-
-
-def short(scenario: Scenario) -> Scenario:
-    """Three steps of it."""
-    return msgspec.structs.replace(
-        scenario,
-        simulation=msgspec.structs.replace(
-            scenario.simulation, duration=3 * scenario.simulation.step
-        ),
-    )
-
-
-@settings(max_examples=300)
-@given(mutants())
-@pytest.mark.filterwarnings("ignore")
-def test_only_undeadzone_errors_come_out_of_any_tables(data: dict[str, Any]) -> None:
-    with suppress(UndeadzoneError):
-        resolve_scenario(convert(data))
-
-
-@settings(max_examples=80)
-@given(mutants())
-@pytest.mark.filterwarnings("ignore")
-def test_only_undeadzone_errors_come_out_of_a_short_run(data: dict[str, Any]) -> None:
-    with suppress(UndeadzoneError):
-        run = simulate(short(convert(data)))
-        assert run.x.shape[0] == 4
-        assert msgspec.json.encode(run.summary())
-
-
-@settings(max_examples=600)
-@given(
-    st.one_of(
-        st.text(),
-        st.builds(
-            lambda cut, size, new: PAPER[:cut] + new + PAPER[cut + size :],
-            st.integers(0, len(PAPER)),
-            st.integers(0, 9),
-            st.text(max_size=6),
-        ),
-    )
-)
-@example(PAPER)
-@pytest.mark.filterwarnings("ignore")
-def test_only_undeadzone_errors_come_out_of_any_text(text: str) -> None:
-    with suppress(UndeadzoneError):
-        resolve_scenario(parse(text))
 
 
 OBSERVED = """

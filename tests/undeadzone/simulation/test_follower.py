@@ -302,11 +302,15 @@ def test_kill_9_loses_no_more_than_what_was_not_saved(lever: Path, tmp_path: Pat
     assert table[0] == table[1]
 
 
-@pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM])
-def test_a_stopped_watch_keeps_all(lever: Path, tmp_path: Path, stop: int) -> None:
+@pytest.mark.parametrize("keeps", [True, False])
+@pytest.mark.parametrize(("stop", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_stopped_watch_keeps_all_and_prints_what_it_has(
+    lever: Path, tmp_path: Path, stop: int, code: int, keeps: bool
+) -> None:
     state = tmp_path / "state"
+    options = ["--state", str(state)] if keeps else []
     with subprocess.Popen(
-        [*COMMAND, "watch", str(lever), "--state", str(state), "--heartbeat", "0.1"],
+        [*COMMAND, "watch", str(lever), *options, "--heartbeat", "0.1"],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -323,10 +327,15 @@ def test_a_stopped_watch_keeps_all(lever: Path, tmp_path: Path, stop: int) -> No
             pass  # it beats without samples, too
         assert beat.startswith(b"alive: ")
         running.send_signal(stop)
-        running.communicate(timeout=60)
-    watched = Watched(lever)
-    load(state, watched.parts, watched.follower.digest)
-    assert watched.follower.samples == 40
+        _, printed = running.communicate(timeout=60)
+    assert running.returncode == code
+    assert b"40 samples, 0 missing" in printed
+    assert b"consistent" in printed
+    assert printed.splitlines()[-1].startswith(b"undeadzone: ")
+    if keeps:
+        watched = Watched(lever)
+        load(state, watched.parts, watched.follower.digest)
+        assert watched.follower.samples == 40
 
 
 MIDWAY = """

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import tomllib
 from contextlib import suppress
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -37,14 +39,6 @@ B = [[0.0], [1.0]]
 C = [[1.0, 0.0]]
 """)
 PLANT = MODEL | {"x0": [0.5, 0.0]}
-PENDULUM: dict[str, Any] = tables_of("""
-f = ["rate", "-g * sin(angle) - b * rate + torque"]
-h = ["angle"]
-states = ["angle", "rate"]
-inputs = ["torque"]
-parameters = { g = 9.81, b = 0.8 }
-x0 = [0.1, 0.0]
-""")
 TWO = tables_of("""
 plant.A = [[-1.0, 0.5], [0.0, -2.0]]
 plant.B = [[1.0, 0.0], [0.0, 1.0]]
@@ -53,14 +47,7 @@ sensor = { right = [0.5, 0.2], left = 0.3, noise = [0.0, 0.1] }
 observer = { method = "certified" }
 reference = { kind = "sine", amplitude = [2.0, 1.5], frequency = 0.5 }
 """)
-OBSERVER = {
-    "method": "certified",
-    "L": [1.0, 1.5],
-    "gamma": 10.0,
-    "widths0": [0.2, 0.2],
-    "width_max": 3.0,
-}
-SINE = {"kind": "sine", "amplitude": 5.0, "frequency": 1.0}
+OBSERVER = table()["observer"]
 
 
 def bound(
@@ -82,89 +69,7 @@ def uniform(low: float = 0.5, high: float = 1.5, **words: Any) -> dict[str, Any]
 
 # --- an address is the number of the scenario ---
 
-BIAS = {"kind": "step", "amplitude": 1.0}
-GUST = {"kind": "random", "rms": 1.0, "correlation_time": 0.1}
-SAME: list[tuple[str, float, dict[str, Any], dict[str, Any]]] = [
-    ("sensor.right", 0.4, {}, {"sensor": {"right": 0.4}}),
-    ("sensor.left[0]", 0.0, {}, {"sensor": {"left": 0.0}}),
-    (
-        "sensor.noise",
-        0.3,
-        {"sensor": {"noise": 0.1, "threshold": 0.2}},
-        {"sensor": {"noise": 0.3, "threshold": 0.2}},
-    ),
-    ("sensor.noise_before", 0.3, {}, {"sensor": {"noise_before": 0.3}}),
-    (
-        "sensor.threshold",
-        0.3,
-        {"observer": OBSERVER | {"silence": True}},
-        {"observer": OBSERVER | {"silence": True}, "sensor": {"threshold": 0.3}},
-    ),
-    (
-        "sensor.right",
-        1.7,
-        {"observer": {"method": "oracle"}},
-        {"observer": {"method": "oracle"}, "sensor": {"right": 1.7}},
-    ),
-    ("plant.x0[1]", -2.0, {}, {"plant": PLANT | {"x0": [0.5, -2.0]}}),
-    (
-        "plant.A[1,0]",
-        -1.3,
-        {},
-        {"plant": PLANT | {"A": [[0.0, 1.0], [-1.3, -2.0]]}, "model": MODEL},
-    ),
-    ("plant.B[1, 0]", 0.6, {}, {"plant": PLANT | {"B": [[0.0], [0.6]]}, "model": MODEL}),
-    ("plant.C[0,1]", 0.1, {}, {"plant": PLANT | {"C": [[1.0, 0.1]]}, "model": MODEL}),
-    (
-        "plant.A[1,0]",
-        -1.3,
-        {"plant": {"companion": [1.0, 2.0]}},
-        {"plant": {"companion": [1.3, 2.0]}, "model": MODEL},
-    ),
-    ("observer.gamma", 3.0, {}, {"observer": OBSERVER | {"gamma": 3.0}}),
-    ("observer.L[1,0]", 3.0, {}, {"observer": OBSERVER | {"L": [1.0, 3.0]}}),
-    ("observer.right0[0]", 1.0, {}, {"observer": OBSERVER | {"widths0": [1.0, 0.2]}}),
-    (
-        "controller.K[0,1]",
-        4.0,
-        {"controller": {"method": "state_feedback", "K": [1.0, 2.0]}},
-        {"controller": {"method": "state_feedback", "K": [1.0, 4.0]}},
-    ),
-    ("reference.amplitude", 3.0, {}, {"reference": SINE | {"amplitude": 3.0}}),
-    (
-        "reference.scale",
-        0.6,
-        {"reference": SINE | {"offset": 1.0}},
-        {"reference": SINE | {"amplitude": 3.0, "offset": 0.6}},
-    ),
-    (
-        "disturbance.amplitude",
-        -2.0,
-        {"disturbance": BIAS},
-        {"disturbance": BIAS | {"amplitude": -2.0}},
-    ),
-    (
-        "disturbance.rms[0]",
-        2.0,
-        {"disturbance": GUST},
-        {"disturbance": GUST | {"rms": 2.0}},
-    ),
-    (
-        "disturbance.scale",
-        3.0,
-        {"disturbance": SINE | {"offset": 1.0}},
-        {"disturbance": SINE | {"amplitude": 15.0, "offset": 3.0}},
-    ),
-    (
-        "plant.parameters.b",
-        0.5,
-        {"plant": PENDULUM},
-        {
-            "plant": PENDULUM | {"parameters": {"g": 9.81, "b": 0.5}},
-            "model": {"parameters": {"b": 0.8}},
-        },
-    ),
-]
+SAME = tomllib.loads(Path(__file__).with_name("addresses.toml").read_text(encoding="utf-8"))["rows"]
 
 
 @pytest.mark.parametrize("simulation", [{"step": 2e-3}, AT_100_HZ], ids=["continuous", "sampled"])
@@ -174,14 +79,14 @@ SAME: list[tuple[str, float, dict[str, Any], dict[str, Any]]] = [
 def test_a_run_is_that_of_the_scenario_with_the_number_written_in(
     address: str,
     value: float,
-    base: dict[str, Any],
-    changed: dict[str, Any],
+    base: str,
+    changed: str,
     simulation: dict[str, Any],
 ) -> None:
     ensemble = {address: uniform(value, value)}
-    problem = resolve_scenario(scene(ensemble=ensemble, simulation=simulation, **base))
+    problem = resolve_scenario(scene(base, ensemble=ensemble, simulation=simulation))
     loop, _, exogenous = prepare(problem)
-    other = prepare(resolve_scenario(scene(simulation=simulation, **changed)))
+    other = prepare(resolve_scenario(scene(changed, simulation=simulation)))
     other_loop, other_state, other_exogenous = other
     binding = bind_ensemble(problem, loop)
     state, params = binding.pack_run(binding.draw_columns(0, 1, 1)[0])
