@@ -6,6 +6,7 @@ over the window, as the reading sums it.
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import NamedTuple
 
@@ -22,11 +23,11 @@ SIZES = (2, 4, 8, 16, 32)  # samples of a window
 
 
 class Fit(NamedTuple):
-    """Fit of two edges: price, edges with their intervals (2 x 3), coefficients (2 x k)."""
+    """Fit of two edges: criterion, edges with their intervals (2 x 3), coefficients (2 x k)."""
 
-    price: float
-    edges: Floats
-    c: Floats
+    criterion: float
+    both_edges: Floats
+    coefficients: Floats
 
 
 def map_of_rate(t: Floats | None, u: Floats, y: Floats) -> RestMap | None:
@@ -52,7 +53,7 @@ def map_of_rate(t: Floats | None, u: Floats, y: Floats) -> RestMap | None:
             speed = (y[starts + size] - y[starts]) / (t[starts + size] - t[starts])
             if np.ptp(some.mean(axis=1)) == 0 or np.ptp(speed) == 0:
                 continue
-            each = fit_edges(some, speed, False, 1).price / speed.size
+            each = fit_edges(some, speed, False, 1).criterion / speed.size
             if each < least:
                 best, least = (some, speed), each
     return best and _map_of(*best)
@@ -110,34 +111,37 @@ def _map_of(asked: Floats, rate: Floats) -> RestMap:
     """
     mean = asked.mean(axis=1)
     fits = {jumps: fit_edges(asked, rate, jumps) for jumps in (False, True)}
-    jumps = fits[True].price < fits[False].price
+    jumps = fits[True].criterion < fits[False].criterion
     cost, (lower, upper), c = fits[jumps]
-    alike = np.array([one.edges for one in fits.values() if one.price < cost + DEARER])
+    alike = np.array([one.both_edges for one in fits.values() if one.criterion < cost + DEARER])
     low, high = alike[..., 1].min(axis=0), alike[..., 2].max(axis=0)
     unit = (asked - mean.min()) / np.ptp(mean)
     half = unit - ((lower[0] + upper[0]) / 2 - mean.min()) / np.ptp(mean)
-    bent = [np.where(way * half > 0, half**k, 0) for way in (-1, 1) for k in range(CURVES[0] + 1)]
-    curves = [[unit**k for k in range(degree + 1)] for degree in (1, *CURVES)]
+    halves = np.minimum(half, 0), np.maximum(half, 0)
+    bent = [(one != 0) * one**k for one, k in itertools.product(halves, range(CURVES[0] + 1))]
+    powers = [unit**k for k in range(CURVES[-1] + 1)]
     is_part = low[1] > high[0]
-    for shapes in (*curves, bent):
+    for shapes in (bent, *(powers[: degree + 1] for degree in (1, *CURVES))):
         columns = np.stack([one.mean(axis=1) for one in shapes], axis=1)
         left = rate - columns @ np.linalg.lstsq(columns, rate)[0]
         is_part &= bool(cost < price(float(np.var(left) / np.var(rate)), rate.size, len(shapes)))
-    far = (mean < lower[0], mean > upper[0])
     left, right = (
-        Edge(Interval(float(edge[0]), *ends), bool(jumps), int(one.sum()))
-        if one.sum() > LEVELS
-        else None
-        for edge, ends, one in zip((lower, upper), zip(low, high, strict=True), far, strict=True)
+        Edge(Interval(float(edge[0]), *ends), bool(jumps), int(beyond.sum()))
+        for edge, ends, beyond in (
+            (lower, (low[0], high[0]), mean < lower[0]),
+            (upper, (low[1], high[1]), mean > upper[0]),
+        )
     )
-    kind = "band" if left and right else "low end" if np.mean(rate) > 0 else "high end"
+    met = left if left.rows > LEVELS else None, right if right.rows > LEVELS else None
+    end = "low end" if np.mean(rate) > 0 else "high end"
+    flat = FlatPart("band" if all(met) else end, 0.0, *met)
     x, first = np.unique(mean, return_index=True)
     at_ends = c[:, 0] * [lower[0] - x[0], x[-1] - upper[0]] + (c[:, 1] if jumps else 0)
     return RestMap(
         rows=Rows(mean, rate, np.zeros(rate.size), "rate"),
         x=x,
         y=rate[first],
-        flats=(FlatPart(kind, 0.0, left, right),) if is_part and (left or right) else (),
+        flats=(flat,) if is_part and any(met) else (),
         bound=math.inf,
         fold=None,
         nodes=np.array([[x[0], lower[0], upper[0], x[-1]], [at_ends[0], 0, 0, at_ends[1]]]),
