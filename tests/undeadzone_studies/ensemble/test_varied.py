@@ -184,7 +184,7 @@ def test_a_run_is_that_of_the_scenario_with_the_number_written_in(
     other = prepare(resolve_scenario(scene(simulation=simulation, **changed)))
     other_loop, other_state, other_exogenous = other
     binding = bind_ensemble(problem, loop)
-    state, params = binding.pack_run(binding.draw_columns(0, 1, 1)[0])
+    state, params = binding.numbers.pack_lane(binding.draw_columns(0, 1, 1)[0])
     if "noise" in address:
         exogenous = other_exogenous  # drawn also where the nominal noise is 0
     varied, _ = interpret.run_interpreted(loop.step, state, exogenous, params)
@@ -194,7 +194,7 @@ def test_a_run_is_that_of_the_scenario_with_the_number_written_in(
     )
     assert np.isfinite(expected).all()
     np.testing.assert_allclose(varied, expected, rtol=1e-11, atol=1e-11)
-    nominal, _ = interpret.run_interpreted(loop.step, binding.state, exogenous, binding.params)
+    nominal, _ = interpret.run_interpreted(loop.step, binding.numbers.state, exogenous, binding.params)
     assert not np.allclose(varied, nominal, rtol=1e-6, atol=1e-6)
 
 
@@ -218,10 +218,10 @@ def test_the_belief_of_a_filter_starts_where_the_run_says(method: str) -> None:
         "observer": {"method": method, "right": [0.0, 2.0], "noise": 0.1},
     }
     binding = bound({"observer.mean[2]": uniform(0.3, 0.3)}, **changes)
-    state, _ = binding.pack_run(np.array([0.3]))
+    state, _ = binding.numbers.pack_lane(np.array([0.3]))
     assert state[2 + 2] == 0.3
     levels = {"kalman": 1, "censored": 3}[method]
-    assert np.count_nonzero(state != binding.state) == levels
+    assert np.count_nonzero(state != binding.numbers.state) == levels
 
 
 CENSORED = {"right": [0.0, 2.0], "noise": 0.1, "bias": 1.0, "tolerance": 0.1, "disturbance": 0.1}
@@ -278,7 +278,7 @@ def test_without_an_index_each_entry_has_its_own_draw() -> None:
     assert len(np.unique(values)) == values.size
     names = tree.number_addresses(prepare(resolve_scenario(scene(**TWO)))[0].params)
     for row in values:
-        params = dict(zip(names, binding.pack_run(row)[1], strict=True))
+        params = dict(zip(names, binding.numbers.pack_lane(row)[1], strict=True))
         assert [params[name] for name in right] == row[:2].tolist()
         assert params["sensor.left[0]"] == params["sensor.left[1]"] == row[2]
 
@@ -293,7 +293,7 @@ def test_a_mass_divides_an_equation(simulation: dict[str, Any]) -> None:
         B = [[0.0], [0.5]]
         """)
     heavy = resolve_scenario(scene(plant=plant, model=MODEL, simulation=simulation))
-    _, params = binding.pack_run(np.array([0.5]))
+    _, params = binding.numbers.pack_lane(np.array([0.5]))
     expected = tree.pack_tree(prepare(heavy)[0].params)
     np.testing.assert_allclose(params, expected, rtol=1e-13, atol=1e-16)
 
@@ -344,7 +344,7 @@ def test_nothing_varies_in_an_empty_table() -> None:
     binding = bound({}, {"runs": 5})
     lanes = binding.to_lanes(binding.draw_columns(0, 5, 5))
     assert (binding.names_of_columns, binding.indices, lanes.params.shape) == ([], (), (5, 0))
-    assert np.array_equal(lanes.states, np.tile(binding.state, (5, 1)))
+    assert np.array_equal(lanes.states, np.tile(binding.numbers.state, (5, 1)))
 
 
 # --- distributions ---
@@ -418,7 +418,7 @@ def test_blocks_do_not_matter_to_the_last_bit(sampling: str, first: int, count: 
     assert np.array_equal(values, binding.draw_columns(0, runs, runs)[first : first + count])
     lanes = binding.to_lanes(values)
     for k in (0, count // 2, count - 1):
-        state, params = binding.pack_run(values[k])
+        state, params = binding.numbers.pack_lane(values[k])
         assert np.array_equal(state, lanes.states[k])
         assert np.array_equal(params[list(binding.indices)], lanes.params[k])
 
