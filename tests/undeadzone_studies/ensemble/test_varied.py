@@ -204,7 +204,7 @@ def test_the_observers_model_can_vary_alone(simulation: dict[str, Any]) -> None:
     ensemble = {"observer.model.A[1,0]": uniform(-1.5, -1.5)}
     problem = resolve_scenario(scene(ensemble=ensemble, simulation=simulation))
     loop = prepare(problem)[0]
-    _, params = bind_ensemble(problem, loop).pack_run(np.array([-1.5]))
+    _, params = bind_ensemble(problem, loop).numbers.pack_lane(np.array([-1.5]))
     model = {"A": [[0.0, 1.0], [-1.5, -2.0]]}
     varied = resolve_scenario(scene(model=model, simulation=simulation)).model.params
     expected = loop.params._replace(observer=loop.params.observer._replace(model=varied))
@@ -304,7 +304,7 @@ def test_factors_leave_entries_that_are_zero_alone() -> None:
         f"plant.A[{index}] (relative)" for index in ("1,0", "0,1", "1,1")
     ]
     values = binding.draw_columns(0, 4, 4)
-    np.testing.assert_array_equal(binding.to_lanes(values).params, values * [-1.0, 1.0, -2.0])
+    np.testing.assert_array_equal(binding.numbers.to_lanes(values).params, values * [-1.0, 1.0, -2.0])
 
 
 @pytest.mark.parametrize(
@@ -342,7 +342,7 @@ def test_sizes_that_a_signal_is_proportional_to(signal: Any, sizes_of_two: list[
 def test_nothing_varies_in_an_empty_table() -> None:
     """Only the noise does."""
     binding = bound({}, {"runs": 5})
-    lanes = binding.to_lanes(binding.draw_columns(0, 5, 5))
+    lanes = binding.numbers.to_lanes(binding.draw_columns(0, 5, 5))
     assert (binding.names_of_columns, binding.indices, lanes.params.shape) == ([], (), (5, 0))
     assert np.array_equal(lanes.states, np.tile(binding.numbers.state, (5, 1)))
 
@@ -416,7 +416,7 @@ def test_blocks_do_not_matter_to_the_last_bit(sampling: str, first: int, count: 
     count = min(count, runs - first)
     values = binding.draw_columns(first, count, runs)
     assert np.array_equal(values, binding.draw_columns(0, runs, runs)[first : first + count])
-    lanes = binding.to_lanes(values)
+    lanes = binding.numbers.to_lanes(values)
     for k in (0, count // 2, count - 1):
         state, params = binding.numbers.pack_lane(values[k])
         assert np.array_equal(state, lanes.states[k])
@@ -539,7 +539,7 @@ def test_only_undeadzone_errors_come_out_of_any_table(
         scenario = convert(table(simulation=AT_100_HZ) | {"ensemble": entries | reserved})
         binding = bind_ensemble(NOMINAL._replace(scenario=scenario), prepare(NOMINAL)[0])
         with np.errstate(all="ignore"):
-            binding.to_lanes(binding.draw_columns(0, 3, 3))
+            binding.numbers.to_lanes(binding.draw_columns(0, 3, 3))
 
 
 NOMINAL = resolve_scenario(scene(simulation=AT_100_HZ))

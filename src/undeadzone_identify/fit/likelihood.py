@@ -1,0 +1,208 @@
+"""Likelihood of a reading, by one step of a filter that many lanes share.
+
+The filter is an extended Kalman filter of [x; a], where a is the disturbance at the inputs. Widths,
+noises and numbers of the plant are numbers of a lane and no states, so that no transient of an
+estimate counts as certain. The density of a reading is a sum over the pieces of the characteristic:
+right, silent and left. Each piece is exact but for the linearisation, silence included. What is
+left of z is matched in mean and variance.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import casadi as ca
+
+from undeadzone.nonlinearities.actuator import Drive, through_zone, within_limits
+from undeadzone.nonlinearities.sensor import present
+from undeadzone.numerics.gaussian import (
+    Gaussian,
+    from_upper_entries,
+    linearise,
+    normal_cdf,
+    normal_density,
+    predict_first_order,
+    to_upper_entries,
+)
+from undeadzone.plants.system import System
+from undeadzone.util import tree
+
+WRONG = 1e-9  # share of readings that mean nothing
+LEAST_AFTER = 0.02  # noise after the zone, at least, in noise ahead of it
+LEAST = 1e-290  # chance of a piece, at least
+STEEPEST = 40.0  # deviations by which a cut moves a mean, at most
+RECORDED = 3  # numbers of a reading: log of its density, its prediction, log of the deviation
+
+
+class FilterNumbers(NamedTuple):
+    """Numbers of a lane.
+
+    Attributes:
+        plant: numbers of the plant.
+        right, left: widths d_r, d_l (p) [z].
+        slope: of the sensor (p) [y/z].
+        before, after: noise ahead of the zone (p) [z] and behind it (p) [y].
+        rms, correlation_time: of the disturbance (m) [u], (1) [s].
+        drive: actuator ahead of the plant (None: there is none).
+        heat_before, heat_rms: further noise ahead of the zone (p) [z] and further disturbance
+            (m) [u], which make the likelihood of a wrong plant smooth.
+    """
+
+    plant: Any
+    right: Any
+    left: Any
+    slope: Any
+    before: Any
+    after: Any
+    rms: Any
+    correlation_time: Any
+    drive: Drive | None
+    heat_before: Any
+    heat_rms: Any
+
+
+class Piece(NamedTuple):
+    """Piece of a characteristic: the reading is gain z + offset if low < z < high.
+
+    Attributes:
+        gain, offset: of the reading.
+        low, high: ends of the piece [z] (None: infinite).
+    """
+
+    gain: Any
+    offset: Any
+    low: Any
+    high: Any
+
+
+class Share(NamedTuple):
+    """Share of a piece in the density of a reading, with the moments of z in it.
+
+    Attributes:
+        weight: density of the reading times the chance of the piece.
+        mean, square: first and second moment of z.
+    """
+
+    weight: Any
+    mean: Any
+    square: Any
+
+
+def list_pieces(kind: str, q: FilterNumbers, i: int) -> list[Piece]:
+    """Return the pieces of the characteristic of output i.
+
+    Args:
+        kind: "deadzone", "jump", or "plain" without a zone.
+        q: numbers of the lane.
+        i: number of the output.
+    """
+    m = q.slope[i]
+    if kind == "plain":
+        return [Piece(m, 0.0, None, None)]
+    right, left = q.right[i], q.left[i]
+    over = m * float(kind == "deadzone")
+    return [
+        Piece(m, -over * right, right, None),
+        Piece(0.0, 0.0, -left, right),
+        Piece(m, over * left, None, -left),
+    ]
+
+
+def weigh_piece(y: Any, z: Any, variance: Any, noise: Any, piece: Piece) -> Share:
+    """Return the share of a piece in the density of a reading.
+
+    Args:
+        y: reading.
+        z, variance: mean and variance of z before it.
+        noise: variance of the noise behind the zone.
+        piece: the piece.
+    """
+    S = piece.gain**2 * variance + noise
+    e = y - piece.gain * z - piece.offset
+    std = ca.sqrt(variance * noise / S)
+    middle = z + variance * piece.gain * e / S
+    chance, slope, bend = 1.0, 0.0, 0.0
+    for end, sign in ((piece.low, -1.0), (piece.high, 1.0)):
+        if end is not None:
+            alpha = sign * (end - middle) / std
+            chance -= normal_cdf(-alpha)
+            slope -= sign * normal_density(alpha)
+            bend -= ca.fmin(ca.fmax(alpha, -1e6), 1e6) * normal_density(alpha)
+    chance = ca.fmax(chance, LEAST)
+    shift = ca.fmax(ca.fmin(slope / chance, STEEPEST), -STEEPEST)
+    spread = ca.fmin(ca.fmax(1.0 + bend / chance - shift**2, 1e-9), 1.0)
+    mean = middle + shift * std
+    density = normal_density(e / ca.sqrt(S)) / ca.sqrt(S)
+    return Share(chance * density, mean, mean**2 + spread * std**2)
+
+
+def build_step(model: System, kind: str, like: FilterNumbers) -> ca.Function:
+    """Return the filter's step(s, w, p) with s = [x; a; covariance], w = [y; u; side].
+
+    The side of each reading is 1 or -1 if it surely is on an active piece, else 0. Its results are
+    the next s and, of each output, `RECORDED` numbers.
+
+    Args:
+        model: the sampled plant.
+        kind: as of `list_pieces`.
+        like: numbers of a lane, for their shapes.
+    """
+    n, m, p = model.n, model.m, model.p
+    entries = ca.Sparsity.upper(n + m)
+    column, q = tree.create_symbols(like, "q")
+    s = ca.SX.sym("s", n + m + entries.nnz())
+    w = ca.SX.sym("w", p + m + p)
+    y, u, side = ca.vertsplit(w, [0, p, p + m, p + m + p])
+    belief = Gaussian(s[: n + m], from_upper_entries(s[n + m :], entries))
+    outputs = []
+    for i in range(p):
+        belief, recorded = _use_reading(model, kind, q, belief, y[i], side[i], i)
+        outputs += recorded
+    if q.drive is not None:
+        u = through_zone(ca, within_limits(ca, u, q.drive), q.drive)
+    memory = ca.exp(-model.Ts / q.correlation_time)
+    rms = ca.sqrt(q.rms**2 + q.heat_rms**2)
+
+    def change(X: Any) -> Any:
+        """Return the change of [x; a] in a step."""
+        moved = model.change(q.plant, X[:n], u + X[n:])
+        return ca.vertcat(moved, (memory - 1.0) * X[n:])
+
+    Q = ca.diag(ca.vertcat(ca.SX.zeros(n), rms**2 * (1.0 - memory**2)))
+    after = predict_first_order(belief, change, Q)
+    following = ca.vertcat(after.mean, to_upper_entries(after.cov, entries))
+    return ca.Function("fit", [s, w, column], [following, ca.vertcat(*outputs)], {"cse": True})
+
+
+def _use_reading(
+    model: System, kind: str, q: FilterNumbers, belief: Gaussian, y: Any, side: Any, i: int
+) -> tuple[Gaussian, list[Any]]:
+    """Return the belief after the reading of output i, and the recorded numbers."""
+    n = model.n
+
+    def read(X: Any) -> Any:
+        """Return what the sensor of output i reads, without its zone."""
+        return model.read(q.plant, X[:n])[i]
+
+    z, h = linearise(read, belief.mean)
+    along = belief.cov @ h.T
+    variance = h @ along + q.before[i] ** 2 + q.heat_before[i] ** 2
+    noise = ca.fmax(q.after[i], LEAST_AFTER * q.before[i] + 1e-12) ** 2
+    deviation = ca.sqrt(q.slope[i] ** 2 * variance + noise)
+    pieces = list_pieces(kind, q, i)
+    shares = list(map(partial(weigh_piece, y, z, variance, noise), pieces))
+    shares.append(Share(WRONG / deviation, z, z**2 + variance))
+    total = sum(each.weight for each in shares)
+    mean = sum(each.weight * each.mean for each in shares) / total
+    square = sum(each.weight * each.square for each in shares) / total
+    left = ca.fmin(ca.fmax((square - mean**2) / variance, 1e-12), 1.0)
+    seen = present(y)
+    gain = along / variance
+    moved = belief.mean + gain * ca.if_else(seen, mean - z, 0.0)
+    cov = belief.cov - gain @ along.T * ca.if_else(seen, 1.0 - left, 0.0)
+    offsets = [pieces[0].offset, pieces[-1].offset]
+    offset = ca.if_else(side > 0, offsets[0], ca.if_else(side < 0, offsets[1], 0.0))
+    prediction = q.slope[i] * z + offset
+    density = ca.if_else(seen, ca.log(total), 0.0)
+    return Gaussian(moved, cov), [density, prediction, ca.log(deviation)]
