@@ -1,0 +1,72 @@
+"""Tests of a fitted scenario against the logs: does anything in the readings contradict it?
+
+Each reading has a normal score: its quantile in its predictive distribution, as a quantile of the
+normal distribution. A silent reading has a random one within its piece. Scores of a true model are
+independent and standard normal.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from scipy import stats
+from scipy.special import ndtr, ndtri
+
+from undeadzone.util.arrays import Floats
+from undeadzone_identify.fit.likelihood import LEAST_AFTER
+from undeadzone_identify.fit.problem import SURE, FitProblem, find_slots
+
+LAGS: Final = (1, 2, 3, 5, 8, 13, 21, 34, 55, 89)  # samples over which scores are correlated
+FLAGGED: Final = 0.05  # probability that a true model is flagged, all tests together
+FARTHEST: Final = 1e-12  # chance beyond which a score is not followed
+SEED: Final = 7  # of the scores of silent readings: a random sequence, or they are not white
+
+
+def score_readings(problem: FitProblem, point: Floats) -> Floats:
+    """Return the normal scores of all readings (N x p), NaN if one is missing."""
+    p = problem.model.p
+    _, prediction, log_std = (part[0] for part in problem.record(point[None]))
+    std = np.exp(log_std)
+    _, params = problem.to_lanes(point[None], (0.0, 0.0), 0)
+
+    def number(name: str) -> Floats:
+        """Return a number of the answer (p)."""
+        return np.asarray(params[0, find_slots(problem.names, name)])
+
+    y = problem.readings
+    chance = ndtr((y - prediction) / std)
+    if problem.kind != "plain":
+        noise = np.maximum(number("after"), LEAST_AFTER * number("before") + 1e-12)
+        slack = SURE * noise if problem.kind == "deadzone" else np.zeros(p)
+        low = ndtr((-number("left") * number("slope") - slack - prediction) / std)
+        high = ndtr((number("right") * number("slope") + slack - prediction) / std)
+        random = low + (high - low) * np.random.default_rng(SEED).random(y.shape)
+        chance = np.where(problem.all_sides == 0, random, chance)
+    scores = ndtri(np.clip(chance, FARTHEST, 1 - FARTHEST))
+    return np.where(np.isfinite(y), scores, np.nan)
+
+
+def check_scores(problem: FitProblem, point: Floats, scores: Floats) -> dict[str, float]:
+    """Return the probability of each test under a true model, by name.
+
+    The tests: size of the scores, their mean, whether they are white, and whether their mean
+    depends on input or output (shape).
+    """
+    seen = np.isfinite(scores)
+    v = np.where(seen, scores, 0.0)
+    count = int(seen.sum())
+    square = float((v**2).sum())
+    size = 2 * min(stats.chi2.cdf(square, count), stats.chi2.sf(square, count))
+    mean = 2 * stats.norm.sf(abs(v.sum()) / np.sqrt(count))
+    off = np.where(seen, v - v.sum(axis=0) / seen.sum(axis=0), 0.0)
+    lags = [lag for lag in LAGS if lag < len(v)]
+    sums = [(off[lag:] * off[:-lag]).sum(axis=0) / np.sqrt(len(v) - lag) for lag in lags]
+    white = stats.chi2.sf(np.square(sums).sum(), np.size(sums))
+    u = problem.inputs
+    z = problem.record(point[None]).prediction[0]
+    columns = np.hstack([u, u**2, np.abs(u), z, z**2, np.abs(z)])
+    q, _ = np.linalg.qr(columns - columns.mean(axis=0))
+    shape = stats.chi2.sf(np.square(q.T @ off).sum(), q.shape[1] * off.shape[1])
+    chances = {"size": size, "mean": mean, "white": white, "shape": shape}
+    return {name: min(1.0, float(chance)) for name, chance in chances.items()}

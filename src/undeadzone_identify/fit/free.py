@@ -1,0 +1,225 @@
+"""Free numbers of a scenario: addresses, ranges and starts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from undeadzone.errors import InputError
+from undeadzone.plants.system import System
+from undeadzone.scenario.address import (
+    Number,
+    entries_there,
+    find_option_numbers,
+    index_of,
+    matching,
+    similar,
+    stem,
+    with_value,
+)
+from undeadzone.scenario.schema import Scenario
+from undeadzone.signals.exosystem import Random
+from undeadzone.util.arrays import Floats
+
+TABLES: Final = ("plant", "sensor", "actuator", "disturbance")  # whose numbers may be fitted
+PARAMETERS: Final = "plant.parameters."
+WIDTHS: Final = ("sensor.right", "sensor.left", "actuator.right", "actuator.left")
+NOISES: Final = (
+    *("sensor.noise", "sensor.noise_before", "disturbance.rms", "disturbance.correlation_time"),
+)
+SIGNED: Final = ("plant.A", "plant.B", "plant.C", "plant.companion")  # entries of any sign
+DELAY: Final = "plant.delay"
+FIXED: Final = ("plant.x0", "plant.x_eq", "plant.u_eq")  # not by --free
+FAR: Final = 10.0  # default range of a positive number, over and below its value
+LOUD: Final = 30.0  # the same of noises
+WIDE: Final = 3.0  # default range of a signed number about its value, in its size
+LOGARITHMIC: Final = 3.0  # ratio of the ends of a range from which it is searched in logarithms
+LASTING: Final = 12.5  # default correlation time of a disturbance [samples]
+EXAMPLE: Final = "--free plant.mass,sensor.right=0..0.5"
+
+
+class FreeNumber(NamedTuple):
+    """Number that is fitted.
+
+    Attributes:
+        name: its address, or x(0) of a log.
+        low, high: ends of its range.
+        start: first value of the search.
+        std: deviation of its normal prior about `start` (inf: its range alone).
+        log: whether it is searched in logarithms.
+    """
+
+    name: str
+    low: float
+    high: float
+    start: float
+    std: float = math.inf
+    log: bool = False
+
+    @property
+    def is_noise(self) -> bool:
+        """Return whether it is a noise, which is fitted last."""
+        return stem(self.name) in NOISES
+
+    def encode(self, value: Any) -> Any:
+        """Return the coordinate of a value."""
+        return np.log(value) if self.log else value
+
+    def decode(self, coordinate: Any) -> Any:
+        """Return the value of a coordinate."""
+        return np.exp(coordinate) if self.log else coordinate
+
+
+def free_within(
+    name: str, low: float, high: float, start: float | None = None, std: float = math.inf
+) -> FreeNumber:
+    """Return a number that is free within a range, from its middle unless a start is given."""
+    log = low > 0 and high / low > LOGARITHMIC
+    middle = math.sqrt(low * high) if log else (low + high) / 2
+    first = middle if start is None else min(max(start, low), high)
+    return FreeNumber(name, low, high, first, std, log)
+
+
+def find_numbers(scenario: Scenario, system: System) -> dict[str, Number]:
+    """Return every number of a scenario that may be fitted, by address."""
+    known = find_option_numbers(scenario, TABLES)
+    for name, value in zip(system.names, np.ravel(system.params), strict=False):
+        known.setdefault(f"{PARAMETERS}{name}", Number(float(value), False))
+    return {name: number for name, number in known.items() if stem(name) not in FIXED}
+
+
+def complete_tables(scenario: Scenario, free: Mapping[str, Any]) -> tuple[Scenario, list[str]]:
+    """Return the scenario with the tables that free numbers need, and what is free besides.
+
+    A log shows a disturbance and noise, so that without a value they are free.
+
+    Raises:
+        InputError: the disturbance is no random one.
+    """
+    if scenario.disturbance is not None and not isinstance(scenario.disturbance, Random):
+        raise InputError(
+            'disturbance.kind: expected "random", whose size a log can show, found '
+            f'"{scenario.disturbance.__struct_config__.tag}". Put a known one into the inputs of '
+            "the log"
+        )
+    besides = []
+    if scenario.disturbance is None:
+        lasting = LASTING * scenario.simulation.step
+        table = {"kind": "random", "rms": 0.0, "correlation_time": lasting}
+        scenario = with_value(scenario, "disturbance", table)
+        besides.append("disturbance.rms")
+    if not np.any(scenario.sensor.noise) and not np.any(scenario.sensor.noise_before):
+        besides.append("sensor.noise")
+    if scenario.actuator is None and any(name.startswith("actuator.") for name in free):
+        scenario = with_value(scenario, "actuator", {"right": 0.0, "left": 0.0})
+    return scenario, [name for name in besides if name not in map(stem, free)]
+
+
+def expand_address(address: str, known: Mapping[str, Number]) -> list[str]:
+    """Return the numbers that an address stands for. Raises InputError."""
+    full = address
+    parameter = f"{PARAMETERS}{address.removeprefix('plant.')}"
+    if parameter in known:
+        full = parameter
+    names = [name for name in matching(full, known) if known[name].value is not None]
+    if not names:
+        extent = entries_there(full, known)
+        advice = f"There is {extent}" if extent else similar(full, known, "There are")
+        raise InputError(f"free: {address!r} is not a number of the scenario. {advice}")
+    for name in names:
+        if known[name].whole and name != DELAY:
+            raise InputError(f"free: {name} cannot be fitted: it is a whole number")
+    return names
+
+
+class Sizes(NamedTuple):
+    """Sizes from which default ranges follow.
+
+    Attributes:
+        z: largest |z| that the scenario makes along the logs, or the readings show.
+        y, u: rms of readings and inputs.
+    """
+
+    z: float
+    y: float
+    u: float
+
+
+def build_free_number(
+    name: str, value: float, given: Any, sizes: Sizes, claimed: Floats | None
+) -> FreeNumber:
+    """Return a number with its range.
+
+    Args:
+        name: its address.
+        value: in the scenario.
+        given: what the user gives: None, (low, high), or (start, low, high[, std]).
+        sizes: of the logs.
+        claimed: range of a width in [observer] (None: there is none).
+
+    Raises:
+        InputError: no range follows from a value of 0, or it is not one.
+    """
+    start, low, high, std = _read_range(name, given)
+    start = value if start is None else start
+    if low is None or high is None:
+        low, high = _default_range(name, start, sizes, claimed)
+    if not low < high:
+        raise InputError(f"free: {name}: expected a range lo..hi with lo < hi, found {low}..{high}")
+    if given is not None and not low <= start <= high and len(given) > 2:
+        raise InputError(f"free: {name}: the start {start:g} lies outside of {low:g}..{high:g}")
+    return free_within(name, low, high, start, std)
+
+
+def _read_range(name: str, given: Any) -> tuple[float | None, float | None, float | None, float]:
+    """Return start, low, high and deviation, None each if not given. Raises InputError."""
+    if given is None:
+        return None, None, None, math.inf
+    try:
+        numbers = [float(each) for each in given]
+    except (TypeError, ValueError):
+        numbers = []
+    if len(numbers) == 2:
+        return None, *numbers, math.inf
+    if len(numbers) in (3, 4):
+        return (*numbers, math.inf)[:4]
+    raise InputError(
+        f"free: {name}: expected None, (lo, hi), (start, lo, hi) or (start, lo, hi, std), found "
+        f"{given!r:.60}"
+    )
+
+
+def _default_range(
+    name: str, value: float, sizes: Sizes, claimed: Floats | None
+) -> tuple[float, float]:
+    """Return the range of a number without one. Raises InputError."""
+    place = stem(name)
+    if place in WIDTHS:
+        largest = sizes.z if place.startswith("sensor") else 3 * sizes.u
+        return (0.0, max(largest, 2 * value)) if claimed is None else (claimed[0], claimed[1])
+    if place in NOISES:
+        size = value or {"s": sizes.y, "d": sizes.u}[place[0]] / LOUD
+        return size / LOUD, size * LOUD
+    if value == 0:
+        raise InputError(
+            f"free: {name}: is 0 in the scenario, so that no range follows from it. Give one: "
+            f"{name}=lo..hi"
+        )
+    if value > 0 and place not in SIGNED:
+        return value / FAR, value * FAR
+    return value - WIDE * abs(value), value + WIDE * abs(value)
+
+
+def claimed_range(scenario: Scenario, name: str) -> Floats | None:
+    """Return the range of a sensor's width in [observer], or None."""
+    if not name.startswith("sensor.") or stem(name) not in WIDTHS:
+        return None
+    side = stem(name).partition(".")[2]
+    for key in (side, "right"):
+        claim = np.asarray(getattr(scenario.observer, key, None), dtype=object)
+        if claim.shape == (2,) and not index_of(name):
+            return claim.astype(float)
+    return None

@@ -1,0 +1,362 @@
+"""Numbers of a scenario bound to the lanes of a likelihood, along logs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any, Final, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from undeadzone.compile.lanes import Kernel, build_kernel, run_lanes
+from undeadzone.errors import InputError
+from undeadzone.nonlinearities.actuator import resolve_actuator
+from undeadzone.nonlinearities.sensor import Zone
+from undeadzone.plants import build as plants
+from undeadzone.plants.system import System, plant_pace, sample_plant
+from undeadzone.scenario.address import with_numbers, with_value
+from undeadzone.scenario.encoders import resolve_sensor
+from undeadzone.scenario.schema import Scenario
+from undeadzone.simulation.packed import BoundNumbers, ResampledPlant, bind_numbers
+from undeadzone.util import tree
+from undeadzone.util.arrays import Floats
+from undeadzone_identify.fit.free import PARAMETERS, WIDTHS, FreeNumber
+from undeadzone_identify.fit.likelihood import RECORDED, FilterNumbers, build_step
+
+SURE: Final = 4.0  # noise, in its rms, beyond which a reading is surely active
+KNOWN: Final = 1e-7  # deviation of a number of x(0) that is known
+LOST: Final = -1e4  # log density of a reading along which a lane has diverged
+ROOM: Final = 2**23  # numbers that are recorded at once
+KINDS: Final = ("deadzone", "jump", "gears")
+
+
+class Log(NamedTuple):
+    """Log along which a likelihood is computed.
+
+    Attributes:
+        name: for messages.
+        t: times (N) [s].
+        y: readings (N x p), NaN if one is missing.
+        u: inputs (N x m).
+    """
+
+    name: str
+    t: Floats
+    y: Floats
+    u: Floats
+
+
+class Recorded(NamedTuple):
+    """Records of lanes along all logs.
+
+    Attributes:
+        density: log density of each reading (lanes x N x p).
+        prediction: of each reading on its piece (lanes x N x p).
+        log_std: log of its deviation (lanes x N x p).
+    """
+
+    density: Floats
+    prediction: Floats
+    log_std: Floats
+
+
+class FitProblem(NamedTuple):
+    """Free numbers of a scenario and the logs that show them.
+
+    Attributes:
+        scenario: with its numbers as they are.
+        model: the sampled plant.
+        zone: the sensor.
+        kind: of the characteristic, as `list_pieces` takes it.
+        free: numbers that are fitted.
+        built: places among them of those for which the plant is built anew.
+        names: names of the packed numbers of a lane.
+        kernel: the compiled filter.
+        bound: numbers bound to its lanes, for each log.
+        logs: the logs.
+        sides: surely active side of each reading of a log (N x p).
+        spread: deviations of x(0) (n).
+        threads: of the lanes.
+    """
+
+    scenario: Scenario
+    model: System
+    zone: Zone
+    kind: str
+    free: tuple[FreeNumber, ...]
+    built: tuple[int, ...]
+    names: tuple[str, ...]
+    kernel: Kernel
+    bound: tuple[BoundNumbers, ...]
+    logs: tuple[Log, ...]
+    sides: tuple[Floats, ...]
+    spread: Floats
+    threads: int | None = None
+
+    @property
+    def low(self) -> Floats:
+        """Return the lower ends of the ranges, in coordinates."""
+        return np.array([each.encode(each.low) for each in self.free])
+
+    @property
+    def high(self) -> Floats:
+        """Return the upper ends of the ranges, in coordinates."""
+        return np.array([each.encode(each.high) for each in self.free])
+
+    @property
+    def start(self) -> Floats:
+        """Return the first values, in coordinates."""
+        return np.array([each.encode(each.start) for each in self.free])
+
+    @property
+    def readings(self) -> Floats:
+        """Return the readings of all logs (N x p)."""
+        return np.concatenate([log.y for log in self.logs])
+
+    @property
+    def inputs(self) -> Floats:
+        """Return the inputs of all logs (N x m)."""
+        return np.concatenate([log.u for log in self.logs])
+
+    @property
+    def all_sides(self) -> Floats:
+        """Return the surely active sides of all logs (N x p)."""
+        return np.concatenate(self.sides)
+
+    def decode(self, points: Floats) -> Floats:
+        """Return the values of coordinates (lanes x numbers)."""
+        columns = [each.decode(points[:, i]) for i, each in enumerate(self.free)]
+        return np.stack(columns, axis=1)
+
+    def to_lanes(self, points: Floats, heat: tuple[float, float], log: int) -> Any:
+        """Return states and params of lanes at coordinates, along one log.
+
+        Args:
+            points: coordinates (lanes x numbers).
+            heat: further noise ahead of the zone [z] and further disturbance [u].
+            log: number of the log.
+        """
+        values = self.decode(points)
+        bound = self.bound[log]
+        lanes = bound.to_lanes(values, self._compute_plants(values))
+        params = np.tile(bound.params, (len(points), 1))
+        params[:, bound.indices] = lanes.params
+        for name, size in zip(("heat_before", "heat_rms"), heat, strict=True):
+            params[:, find_slots(self.names, name)] = size
+        n, m = self.model.n, self.model.m
+        states = lanes.states
+        rms = np.hypot(params[:, find_slots(self.names, "rms")], heat[1])
+        variances = np.hstack([np.tile(self.spread**2, (len(points), 1)), rms**2])
+        for i in range(n + m):
+            states[:, n + m + i * (i + 3) // 2] = variances[:, i]
+        return states, params
+
+    def record(self, points: Floats, heat: tuple[float, float] = (0.0, 0.0)) -> Recorded:
+        """Return the records of lanes at coordinates along all logs."""
+        p = self.model.p
+        parts = []
+        for k, (log, sides) in enumerate(zip(self.logs, self.sides, strict=True)):
+            states, params = self.to_lanes(points, heat, k)
+            w = np.hstack([log.y, log.u, sides])
+            found, _ = run_lanes(
+                self.kernel, states, w, params[0], lane_params=params, threads=self.threads
+            )
+            parts.append(found.reshape(len(points), len(w), p, RECORDED))
+        every = np.concatenate(parts, axis=1)
+        density = np.nan_to_num(every[..., 0], nan=LOST, posinf=LOST, neginf=LOST)
+        return Recorded(np.maximum(density, LOST), every[..., 1], every[..., 2])
+
+    def evaluate(self, points: Floats, heat: tuple[float, float] = (0.0, 0.0)) -> Floats:
+        """Return the log likelihood with the prior at coordinates (lanes)."""
+        parts = []
+        for rows in self.split_rows(len(points)):
+            parts.append(self.record(points[rows], heat).density.sum(axis=(1, 2)))
+        return np.concatenate(parts) + self.log_prior(points)
+
+    def split_rows(self, count: int, lanes: int = 1) -> Iterator[slice]:
+        """Yield slices of rows whose records fit into memory, of `lanes` lanes each."""
+        rows = max(1, ROOM // (RECORDED * self.readings.size * lanes))
+        for first in range(0, count, rows):
+            yield slice(first, min(first + rows, count))
+
+    def log_prior(self, points: Floats) -> Floats:
+        """Return the log of the normal priors at coordinates (lanes)."""
+        off = (self.decode(points) - [each.start for each in self.free]) / self.prior_std
+        return np.asarray(-0.5 * (off**2).sum(axis=1))
+
+    @property
+    def prior_std(self) -> Floats:
+        """Return the deviations of the normal priors (inf: there is none)."""
+        return np.array([each.std for each in self.free])
+
+    def _compute_plants(self, values: Floats) -> dict[int, Floats]:
+        """Return the numbers of plants that are built anew, by slot."""
+        if not self.built:
+            return {}
+        names = [self.free[i].name for i in self.built]
+        rows, places = np.unique(values[:, self.built], axis=0, return_inverse=True)
+        packed = []
+        for row in rows.tolist():
+            changed = with_numbers(self.scenario, dict(zip(names, row, strict=True)))
+            packed.append(tree.pack_tree(plants.system(changed.plant).params))
+        found = np.array(packed)[places.ravel()]
+        return dict(enumerate(found.T))
+
+
+def find_slots(names: Sequence[str], field: str) -> list[int]:
+    """Return the slots of a field of `FilterNumbers` among the packed numbers."""
+    return [i for i, name in enumerate(names) if name.partition("[")[0] == field]
+
+
+def pack_scenario(scenario: Scenario, model: System, zone: Zone) -> FilterNumbers:
+    """Return the numbers of a lane, with the plant in continuous time.
+
+    Args:
+        scenario: its plant, actuator and disturbance.
+        model: the sampled plant.
+        zone: its sensor.
+    """
+    m, p = model.m, model.p
+    disturbance: Any = scenario.disturbance
+    drive = None
+    if scenario.actuator is not None:
+        drive = resolve_actuator(scenario.actuator, m)
+    return FilterNumbers(
+        plant=plants.system(scenario.plant).params,
+        right=zone.right,
+        left=zone.left,
+        slope=zone.slope,
+        before=zone.noise_before,
+        after=np.hypot(zone.noise, zone.quantum / np.sqrt(12)),
+        rms=np.broadcast_to(np.asarray(disturbance.rms, float), (m,)).copy(),
+        correlation_time=np.array([disturbance.correlation_time]),
+        drive=drive,
+        heat_before=np.zeros(p),
+        heat_rms=np.zeros(m),
+    )
+
+
+def build_problem(
+    scenario: Scenario,
+    logs: Sequence[Log],
+    free: Sequence[FreeNumber],
+    spread: Floats,
+    initial: Sequence[Sequence[FreeNumber]],
+    threads: int | None,
+) -> FitProblem:
+    """Return the problem of fitting numbers of a scenario to logs.
+
+    Args:
+        scenario: with every table that is needed.
+        logs: along which.
+        free: numbers that are fitted.
+        spread: deviations of x(0) (n) about the scenario's, if no number of it is fitted.
+        initial: the numbers of x(0) of each log that are fitted (n each, or none).
+        threads: of the lanes.
+
+    Raises:
+        InputError: or a subclass, for a scenario or a number that cannot be fitted.
+    """
+    model = build_model(scenario)
+    zone = resolve_zone(scenario)
+    like = pack_scenario(scenario, model, zone)
+    state = np.zeros((model.n + model.m) * (model.n + model.m + 3) // 2)
+    state[: model.n] = plants.initial_state(scenario.plant, model)
+    slots, built = _find_number_slots(scenario, like, free)
+    sampled = []
+    if not model.nonlinear:
+        AB = np.hstack([like.plant.A, like.plant.B])
+        sampled.append(ResampledPlant(0, AB, scenario.simulation.step))
+    params = tree.pack_tree(like)
+    computed = range(tree.count_numbers(like.plant)) if built else range(0)
+    place = len(free)
+    bound = []
+    every = list(free)
+    for numbers in initial:
+        own = [()] * (place - len(free))
+        own += [((params.size + i, 1.0),) for i in range(len(numbers))]
+        mine = [*slots, *own, *[()] * (sum(map(len, initial)) - len(own))]
+        bound.append(bind_numbers(mine, state, params, sampled, computed=computed))
+        every += numbers
+        place += len(numbers)
+    kind = choose_kind(zone, free)
+    step = build_step(model, kind, like)
+    kernel = build_kernel(step, params=range(params.size))
+    noise = np.hypot(zone.noise, zone.quantum)
+    gate = SURE * np.maximum(noise, 0.02 * zone.noise_before + 1e-12) * (kind == "deadzone")
+    sides = [np.sign(log.y) * (np.abs(log.y) > gate) for log in logs]
+    return FitProblem(
+        scenario=scenario,
+        model=model,
+        zone=zone,
+        kind=kind,
+        free=tuple(every),
+        built=built,
+        names=tuple(tree.number_addresses(like)),
+        kernel=kernel,
+        bound=tuple(bound),
+        logs=tuple(logs),
+        sides=tuple(sides),
+        spread=spread,
+        threads=threads,
+    )
+
+
+def build_model(scenario: Scenario) -> System:
+    """Return the sampled plant of a scenario, without its delay. Raises InputError."""
+    simulation = scenario.simulation
+    plant = plants.system(scenario.plant)
+    return sample_plant(plant, simulation.step, simulation.substeps)
+
+
+def resolve_zone(scenario: Scenario) -> Zone:
+    """Return the sensor of a scenario. Raises InputError if its likelihood is not known."""
+    system = plants.system(scenario.plant)
+    pace = plant_pace(system.linear)
+    zone = resolve_sensor(scenario.sensor, system, scenario.simulation.step, pace)
+    if zone.kind not in KINDS or zone.moves:
+        raise InputError(
+            "sensor.kind: a play has no likelihood here, a dead zone or a jump has. Use `undeadzone "
+            "identify` for its gap"
+        )
+    for name, there in (("range", zone.limits is not None), ("drift", np.any(zone.drift))):
+        if there:
+            raise InputError(f"sensor.{name}: cannot be fitted with. Leave it out")
+    drive = scenario.actuator
+    if drive is not None and (drive.kind == "play" or drive.rate is not None):
+        raise InputError("actuator: a play or a limited rate cannot be fitted with. Leave it out")
+    return zone
+
+
+def choose_kind(zone: Zone, free: Sequence[FreeNumber]) -> str:
+    """Return the kind of the characteristic: "plain" if it has no zone, and none is fitted."""
+    names = {each.name.partition("[")[0] for each in free}
+    is_plain = zone.kind == "gears" or not (np.any(zone.right) or np.any(zone.left))
+    return "plain" if is_plain and not names & set(WIDTHS[:2]) else zone.kind
+
+
+def _find_number_slots(
+    scenario: Scenario, like: FilterNumbers, free: Sequence[FreeNumber]
+) -> tuple[list[tuple[tuple[int, float], ...]], tuple[int, ...]]:
+    """Return the slots of each number, and the places of those for which the plant is built anew.
+
+    They are found by building the scenario with another value. Raises InputError.
+    """
+    before = tree.pack_tree(like)
+    size = tree.count_numbers(like.plant)
+    slots: list[tuple[tuple[int, float], ...]] = []
+    built = []
+    for i, number in enumerate(free):
+        other = number.low + 0.618 * (number.high - number.low)
+        changed = with_value(scenario, number.name, other)
+        model = build_model(changed)
+        packed = tree.pack_tree(pack_scenario(changed, model, resolve_zone(changed)))
+        if packed.size != before.size:
+            raise InputError(f"free: {number.name} cannot be fitted: the plant changes its form")
+        moved = np.flatnonzero(packed != before)
+        is_direct = moved.size and (packed[moved] == other).all()
+        if not is_direct and (not moved.size or moved.max() >= size):
+            raise InputError(f"free: {number.name} cannot be fitted here: no reading depends on it alone")
+        slots.append(tuple((slot, 1.0) for slot in moved.tolist()) if is_direct else ())
+        built += [] if is_direct else [i]
+    return slots, tuple(built)

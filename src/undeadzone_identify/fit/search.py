@@ -1,0 +1,235 @@
+"""Search for the maximum of a likelihood: many starts, heat, Levenberg-Marquardt steps.
+
+Far from the truth a silent reading has the density 0 and no slope. Heat is further noise and further
+disturbance: the hot likelihood has a slope everywhere, and cools down to the true one. Derivatives
+are differences between lanes, of a share of each number's own deviation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from scipy.stats import qmc
+
+from undeadzone.util.answers import MemoryAnswers
+from undeadzone.util.arrays import Floats
+from undeadzone_identify.fit.problem import FitProblem
+
+STARTS: Final = 64  # points, of which the best are followed
+HOT: Final = 0.2  # heat of the first stage, in the rms of readings and inputs
+STAGES: Final = ((1.0, 8, 3), (1.0, 4, 6), (0.2, 4, 6), (0.04, 2, 6), (0.0, 2, 25))
+AGAIN: Final = ((0.04, 2, 6), (0.0, 2, 25))  # from the answer, once more
+DAMPINGS: Final = (1e-2, 1.0, 1e3)  # factors that each step tries
+DIFFERENCE: Final = 0.02  # of a derivative, in deviations of the number
+FIRST_DIFFERENCE: Final = 1e-4  # of the first one, in ranges
+LARGEST_DIFFERENCE: Final = 2e-3  # in ranges
+LONGEST: Final = 0.35  # step, in ranges
+GAIN: Final = 0.01  # of the log likelihood below which a step is the last one, twice
+DIVERGED: Final = 1e3  # of a log density, beyond which a reading contains no information
+AT_END: Final = 1e-9  # share of a range, within which a number lies at its end
+
+
+class Slope(NamedTuple):
+    """Derivatives of a likelihood at a point.
+
+    Attributes:
+        value: log likelihood, the prior included.
+        gradient: of it (k).
+        information: about the numbers (k x k).
+        scores: derivative of the log density of each reading (k x readings).
+    """
+
+    value: float
+    gradient: Floats
+    information: Floats
+    scores: Floats
+
+
+class Ends(NamedTuple):
+    """Ends of searches from several starts, the best first.
+
+    Attributes:
+        points: coordinates (ends x k).
+        values: log likelihoods (ends).
+    """
+
+    points: Floats
+    values: Floats
+
+    def keep_best(self, count: int) -> Ends:
+        """Return the best ends."""
+        order = np.argsort(-self.values, kind="stable")[:count]
+        return Ends(self.points[order], self.values[order])
+
+
+def measure_slopes(
+    problem: FitProblem, points: Floats, steps: Floats, heat: tuple[float, float] = (0.0, 0.0)
+) -> list[Slope]:
+    """Return the derivatives at points (starts x k), by differences of `steps` (starts x k).
+
+    The information of a sure reading is that of a normal distribution about its prediction, that of
+    a silent one the square of its score.
+    """
+    k = points.shape[1]
+    found = []
+    for rows in problem.split_rows(len(points), k + 1):
+        some = points[rows, None] + np.vstack([np.zeros(k), np.eye(k)]) * steps[rows, None]
+        records = problem.record(some.reshape(-1, k), heat)
+        shaped = [part.reshape(len(some), k + 1, -1) for part in records]
+        for start, step in enumerate(steps[rows]):
+            point = some[start, 0]
+            found.append(_measure_slope(problem, point, step, [part[start] for part in shaped]))
+    return found
+
+
+def _measure_slope(problem: FitProblem, point: Floats, step: Floats, rows: list[Floats]) -> Slope:
+    """Return the derivatives at a point from the records there, and a step along each number."""
+    scores, moved, wider = ((part[1:] - part[0]) / step[:, None] for part in rows)
+    density, _, log_std = (part[0] for part in rows)
+    sure = (problem.all_sides.ravel() != 0) | (problem.kind == "plain")
+    seen = np.isfinite(problem.readings.ravel()) & (np.abs(density) < DIVERGED)
+    unsure = np.nan_to_num(scores[:, seen & ~sure])
+    used = seen & sure
+    shown = np.nan_to_num(moved[:, used] / np.exp(log_std[used]))
+    wider = np.nan_to_num(wider[:, used])
+    information = shown @ shown.T + 2 * wider @ wider.T + unsure @ unsure.T
+    slope = np.ones(point.size)
+    values = problem.decode(point[None])[0]
+    for i, number in enumerate(problem.free):
+        slope[i] = values[i] if number.log else 1.0
+    pull = (values - [each.start for each in problem.free]) / problem.prior_std**2
+    information += np.diag((slope / problem.prior_std) ** 2)
+    value = density.sum() + problem.log_prior(point[None])[0]
+    return Slope(float(value), scores.sum(axis=1) - pull * slope, information, scores)
+
+
+def diagonal_of(problem: FitProblem, information: Floats) -> Floats:
+    """Return the diagonal of an information, with a floor from the ranges."""
+    span = problem.high - problem.low
+    return np.maximum(np.diag(information), 1e-12 / span**2)
+
+
+def climb(
+    problem: FitProblem,
+    points: Floats,
+    heat: tuple[float, float],
+    most: int,
+    frozen: Floats,
+    tick: Callable[[int], None],
+) -> Ends:
+    """Return the ends of searches by Levenberg-Marquardt steps within the ranges.
+
+    Args:
+        problem: the numbers.
+        points: starts (starts x k).
+        heat: as of `FitProblem.record`.
+        most: steps at most.
+        frozen: flags of the numbers that stay (k).
+        tick: called after each step.
+    """
+    points = points.copy()
+    low, high = problem.low, problem.high
+    span = high - low
+    steps = np.tile(FIRST_DIFFERENCE * span, (len(points), 1))
+    damping = np.full(len(points), 1e-2)
+    values = np.full(len(points), -np.inf)
+    small = np.zeros(len(points), int)  # last steps that hardly gained
+    for turn in range(most):
+        live = np.flatnonzero(small < 2)
+        if not live.size:
+            break
+        slopes = measure_slopes(problem, points[live], steps[live], heat)
+        trials = []
+        for start, slope in zip(live, slopes, strict=True):
+            values[start] = slope.value
+            diagonal = diagonal_of(problem, slope.information)
+            steps[start] = np.clip(
+                DIFFERENCE / np.sqrt(diagonal), 1e-9 * span, LARGEST_DIFFERENCE * span
+            )
+            for factor in DAMPINGS:
+                move = _damped_step(problem, points[start], slope, damping[start] * factor, frozen)
+                move = np.clip(move, -LONGEST * span, LONGEST * span)
+                trials.append(np.clip(points[start] + move, low, high))
+        offers = np.array(trials).reshape(live.size, len(DAMPINGS), -1)
+        found = problem.evaluate(np.array(trials), heat).reshape(live.size, -1)
+        for k, start in enumerate(live):
+            best = int(np.argmax(found[k]))
+            gain = found[k, best] - values[start]
+            if gain > 0:
+                points[start] = offers[k, best]
+                values[start] = found[k, best]
+                damping[start] = np.clip(damping[start] * DAMPINGS[best], 1e-7, 1e6)
+            else:
+                damping[start] *= 1e6
+            small[start] = small[start] + 1 if gain < GAIN and turn > 0 else 0
+            if damping[start] > 1e7:
+                small[start] = 2
+        tick(1)
+    return Ends(points, values)
+
+
+def _damped_step(
+    problem: FitProblem, point: Floats, slope: Slope, damping: float, frozen: Floats
+) -> Floats:
+    """Return a step. Numbers at an end from which the likelihood falls stay."""
+    span = problem.high - problem.low
+    at_low = (point <= problem.low + AT_END * span) & (slope.gradient < 0)
+    at_high = (point >= problem.high - AT_END * span) & (slope.gradient > 0)
+    moving = np.flatnonzero(~(frozen | at_low | at_high))
+    step = np.zeros(point.size)
+    if not moving.size:
+        return step
+    units = 1 / np.sqrt(diagonal_of(problem, slope.information)[moving])
+    even = slope.information[np.ix_(moving, moving)] * np.outer(units, units)
+    pull = units * slope.gradient[moving]
+    step[moving] = units * np.linalg.solve(even + max(damping, 1e-9) * np.eye(moving.size), pull)
+    return step
+
+
+def search_maximum(
+    problem: FitProblem,
+    seed: int,
+    tick: Callable[[int], None],
+    answers: MemoryAnswers,
+) -> Ends:
+    """Return the ends of the searches, the best first.
+
+    Args:
+        problem: the numbers.
+        seed: of the starts.
+        tick: called after each step.
+        answers: stages that are known, or are to be saved.
+    """
+    low, high = problem.low, problem.high
+    points = low + (high - low) * qmc.Sobol(low.size, seed=seed).random(STARTS)
+    points[0] = problem.start
+    noises = np.array([each.is_noise for each in problem.free])
+    points[:, noises] = problem.start[noises]
+    sizes = np.nanstd(problem.readings), np.nanstd(problem.inputs)
+
+    def run_stage(name: str, ends: Ends, stage: tuple[float, int, int]) -> Ends:
+        """Return the ends of a stage, known or computed."""
+        share, count, most = stage
+        heat = (share * HOT * sizes[0], share * HOT * sizes[1])
+
+        def compute(missing: list[int]) -> Any:
+            """Yield the ends of the stage."""
+            chosen = ends.keep_best(count).points
+            frozen = noises & (share > 0)
+            found = climb(problem, chosen, heat, most, frozen, tick)
+            yield 0, [found.points.tolist(), found.values.tolist()]
+
+        (found,) = answers.compute_missing([[name, *stage]], compute)
+        return Ends(*map(np.array, found)).keep_best(count)
+
+    heat = (HOT * sizes[0], HOT * sizes[1])
+    ends = Ends(points, problem.evaluate(points, heat))
+    for k, stage in enumerate(STAGES):
+        ends = run_stage(f"stage {k}", ends, stage)
+    again = ends
+    for k, stage in enumerate(AGAIN):
+        again = run_stage(f"again {k}", again, stage)
+    both = np.concatenate([ends.points, again.points])
+    return Ends(both, np.concatenate([ends.values, again.values])).keep_best(len(both))
