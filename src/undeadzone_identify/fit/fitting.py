@@ -1,0 +1,451 @@
+"""Maximum likelihood estimates of numbers of a scenario from logs, `fit`."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import os
+import re
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import casadi as ca
+import numpy as np
+
+from undeadzone.errors import InputError
+from undeadzone.logs.names import parse_columns
+from undeadzone.logs.samples import place_on_steps
+from undeadzone.logs.whole import read_whole, samples_of_arrays
+from undeadzone.nonlinearities.actuator import resolve_actuator, through_zone
+from undeadzone.plants import build as plants
+from undeadzone.plants.system import System, state_units
+from undeadzone.scenario.address import stem, with_value
+from undeadzone.scenario.operating_point import resolve_levels
+from undeadzone.scenario.reader import read_for_logs
+from undeadzone.scenario.schema import Scenario
+from undeadzone.util import toml
+from undeadzone.util.answers import MemoryAnswers, open_answers
+from undeadzone.util.arrays import Floats, shift_rows
+from undeadzone.util.files import LARGEST_RUN
+from undeadzone.util.progress import notebook_progress
+from undeadzone_identify.fit.checks import check_scores, score_readings
+from undeadzone_identify.fit.free import (
+    DELAY,
+    EXAMPLE,
+    PARAMETERS,
+    WIDTHS,
+    FreeNumber,
+    Sizes,
+    build_free_number,
+    claimed_range,
+    complete_tables,
+    expand_address,
+    find_numbers,
+    free_within,
+)
+from undeadzone_identify.fit.intervals import Intervals, estimate_intervals
+from undeadzone_identify.fit.problem import (
+    KNOWN,
+    LOST,
+    FitProblem,
+    Log,
+    build_model,
+    build_problem,
+    resolve_zone,
+)
+from undeadzone_identify.fit.result import Fitted, FittedNumber, FittedSignals
+from undeadzone_identify.fit.search import Ends, search_maximum
+
+FIRST: Final = 20  # readings that show x(0)
+FEWEST: Final = 20  # readings for each number
+LATEST: Final = 1000  # samples of a delay
+ALIKE: Final = 2.0  # nats, within which another answer fits as well
+APART: Final = 3.0  # deviations, from which it is another answer
+LINKED: Final = 0.98  # correlation from which two numbers are known together alone
+MOST: Final = 20_000_000  # samples of a log
+
+Free = Mapping[str, Any] | Sequence[str] | str
+Start = Literal["free", "known"]
+
+
+def fit(
+    scenario: Scenario | str | os.PathLike[str],
+    logs: Any,
+    free: Free,
+    *,
+    columns: str | None = None,
+    strict: bool = False,
+    x0: Start = "free",
+    seed: int = 1,
+    threads: int | None = None,
+    keep: Path | None = None,
+    resume: bool = False,
+    progress: Callable[[int], None] | None = None,
+) -> Fitted:
+    """Estimate numbers of a scenario from logs by maximum likelihood, silence included.
+
+    Args:
+        scenario: a scenario, or the path of its file, which needs no [reference] and no
+            [controller]. [plant], [sensor], [actuator] and [disturbance] generate the log.
+            [observer] is not used, but for its ranges of the widths.
+        logs: a log or several of one plant: paths, DataFrames, or tables of arrays t, u, y.
+        free: addresses of the numbers, as `plant.mass,sensor.right=0..0.5`, a list, or a table with
+            the range of each: None, (lo, hi), (start, lo, hi) or (start, lo, hi, std) with a normal
+            prior. Without an index an address stands for all entries. Default ranges: a tenth to
+            tenfold of a positive number, 3 times the size about a signed one, 0 to the largest
+            output for a width, a thirtieth to thirtyfold of a noise.
+        columns: names or numbers of the columns: `y=angle,u=voltage`.
+        strict: whether a line that cannot be read is an error (else its sample is missing).
+        x0: "free": x(0) of each log is estimated too; "known": it is the scenario's.
+        seed: of the starts of the search.
+        threads: of the lanes (default: one per processor); the numbers do not depend on it.
+        keep: file that keeps the stages of the search (None: none).
+        resume: continue a stopped search from `keep`.
+        progress: called with the number of steps just done (None: a bar in a notebook).
+
+    Returns:
+        The scenario with its numbers, intervals, and tests of the answer.
+
+    Raises:
+        FileError: a log cannot be read, or its step is not that of the scenario.
+        InputError: or a subclass, for an address, a range, or a scenario that cannot be fitted.
+
+    Example:
+        >>> t = np.arange(0.0, 20.0, 0.02)
+        >>> log = {"t": t, "u": run.u, "y": run.y}
+        >>> fitted = uz.fit(scenario, log, {"sensor.right": (0.0, 3.0)})  # doctest: +SKIP
+
+    See Also:
+        identify, estimate, tune
+    """
+    if not isinstance(scenario, Scenario):
+        scenario = read_for_logs(scenario)
+    asked = parse_free(free)
+    scenario, besides = complete_tables(scenario, asked)
+    model = build_model(scenario)
+    read = read_logs(scenario, model, logs, columns, strict)
+    delays = _list_delays(scenario, asked)
+    described = functools.partial(_describe_fit, scenario, asked, read, x0, seed)
+    with (
+        notebook_progress(progress, "fitting", None) as advance,
+        open_answers(keep, described, "stages", resume) as answers,
+    ):
+        best: tuple[FitProblem, Ends, int] | None = None
+        for delay in delays:
+            moved = [_delay_log(log, delay) for log in read]
+            problem = prepare_fit(scenario, model, moved, asked | dict.fromkeys(besides), x0, threads)
+            ends = search_maximum(problem, seed, advance, _Stages(answers, delay))
+            if best is None or ends.values[0] > best[1].values[0]:
+                best = problem, ends, delay
+        assert best is not None
+        return build_answer(*best, besides, advance)
+
+
+class _Stages(MemoryAnswers):
+    """Stages of the search of one delay, among the answers of all."""
+
+    def __init__(self, answers: MemoryAnswers, delay: int) -> None:
+        super().__init__()
+        self._answers = answers
+        self._delay = delay
+
+    def compute_missing(self, questions: Any, compute: Any) -> list[Any]:
+        """Return the answers to questions."""
+        named = [[self._delay, *question] for question in questions]
+        return self._answers.compute_missing(named, compute)
+
+
+def parse_free(free: Free) -> dict[str, Any]:
+    """Return the ranges of free numbers by address. Raises InputError."""
+    if isinstance(free, str):
+        free = [part.strip() for part in re.split(r",(?![^\[]*\])", free) if part.strip()]
+    if not isinstance(free, Mapping):
+        free = dict(map(_parse_number, free))
+    if not free:
+        raise InputError(f"free: nothing to fit. Name a number: {EXAMPLE}")
+    return {str(name): value for name, value in free.items()}
+
+
+def _parse_number(text: str) -> tuple[str, Any]:
+    """Return an address and its range from ADDRESS[=lo..hi]. Raises InputError."""
+    address, there, bounds = text.partition("=")
+    if not there:
+        return address.strip(), None
+    ends = bounds.split("..")
+    try:
+        low, high = map(float, ends)
+    except ValueError:
+        raise InputError(
+            f"free: expected ADDRESS or ADDRESS=lo..hi, such as sensor.right=0..0.5, found {text!r:.60}"
+        ) from None
+    return address.strip(), (low, high)
+
+
+def read_logs(
+    scenario: Scenario, model: System, logs: Any, columns: str | None, strict: bool
+) -> list[Log]:
+    """Return the logs on the steps of a scenario, about its operating point.
+
+    Raises FileError or InputError.
+    """
+    several = logs if isinstance(logs, list | tuple) else [logs]
+    if not several:
+        raise InputError("logs: expected one log at least")
+    zone = resolve_zone(scenario)
+    levels = resolve_levels(scenario.operating_point, model, zone.slope, range(model.p))
+    chosen = parse_columns(columns)
+    found = []
+    for k, log in enumerate(several):
+        if isinstance(log, Mapping):
+            source = f"log {k + 1}"
+            table = {name: log.get(name) for name in ("t", "y", "u")}
+            if table["y"] is None or table["u"] is None:
+                raise InputError(f"{source}: expected arrays y and u, and t if there are times")
+            samples, _ = samples_of_arrays(table, model.p, model.m)
+            timed = table["t"] is not None
+        else:
+            whole = read_whole(log, model.p, model.m, chosen, strict, LARGEST_RUN, MOST)
+            source, samples = whole.source, whole.samples
+            timed = whole.layout is not None and whole.layout.has_times
+        regular = place_on_steps(samples, timed, scenario.simulation.step, source).samples
+        u = _hold_missing(regular.u)
+        y = regular.y
+        if levels is not None:
+            u = u - levels.u
+            y = y - levels.y
+        found.append(Log(source, regular.t, y, u))
+    return found
+
+
+def _hold_missing(u: Floats) -> Floats:
+    """Return inputs whose missing values are the last ones before them, 0 at first."""
+    rows = np.where(np.isfinite(u), np.arange(len(u))[:, None], -1)
+    last = np.maximum.accumulate(rows, axis=0)
+    return np.where(last < 0, 0.0, np.take_along_axis(u, np.maximum(last, 0), axis=0))
+
+
+def _delay_log(log: Log, delay: int) -> Log:
+    """Return a log whose inputs act later."""
+    return log._replace(u=shift_rows(log.u, delay, np.zeros(1, int)))
+
+
+def _list_delays(scenario: Scenario, asked: dict[str, Any]) -> list[int]:
+    """Return the delays to be tried, and take them from what is free. Raises InputError."""
+    if DELAY not in asked:
+        return [scenario.plant.delay]
+    bounds = asked.pop(DELAY)
+    if bounds is None or len(bounds) != 2 or not 0 <= bounds[0] < bounds[1] <= LATEST:
+        raise InputError(f"free: {DELAY}: expected a range of whole samples, as {DELAY}=0..5")
+    if not asked:
+        raise InputError(f"free: {DELAY}: name another number besides, such as {EXAMPLE}")
+    return list(range(int(bounds[0]), int(bounds[1]) + 1))
+
+
+def _describe_fit(
+    scenario: Scenario, asked: dict[str, Any], logs: Sequence[Log], x0: str, seed: int
+) -> dict[str, Any]:
+    """Return all data that the stages of a search depend on."""
+    digest = hashlib.blake2b(digest_size=16)
+    for log in logs:
+        digest.update(np.ascontiguousarray(np.hstack([log.y, log.u])).tobytes())
+    return {
+        "scenario": toml.to_toml(scenario),
+        "free": {name: str(given) for name, given in asked.items()},
+        "logs": digest.hexdigest(),
+        "x0": x0,
+        "seed": seed,
+    }
+
+
+def prepare_fit(
+    scenario: Scenario,
+    model: System,
+    logs: Sequence[Log],
+    asked: Mapping[str, Any],
+    x0: Start = "free",
+    threads: int | None = None,
+) -> FitProblem:
+    """Return the problem of fitting numbers of a scenario to logs.
+
+    Args:
+        scenario: with every table that is needed.
+        model: its sampled plant.
+        logs: the logs, their inputs as late as they act.
+        asked: ranges by address.
+        x0, threads: as of `fit`.
+
+    Raises:
+        InputError: or a subclass.
+    """
+    known = find_numbers(scenario, model)
+    sizes = _measure_sizes(scenario, model, logs)
+    numbers: dict[str, FreeNumber] = {}
+    for address, given in asked.items():
+        for name in expand_address(address, known):
+            if name in numbers:
+                raise InputError(f"free: {name} is named twice. Keep one address that names it")
+            claimed = claimed_range(scenario, name)
+            value = known[name].value
+            assert value is not None
+            numbers[name] = build_free_number(name, value, given, sizes, claimed)
+    readings = sum(int(np.isfinite(log.y).sum()) for log in logs)
+    if readings < FEWEST * len(numbers):
+        raise InputError(
+            f"logs: {readings} readings for {len(numbers)} numbers, fewer than {FEWEST} for each"
+        )
+    start = plants.initial_state(scenario.plant, model)
+    reach = _reach_of_start(scenario, model, logs, numbers)
+    spread = np.full(model.n, KNOWN)
+    initial: list[list[FreeNumber]] = [[] for _ in logs]
+    if x0 == "free" and model.nonlinear:
+        for k in range(len(logs)):
+            whose = f" of log {k + 1}" if len(logs) > 1 else ""
+            for i, (value, size) in enumerate(zip(start, reach, strict=True)):
+                name = f"x0[{i}]{whose}"
+                initial[k].append(free_within(name, value - size, value + size, value))
+    elif x0 == "free":
+        spread = 3 * reach
+    return build_problem(scenario, logs, list(numbers.values()), spread, initial, threads)
+
+
+def _measure_sizes(scenario: Scenario, model: System, logs: Sequence[Log]) -> Sizes:
+    """Return the sizes from which default ranges follow, z from a run without noise."""
+    y = max(float(np.nanmax(np.abs(log.y), initial=0.0)) for log in logs)
+    zone = resolve_zone(scenario)
+    largest = y + float(max(zone.right.max(), zone.left.max()))
+    x = ca.SX.sym("x", model.n)
+    u = ca.SX.sym("u", model.m)
+    move = ca.Function("move", [x, u], [model.move(ca_numbers(model), x, u)])
+    read = ca.Function("read", [x], [model.read(ca_numbers(model), x)])
+    start = plants.initial_state(scenario.plant, model)
+    for log in logs:
+        inputs = log.u
+        if scenario.actuator is not None:
+            inputs = through_zone(np, inputs, resolve_actuator(scenario.actuator, model.m))
+        states = move.mapaccum(len(inputs))(start, inputs.T)
+        z = np.abs(read.map(len(inputs))(states).full())
+        if np.isfinite(z).all():
+            largest = max(largest, min(float(z.max()), 10 * max(y, largest)))
+    rms = [float(np.sqrt(np.nanmean(np.concatenate([getattr(log, name) for log in logs]) ** 2))) for name in "yu"]
+    return Sizes(largest or 1.0, rms[0] or 1.0, rms[1] or 1.0)
+
+
+def ca_numbers(model: System) -> Any:
+    """Return the numbers of a sampled plant, as its functions take them."""
+    return ca.SX(model.params) if model.nonlinear else model.params
+
+
+def _reach_of_start(
+    scenario: Scenario, model: System, logs: Sequence[Log], numbers: Mapping[str, FreeNumber]
+) -> Floats:
+    """Return the distance of x(0) from the scenario's that the first readings allow (n)."""
+    zone = resolve_zone(scenario)
+    widths = [*zone.right, *zone.left] if zone.kind != "gears" else [0.0]
+    widths += [each.high for each in numbers.values() if stem(each.name) in WIDTHS[:2]]
+    first = max(float(np.nanmax(np.abs(log.y[:FIRST]), initial=0.0)) for log in logs)
+    least = 0.1 * max(float(np.nanmax(np.abs(log.y), initial=0.0)) for log in logs)
+    size = max(first + max(widths), least)
+    return size * state_units(model.continuous, scenario.simulation.step)
+
+
+def build_answer(
+    problem: FitProblem,
+    ends: Ends,
+    delay: int,
+    besides: Sequence[str],
+    tick: Callable[[int], None],
+) -> Fitted:
+    """Return the answer at the best end of the searches. Raises InputError if all diverged."""
+    point, value = ends.points[0], float(ends.values[0])
+    if value < LOST * len(problem.readings) / 2:
+        raise InputError(
+            "log: the scenario diverges along it from every start. Give narrower ranges, or another "
+            "start"
+        )
+    intervals = estimate_intervals(problem, point, value)
+    tick(1)
+    values = problem.decode(point[None])[0]
+    scores = score_readings(problem, point)
+    numbers = []
+    for i, number in enumerate(problem.free):
+        low, high = float(intervals.low[i]), float(intervals.high[i])
+        narrow = bool(intervals.shown[i])
+        note = _note_number(problem, intervals, values, i)
+        numbers.append(
+            FittedNumber(
+                number.name, float(values[i]), low, high, number.low, number.high, number.start,
+                narrow, note,
+            )
+        )
+    prediction = problem.record(point[None]).prediction[0]
+    t = np.concatenate([log.t for log in problem.logs])
+    return Fitted(
+        scenario=_write_numbers(problem, values, delay),
+        numbers=tuple(numbers),
+        correlations=intervals.correlations,
+        directions=intervals.directions,
+        log_likelihood=value,
+        checks=check_scores(problem, point, scores),
+        others=_find_other_answers(problem, ends, intervals),
+        besides=tuple(besides),
+        delay=delay,
+        signals=FittedSignals(t, problem.readings, prediction, scores),
+    )
+
+
+def _note_number(problem: FitProblem, found: Intervals, values: Floats, i: int) -> str:
+    """Return what limits the knowledge of a number, empty if nothing does."""
+    number = problem.free[i]
+    low, high = float(found.low[i]), float(found.high[i])
+    edges = {"sensor.right": (1, "right", "d_r"), "sensor.left": (-1, "left", "d_l")}
+    side, edge, letter = edges.get(stem(number.name), (0, "", ""))
+    if side and not (problem.all_sides == side).any():
+        return f"no reading passed the {edge} edge: only {letter} > {low:.4g} follows"
+    span = number.high - number.low
+    if found.shown[i] and values[i] <= number.low + 1e-6 * span:
+        return f"at the end of its range: at most {high:.4g}"
+    if found.shown[i] and values[i] >= number.high - 1e-6 * span:
+        return f"at the end of its range: at least {low:.4g}"
+    if found.shown[i]:
+        return ""
+    words = f"the log cannot tell it: any value from {low:.4g} to {high:.4g} does"
+    row = np.abs(found.correlations[i]) * (np.arange(len(values)) != i)
+    other = int(np.argmax(row))
+    if row[other] > LINKED:
+        both = number.log and problem.free[other].log
+        opposite = found.correlations[i, other] < 0
+        kind = ("ratio", "product")[opposite] if both else ("difference", "sum")[opposite]
+        words += f"; only the {kind} with {problem.free[other].name} is known"
+    return words
+
+
+def _find_other_answers(
+    problem: FitProblem, ends: Ends, found: Intervals
+) -> tuple[dict[str, float], ...]:
+    """Return further ends that fit as well and are more than deviations away, by name."""
+    others: list[dict[str, float]] = []
+    far = [ends.points[0]]
+    scale = np.maximum(found.std, 1e-3 * (problem.high - problem.low))
+    for point, value in zip(ends.points[1:], ends.values[1:], strict=True):
+        distances = [np.abs((point - each) / scale).max() for each in far]
+        if value > ends.values[0] - ALIKE and min(distances) > APART:
+            far.append(point)
+            names = [each.name for each in problem.free]
+            others.append(dict(zip(names, problem.decode(point[None])[0].tolist(), strict=True)))
+    return tuple(others)
+
+
+def _write_numbers(problem: FitProblem, values: Floats, delay: int) -> Scenario:
+    """Return the scenario with fitted numbers, x(0) too if there is one log."""
+    scenario = problem.scenario
+    start = plants.initial_state(scenario.plant, problem.model).tolist()
+    fitted = []
+    for number, value in zip(problem.free, values.tolist(), strict=True):
+        if number.name.startswith("x0["):
+            fitted.append(value)
+        else:
+            scenario = with_value(scenario, number.name, value)
+    if len(fitted) == len(start):
+        scenario = with_value(scenario, "plant.x0", fitted)
+    return with_value(scenario, DELAY, delay) if delay != scenario.plant.delay else scenario
