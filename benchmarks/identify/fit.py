@@ -221,7 +221,11 @@ def draw_tanks(rng: Generator) -> Case:
     pumped = cut(u, start, 0.0) + colour(rng, 3000, 1.0, 0.1, 20.0)
     z = move(change, np.full(2, 0.1), pumped, 1.0, 4)[:, 1]
     y = cut(z, right, 9.0) + 0.004 * rng.standard_normal(3000)
-    free: dict[str, Any] = {"plant.k": (0.005, 0.2), "plant.c1": (0.01, 0.4), "plant.c2": (0.01, 0.4)}
+    free: dict[str, Any] = {
+        "plant.k": (0.005, 0.2),
+        "plant.c1": (0.01, 0.4),
+        "plant.c2": (0.01, 0.4),
+    }
     free |= {"actuator.right": (0.0, 3.0), "sensor.right": (0.0, 0.6)}
     text = TANKS + REST.format(step=1.0, rms=0.1, lasting=20.0)
     return Case(text, free, np.array([k, c1, c2, start, right]), [{"u": u, "y": y}])
@@ -239,7 +243,9 @@ def draw_motor(rng: Generator) -> Case:
     free |= {"disturbance.rms": (0.3, 0.005, 3.0)}
     truth = np.array([-pole, gain, right, left, 0.3, 0.1])
     y = z + 0.3 * rng.standard_normal(3000)
-    return Case(MOTOR + REST.format(step=0.01, rms=0.1, lasting=0.1), free, truth, [{"u": u, "y": y}])
+    return Case(
+        MOTOR + REST.format(step=0.01, rms=0.1, lasting=0.1), free, truth, [{"u": u, "y": y}]
+    )
 
 
 CASES: dict[str, tuple[Callable[[Generator], Case], str]] = {

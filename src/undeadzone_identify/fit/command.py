@@ -24,9 +24,7 @@ from undeadzone.util.progress import terminal_progress as progress
 @click.command(
     epilog="Example: undeadzone fit pendulum.toml log.csv --free plant.mass,sensor.right=0..0.5"
 )
-@value_option(
-    "--free", "ADDRESS[=LO..HI],...", "Numbers to fit, with their ranges.", required=True
-)
+@value_option("--free", "ADDRESS[=LO..HI],...", "Numbers to fit, with their ranges.", required=True)
 @value_option(
     "--x0",
     None,

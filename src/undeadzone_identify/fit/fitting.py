@@ -44,7 +44,7 @@ from undeadzone_identify.fit.free import (
     find_numbers,
     free_within,
 )
-from undeadzone_identify.fit.intervals import Intervals, estimate_intervals
+from undeadzone_identify.fit.intervals import LINKED, Intervals, estimate_intervals
 from undeadzone_identify.fit.problem import (
     KNOWN,
     LOST,
@@ -62,7 +62,6 @@ FEWEST: Final = 20  # readings for each number
 LATEST: Final = 1000  # samples of a delay
 ALIKE: Final = 2.0  # nats, within which another answer fits as well
 APART: Final = 3.0  # deviations, from which it is another answer
-LINKED: Final = 0.98  # correlation from which two numbers are known together alone
 MOST: Final = 20_000_000  # samples of a log
 
 Free = Mapping[str, Any] | Sequence[str] | str
@@ -134,7 +133,9 @@ def fit(
         best: tuple[FitProblem, Ends, int] | None = None
         for delay in delays:
             moved = [_delay_log(log, delay) for log in read]
-            problem = prepare_fit(scenario, model, moved, asked | dict.fromkeys(besides), x0, threads)
+            problem = prepare_fit(
+                scenario, model, moved, asked | dict.fromkeys(besides), x0, threads
+            )
             ends = search_maximum(problem, seed, advance, _Stages(answers, delay))
             if best is None or ends.values[0] > best[1].values[0]:
                 best = problem, ends, delay
@@ -327,7 +328,10 @@ def _measure_sizes(scenario: Scenario, model: System, logs: Sequence[Log]) -> Si
         z = np.abs(read.map(len(inputs))(states).full())
         if np.isfinite(z).all():
             largest = max(largest, min(float(z.max()), 10 * max(y, largest)))
-    rms = [float(np.sqrt(np.nanmean(np.concatenate([getattr(log, name) for log in logs]) ** 2))) for name in "yu"]
+    rms = [
+        float(np.sqrt(np.nanmean(np.concatenate([getattr(log, name) for log in logs]) ** 2)))
+        for name in "yu"
+    ]
     return Sizes(largest or 1.0, rms[0] or 1.0, rms[1] or 1.0)
 
 
@@ -374,8 +378,15 @@ def build_answer(
         note = _note_number(problem, intervals, values, i)
         numbers.append(
             FittedNumber(
-                number.name, float(values[i]), low, high, number.low, number.high, number.start,
-                narrow, note,
+                number.name,
+                float(values[i]),
+                low,
+                high,
+                number.low,
+                number.high,
+                number.start,
+                narrow,
+                note,
             )
         )
     prediction = problem.record(point[None]).prediction[0]
@@ -415,7 +426,7 @@ def _note_number(problem: FitProblem, found: Intervals, values: Floats, i: int) 
     if row[other] > LINKED:
         both = number.log and problem.free[other].log
         opposite = found.correlations[i, other] < 0
-        kind = ("ratio", "product")[opposite] if both else ("difference", "sum")[opposite]
+        kind = ("ratio", "product")[int(opposite)] if both else ("difference", "sum")[int(opposite)]
         words += f"; only the {kind} with {problem.free[other].name} is known"
     return words
 

@@ -86,7 +86,8 @@ def free_within(
 def find_numbers(scenario: Scenario, system: System) -> dict[str, Number]:
     """Return every number of a scenario that may be fitted, by address."""
     known = find_option_numbers(scenario, TABLES)
-    for name, value in zip(system.names, np.ravel(system.params), strict=False):
+    values = system.params if system.names else ()
+    for name, value in zip(system.names, values, strict=True):
         known.setdefault(f"{PARAMETERS}{name}", Number(float(value), False))
     return {name: number for name, number in known.items() if stem(name) not in FIXED}
 

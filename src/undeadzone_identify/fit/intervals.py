@@ -3,7 +3,7 @@
 The deviation of a number is the larger one of two: that of the information, and that of the scores
 summed over blocks of readings. The latter includes the error of the filter's approximation in
 silence, which lasts for many readings. A number at an end of its range, or one that the logs hardly
-determine, has the interval in which the likelihood is within 1.92 of its maximum.
+determine, has the interval in which the likelihood is within 1.92 of its maximum while the others stay.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ SHORTEST: Final = 5  # readings of a block
 DROP: Final = HALF_95**2 / 2  # of the log likelihood at the ends of an interval
 WIDE: Final = 0.5  # share of its range from which an interval shows nothing
 POINTS: Final = 41  # of a scan of a range
+LINKED: Final = 0.98  # correlation from which two numbers are known together alone
 LEAST: Final = 1e-10  # eigenvalue of an information, over that of 1, that counts
 
 
@@ -73,13 +74,14 @@ def estimate_intervals(problem: FitProblem, point: Floats, value: float) -> Inte
     std = np.sqrt(variance)
     ends = np.stack([point - HALF_95 * std, point + HALF_95 * std])
     ends = np.clip(ends, low, high)
-    for i in np.flatnonzero(at_end | (ends[1] - ends[0] > WIDE * span)):
+    scale = np.sqrt(np.maximum(np.diag(cov), 1e-300))
+    correlations = cov / np.outer(scale, scale)
+    linked = np.abs(correlations - np.diag(np.diag(correlations))).max(axis=0) > LINKED
+    for i in np.flatnonzero(at_end | ((ends[1] - ends[0] > WIDE * span) & ~linked)):
         ends[:, i] = _scan_range(problem, point, value, i)
     values = problem.decode(ends)
     ranges = problem.decode(np.stack([low, high]))
     narrow = np.diff(values, axis=0)[0] < WIDE * np.diff(ranges, axis=0)[0]
-    scale = np.sqrt(np.maximum(np.diag(cov), 1e-300))
-    correlations = cov / np.outer(scale, scale)
     _, directions = np.linalg.eigh(-correlations)
     return Intervals(*values, std, correlations, directions, narrow)
 

@@ -49,7 +49,9 @@ def build_fit_page(
     rows = [(name, chance) for name, chance in result.checks.items()]
     bound = FLAGGED / len(rows)
     words = f"A test below {bound:.2g} contradicts the scenario. {result.verdict}"
-    notes = [html.build_paragraph(f"Another answer fits as well: {each}.") for each in result.others]
+    notes = [
+        html.build_paragraph(f"Another answer fits as well: {each}.") for each in result.others
+    ]
     return html.build_page(
         f"Fitted: {result.scenario.title}",
         html.verdict_line(html.choose_verdict(result.consistent, agrees, contradicted)),
@@ -89,7 +91,7 @@ def plot_fit(result: Fitted) -> Figure:
     axes.plot(every, result.signals.scores[every], ".", markersize=2, color=ink.READING)
     for side in (-1.96, 1.96):
         axes.axhline(side, color=ink.ZONE)
-    finish_panel(axes, "Normal scores of the readings", "", x_label="sample")
+    finish_panel(axes, "Normal scores of the readings", "", legend=0, x_label="sample")
     _draw_directions(panels["directions"], result)
     return figure
 

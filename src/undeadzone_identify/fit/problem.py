@@ -268,7 +268,8 @@ def build_problem(
         AB = np.hstack([like.plant.A, like.plant.B])
         sampled.append(ResampledPlant(0, AB, scenario.simulation.step))
     params = tree.pack_tree(like)
-    computed = range(tree.count_numbers(like.plant)) if built else range(0)
+    varies = bool(built) or not model.nonlinear  # a linear plant is sampled by the lanes alone
+    computed = range(tree.count_numbers(like.plant) if varies else 0)
     place = len(free)
     bound = []
     every = list(free)
@@ -356,7 +357,9 @@ def _find_number_slots(
         moved = np.flatnonzero(packed != before)
         is_direct = moved.size and (packed[moved] == other).all()
         if not is_direct and (not moved.size or moved.max() >= size):
-            raise InputError(f"free: {number.name} cannot be fitted here: no reading depends on it alone")
+            raise InputError(
+                f"free: {number.name} cannot be fitted here: no reading depends on it alone"
+            )
         slots.append(tuple((slot, 1.0) for slot in moved.tolist()) if is_direct else ())
         built += [] if is_direct else [i]
     return slots, tuple(built)

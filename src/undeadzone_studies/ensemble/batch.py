@@ -75,7 +75,9 @@ class Batch(NamedTuple):
             values: of what varies (runs x columns)
             threads: default one per processor
         """
-        return np.hstack([values, self.measure_lanes(runs, self.binding.numbers.to_lanes(values), threads)])
+        return np.hstack(
+            [values, self.measure_lanes(runs, self.binding.numbers.to_lanes(values), threads)]
+        )
 
     def measure_lanes(self, runs: Integers, own: Lanes, threads: int | None = None) -> Floats:
         """Return the metrics of lanes (lanes x metrics).

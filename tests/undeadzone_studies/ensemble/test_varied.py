@@ -194,7 +194,9 @@ def test_a_run_is_that_of_the_scenario_with_the_number_written_in(
     )
     assert np.isfinite(expected).all()
     np.testing.assert_allclose(varied, expected, rtol=1e-11, atol=1e-11)
-    nominal, _ = interpret.run_interpreted(loop.step, binding.numbers.state, exogenous, binding.params)
+    nominal, _ = interpret.run_interpreted(
+        loop.step, binding.numbers.state, exogenous, binding.params
+    )
     assert not np.allclose(varied, nominal, rtol=1e-6, atol=1e-6)
 
 
@@ -304,7 +306,9 @@ def test_factors_leave_entries_that_are_zero_alone() -> None:
         f"plant.A[{index}] (relative)" for index in ("1,0", "0,1", "1,1")
     ]
     values = binding.draw_columns(0, 4, 4)
-    np.testing.assert_array_equal(binding.numbers.to_lanes(values).params, values * [-1.0, 1.0, -2.0])
+    np.testing.assert_array_equal(
+        binding.numbers.to_lanes(values).params, values * [-1.0, 1.0, -2.0]
+    )
 
 
 @pytest.mark.parametrize(

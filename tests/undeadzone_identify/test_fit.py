@@ -1,0 +1,309 @@
+"""Numbers of a scenario from logs: likelihood, addresses, search, intervals, command."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import undeadzone as uz
+from undeadzone.cli import group
+from undeadzone.scenario.reader import parse
+from undeadzone.util.arrays import Floats
+from undeadzone_identify.fit.fitting import complete_tables, prepare_fit, read_logs
+from undeadzone_identify.fit.problem import FitProblem, build_model
+from undeadzone_identify.fit.search import measure_slopes
+
+STEP = 0.02
+TEXT = """
+[plant]
+A = [[0.0, 1.0], [-9.0, -1.5]]
+B = [[0.0], [9.0]]
+C = [[1.0, 0.0]]
+[sensor]
+right = 0.3
+left = 0.2
+noise = 0.01
+[actuator]
+right = 0.1
+left = 0.0
+[disturbance]
+kind = "random"
+rms = 0.02
+correlation_time = 0.2
+[reference]
+kind = "sine"
+amplitude = 0.0
+frequency = 1.0
+[observer]
+method = "extended"
+right = [0.0, 1.0]
+[simulation]
+time = "sampled"
+step = 0.02
+"""
+FORMULAS = TEXT.replace(
+    TEXT[TEXT.index("A =") : TEXT.index("[sensor]")],
+    """
+states = ["q", "v"]
+f = ["v", "-k * q - b * v + g * u"]
+h = ["q"]
+parameters = { k = 9.0, b = 1.5, g = 9.0 }
+""",
+)
+ARM = """
+[plant.arm]
+kind = "one_link"
+[plant.arm.gears]
+half = [0.01]
+inertia = [0.02]
+contact = 300.0
+measured = "motor"
+"""
+GEARED = TEXT.replace(TEXT[TEXT.index("[plant]") : TEXT.index("[sensor]")], ARM).replace(
+    "right = 0.3\nleft = 0.2", "right = 0.0\nleft = 0.0"
+)
+
+
+def make_log(
+    seed: int = 0, count: int = 1000, right: float = 0.3, left: float = 0.2, start: float = 0.1
+) -> dict[str, Floats]:
+    """Simulate TEXT with NumPy alone."""
+    rng = np.random.default_rng(seed)
+    model = build_model(parse(TEXT))
+    t = STEP * np.arange(count)
+    u = sum(np.sin(2 * np.pi * f * t + rng.uniform(0, 6)) for f in (0.11, 0.37, 0.9))
+    x, w, z = np.zeros(2), 0.0, np.empty(count)
+    memory = np.exp(-STEP / 0.2)
+    for k in range(count):
+        z[k] = x[0]
+        pushed = max(u[k] - start, 0) + min(u[k], 0)
+        x = model.params.A @ x + model.params.B[:, 0] * (pushed + w)
+        w = memory * w + 0.02 * np.sqrt(1 - memory**2) * rng.standard_normal()
+    y = np.maximum(z - right, 0) + np.minimum(z + left, 0) + 0.01 * rng.standard_normal(count)
+    return {"t": t, "u": u, "y": y}
+
+
+def pose(text: str, free: dict[str, Any], log: Any = None, x0: Any = "free") -> FitProblem:
+    scenario, besides = complete_tables(parse(text), free)
+    model = build_model(scenario)
+    logs = read_logs(scenario, model, make_log() if log is None else log, None, False)
+    return prepare_fit(scenario, model, logs, free | dict.fromkeys(besides), x0, 1)
+
+
+def encode(problem: FitProblem, value: float) -> Floats:
+    return np.array([[each.encode(value) for each in problem.free]])
+
+
+def exact_likelihood(text: str, log: dict[str, Floats], spread: Floats) -> float:
+    """The Kalman filter of [x; disturbance], in matrices."""
+    model = build_model(parse(text))
+    A, B, C = model.params
+    memory = np.exp(-STEP / 0.2)
+    F = np.block([[A, B], [np.zeros((1, 2)), np.array([[memory]])]])
+    H = np.hstack([C, [[0.0]]])
+    P = np.diag([*spread**2, 0.02**2])
+    m, total = np.zeros(3), 0.0
+    for y, u in zip(log["y"], log["u"], strict=True):
+        S = (H @ P @ H.T)[0, 0] + 0.01**2
+        e = y - (H @ m)[0]
+        total -= 0.5 * (np.log(2 * np.pi * S) + e * e / S)
+        K = P @ H[0] / S
+        m, P = m + K * e, P - np.outer(K, H[0]) @ P
+        m = F @ m + np.array([*B[:, 0], 0.0]) * u
+        P = F @ P @ F.T + np.diag([0.0, 0.0, 0.02**2 * (1 - memory**2)])
+    return total
+
+
+def test_without_a_zone_the_likelihood_is_that_of_the_kalman_filter() -> None:
+    text = TEXT.replace("right = 0.3\nleft = 0.2", "right = 0.0\nleft = 0.0")
+    text = text.replace("right = 0.1\nleft = 0.0", "right = 0.0\nleft = 0.0")
+    log = make_log(right=0.0, left=0.0, start=0.0)
+    problem = pose(text, {"plant.A[1,0]": None}, log)
+    assert problem.kind == "plain"
+    expected = exact_likelihood(text, log, problem.spread)
+    assert problem.evaluate(problem.start[None])[0] == pytest.approx(expected, rel=1e-8)
+
+
+def test_derivatives_are_those_of_casadi() -> None:
+    text = FORMULAS.replace("right = 0.3\nleft = 0.2", "right = 0.0\nleft = 0.0")
+    problem = pose(text, {"plant.b": None, "sensor.noise": None}, x0="known")
+    slope = measure_slopes(problem, problem.start[None], np.full((1, 2), 1e-6))[0]
+    step = build_step_of(problem)
+    states, params = problem.to_lanes(problem.start[None], (0.0, 0.0), 0)
+    symbol = ca.SX.sym("q", params.shape[1])
+    s = ca.SX.sym("s", states.shape[1])
+    w = ca.SX.sym("w", 3)
+    following, recorded = step(s, w, symbol)
+    one = ca.Function("one", [s, w, symbol], [following, recorded[0]])
+    (log,) = problem.logs
+    rows = np.hstack([log.y, log.u, problem.sides[0]])[:200].T
+    _, densities = one.mapaccum(200)(states[0], rows, ca.repmat(symbol, 1, 200))
+    gradient = ca.Function("g", [symbol], [ca.gradient(ca.sum2(densities), symbol)])(params[0])
+    expected = []
+    for name, value in (("plant[1]", 1.5), ("after[0]", 0.01)):
+        expected.append(float(gradient[problem.names.index(name)]) * value)
+    assert slope.scores[:, :200].sum(axis=1) == pytest.approx(expected, rel=1e-3)
+
+
+def build_step_of(problem: FitProblem) -> ca.Function:
+    from undeadzone_identify.fit.likelihood import build_step
+    from undeadzone_identify.fit.problem import pack_scenario
+
+    like = pack_scenario(problem.scenario, problem.model, problem.zone)
+    return build_step(problem.model, problem.kind, like)
+
+
+@pytest.mark.parametrize(
+    ("text", "address", "packed"),
+    [
+        (TEXT, "plant.A[1,1]", ["plant.A[1,1]"]),
+        (TEXT, "sensor.right", ["right[0]"]),
+        (TEXT, "actuator.left", ["drive.left[0]"]),
+        (TEXT, "disturbance.rms", ["rms[0]"]),
+        (TEXT, "disturbance.correlation_time", ["correlation_time[0]"]),
+        (TEXT, "sensor.noise", ["after[0]"]),
+        (FORMULAS, "plant.k", ["plant[0]"]),
+        (GEARED, "plant.arm.gears.half[0]", None),
+        (GEARED, "plant.parameters.m", None),
+    ],
+)
+def test_an_address_of_each_class_moves_its_number(
+    text: str, address: str, packed: list[str] | None
+) -> None:
+    problem = pose(text, {address: (0.011, 0.5)}, x0="known")
+    _, params = problem.to_lanes(encode(problem, 0.25), (0.0, 0.0), 0)
+    found = [problem.names[slot] for slot, _ in problem.bound[0].slots[0]]
+    assert found == packed or (packed is None and found[0].startswith("plant["))
+    if text == TEXT and address.startswith("plant"):
+        return
+    assert params[0, problem.names.index(found[0])] == pytest.approx(0.25)
+
+
+def test_a_plant_is_built_anew_where_an_address_is_no_entry() -> None:
+    table = "transfer_function = { numerator = [9.0], denominator = [2.0, 3.0, 18.0] }\n"
+    text = TEXT.replace(TEXT[TEXT.index("A =") : TEXT.index("[sensor]")], table)
+    problem = pose(text, {"plant.transfer_function.denominator[0]": (1.0, 4.0)})
+    assert problem.built == (0,)
+    _, params = problem.to_lanes(encode(problem, 1.0), (0.0, 0.0), 0)
+    other = build_model(parse(text.replace("[2.0, 3.0", "[1.0, 3.0")))
+    assert params[0, :4].reshape(2, 2).T == pytest.approx(other.params.A, abs=1e-12)
+
+
+def test_the_truth_is_found_and_is_consistent() -> None:
+    free = {"plant.A[1,:]": None, "sensor.right": None, "sensor.left": (0.0, 1.0)}
+    found = uz.fit(parse(TEXT), [make_log(3), make_log(4)], free, threads=1)
+    truth = {"plant.A[1,0]": -9.0, "plant.A[1,1]": -1.5, "sensor.right": 0.3, "sensor.left": 0.2}
+    for name, value in truth.items():
+        low, high = found.interval(name)
+        assert low < value < high
+        assert found.values[name] == pytest.approx(value, rel=0.1)
+    assert found.consistent
+    assert found.scenario.sensor.right == found.values["sensor.right"]
+    again = uz.fit(parse(TEXT), [make_log(3), make_log(4)], free, threads=2)
+    assert again.values == found.values
+
+
+def test_a_wrong_model_is_contradicted() -> None:
+    text = TEXT.replace("right = 0.1", "right = 0.6")
+    found = uz.fit(parse(text), make_log(), {"sensor.right": (0.0, 1.0)}, threads=1)
+    assert not found.consistent
+    assert "contradicts" in found.verdict
+
+
+def test_silence_alone_bounds_a_width_from_below() -> None:
+    log = make_log() | {"y": np.zeros(1000)}
+    text = TEXT.replace("left = 0.2", "left = 6.0")
+    found = uz.fit(parse(text), log, {"sensor.right": (0.0, 6.0)}, threads=1)
+    assert "no reading passed the right edge: only d_r > " in found.numbers[0].note
+    low, high = found.interval("sensor.right")
+    assert low > 0.5
+    assert high == 6.0
+
+
+def test_a_number_that_no_reading_shows_is_said() -> None:
+    text = FORMULAS.replace("+ g * u", "+ g * s * u").replace("g = 9.0", "g = 3.0, s = 3.0")
+    found = uz.fit(parse(text), make_log(), "plant.g,plant.s,sensor.right=0..1", threads=1)
+    notes = {each.name: each.note for each in found.numbers}
+    assert "the log cannot tell it" in notes["plant.parameters.g"]
+    assert "only the product with plant.parameters.s is known" in notes["plant.parameters.g"]
+
+
+def test_a_delay_is_found() -> None:
+    log = make_log()
+    late = log | {"u": np.roll(log["u"], -2)}
+    found = uz.fit(parse(TEXT), late, "sensor.right=0..1,plant.delay=0..3", threads=1)
+    assert found.delay == found.scenario.plant.delay == 2
+
+
+def test_several_kinds_of_silence_of_a_scenario_are_free_by_themselves() -> None:
+    text = TEXT.replace("noise = 0.01\n", "")
+    text = text[: text.index("[disturbance]")] + text[text.index("[reference]") :]
+    found = uz.fit(parse(text), make_log(), "sensor.right=0..1", threads=1)
+    assert found.besides == ("disturbance.rms", "sensor.noise")
+    assert found.values["sensor.noise"] == pytest.approx(0.01, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("free", "message"),
+    [
+        ("plant.mas", "is not a number of the scenario"),
+        ("plant.A[7,7]", r"There is plant.A\[0,0\]"),
+        ("plant.A[0,0]", "is 0 in the scenario"),
+        ("sensor.right=1..0", "expected a range lo..hi"),
+        ("sensor.right=1", "expected ADDRESS or ADDRESS=lo..hi"),
+        ("sensor.right,sensor.right[0]", "is not a number"),
+        ("simulation.step", "is not a number of the scenario"),
+        ("", "nothing to fit"),
+        ("plant.delay=0..5", "name another number"),
+    ],
+)
+def test_errors_name_the_address(free: str, message: str) -> None:
+    with pytest.raises(uz.InputError, match=message):
+        uz.fit(parse(TEXT), make_log(), free)
+
+
+def test_too_few_readings_are_refused() -> None:
+    with pytest.raises(uz.InputError, match="fewer than 20"):
+        uz.fit(parse(TEXT), make_log(count=30), {"plant.A[1,:]": None})
+
+
+def write_problem(folder: Path) -> tuple[str, str]:
+    """Write scenario and log as files."""
+    log = make_log()
+    table = np.column_stack([log["t"], log["u"], log["y"]])
+    np.savetxt(folder / "log.csv", table, delimiter=",", header="t,u,y", comments="")
+    (folder / "mine.toml").write_text(TEXT)
+    return str(folder / "mine.toml"), str(folder / "log.csv")
+
+
+def test_the_command_writes_scenario_and_page(tmp_path: Path) -> None:
+    files = write_problem(tmp_path)
+    out = tmp_path / "out"
+    words = ["fit", *files, "--free", "sensor.right=0..1", "--json", "--out", str(out)]
+    done = CliRunner().invoke(group, words)
+    assert done.exit_code == 0, done.output
+    result = json.loads(done.stdout)
+    assert done.exit_code == 0
+    assert uz.read(out / "fitted.toml").sensor.right == result["numbers"][0]["value"]
+    assert "Least known" in (out / "report.html").read_text() or (out / "fit.svg").exists()
+
+
+def test_a_stopped_search_goes_on(tmp_path: Path) -> None:
+    keep = tmp_path / "fitted.toml.partial"
+    stages = []
+
+    def stop(done: int) -> None:
+        stages.append(done)
+        if len(stages) > 12:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        uz.fit(parse(TEXT), make_log(), "sensor.right", keep=keep, progress=stop)
+    found = uz.fit(parse(TEXT), make_log(), "sensor.right", keep=keep, resume=True, threads=1)
+    assert found.values == uz.fit(parse(TEXT), make_log(), "sensor.right", threads=1).values
