@@ -9,7 +9,6 @@ left of z is matched in mean and variance.
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -22,7 +21,7 @@ from undeadzone.numerics.gaussian import (
     linearise,
     normal_cdf,
     normal_density,
-    predict_first_order,
+    propagate_covariance,
     to_upper_entries,
 )
 from undeadzone.plants.system import System
@@ -30,6 +29,8 @@ from undeadzone.util import tree
 
 WRONG = 1e-9  # share of readings that mean nothing
 LEAST_AFTER = 0.02  # noise after the zone, at least, in noise ahead of it
+OPEN = 8.0  # a cut that cuts nothing
+OPENING = 1.4  # by which fresh variance opens a cut, over the old variance
 LEAST = 1e-290  # chance of a piece, at least
 STEEPEST = 40.0  # deviations by which a cut moves a mean, at most
 RECORDED = 3  # numbers of a reading: log of its density, its prediction, log of the deviation
@@ -114,7 +115,7 @@ def weigh_piece(y: Any, z: Any, variance: Any, noise: Any, piece: Piece) -> Shar
 
     Args:
         y: reading.
-        z, variance: mean and variance of z before it.
+        z, variance: mean and variance of z before it, ahead of any cut.
         noise: variance of the noise behind the zone.
         piece: the piece.
     """
@@ -125,16 +126,31 @@ def weigh_piece(y: Any, z: Any, variance: Any, noise: Any, piece: Piece) -> Shar
     chance, slope, bend = 1.0, 0.0, 0.0
     for end, sign in ((piece.low, -1.0), (piece.high, 1.0)):
         if end is not None:
-            alpha = sign * (end - middle) / std
+            alpha = ca.fmin(ca.fmax(sign * (end - middle) / std, -1e6), 1e6)
             chance -= normal_cdf(-alpha)
             slope -= sign * normal_density(alpha)
-            bend -= ca.fmin(ca.fmax(alpha, -1e6), 1e6) * normal_density(alpha)
+            bend -= alpha * normal_density(alpha)
     chance = ca.fmax(chance, LEAST)
     shift = ca.fmax(ca.fmin(slope / chance, STEEPEST), -STEEPEST)
     spread = ca.fmin(ca.fmax(1.0 + bend / chance - shift**2, 1e-9), 1.0)
     mean = middle + shift * std
     density = normal_density(e / ca.sqrt(S)) / ca.sqrt(S)
     return Share(chance * density, mean, mean**2 + spread * std**2)
+
+
+def uncut(z: Any, variance: Any, cuts: Any) -> tuple[Any, Any]:
+    """Return mean and variance of the normal distribution of which z has what two cuts leave.
+
+    Args:
+        z, variance: mean and variance that are left.
+        cuts: distances of the ends from the mean of the whole, right and left, in its deviations.
+    """
+    for cut, sign in ((cuts[0], 1.0), (cuts[1], -1.0)):
+        hazard = normal_density(cut) / ca.fmax(normal_cdf(cut), 1e-3)
+        left = ca.fmax(1.0 - hazard * (hazard + cut), 0.05)
+        variance = variance / left
+        z = z + sign * ca.sqrt(variance) * hazard
+    return z, variance
 
 
 def build_step(model: System, kind: str, like: FilterNumbers) -> ca.Function:
@@ -151,14 +167,18 @@ def build_step(model: System, kind: str, like: FilterNumbers) -> ca.Function:
     n, m, p = model.n, model.m, model.p
     entries = ca.Sparsity.upper(n + m)
     column, q = tree.create_symbols(like, "q")
-    s = ca.SX.sym("s", n + m + entries.nnz())
+    size = n + m + entries.nnz()
+    s = ca.SX.sym("s", size + 2 * p)
     w = ca.SX.sym("w", p + m + p)
     y, u, side = ca.vertsplit(w, [0, p, p + m, p + m + p])
-    belief = Gaussian(s[: n + m], from_upper_entries(s[n + m :], entries))
+    belief = Gaussian(s[: n + m], from_upper_entries(s[n + m : size], entries))
     outputs = []
+    cuts = []
     for i in range(p):
-        belief, recorded = _use_reading(model, kind, q, belief, y[i], side[i], i)
+        before = s[size + 2 * i], s[size + 2 * i + 1]
+        belief, after, recorded = _use_reading(model, kind, q, belief, before, y[i], side[i], i)
         outputs += recorded
+        cuts.append(after)
     if q.drive is not None:
         u = through_zone(ca, within_limits(ca, u, q.drive), q.drive)
     memory = ca.exp(-model.Ts / q.correlation_time)
@@ -170,15 +190,26 @@ def build_step(model: System, kind: str, like: FilterNumbers) -> ca.Function:
         return ca.vertcat(moved, (memory - 1.0) * X[n:])
 
     Q = ca.diag(ca.vertcat(ca.SX.zeros(n), rms**2 * (1.0 - memory**2)))
-    after = predict_first_order(belief, change, Q)
-    following = ca.vertcat(after.mean, to_upper_entries(after.cov, entries))
-    return ca.Function("fit", [s, w, column], [following, ca.vertcat(*outputs)], {"cse": True})
+    moved, E = linearise(change, belief.mean)
+    following = Gaussian(belief.mean + moved, propagate_covariance(belief.cov, E, Q))
+    ends = []
+    for i, each in enumerate(cuts):
+        fresh = q.before[i] ** 2 + q.heat_before[i] ** 2
+        h = linearise(lambda X, i=i: model.read(q.plant, X[:n])[i], belief.mean)[1]
+        g = linearise(lambda X, i=i: model.read(q.plant, X[:n])[i], following.mean)[1]
+        along = belief.cov @ h.T
+        both = (h @ along + fresh) * (g @ following.cov @ g.T + fresh)
+        alike = ca.fmin((g @ along + g @ E @ along) ** 2 / both, 1.0)
+        opened = OPENING * (1.0 / ca.fmax(alike, 1e-3) - 1.0)
+        ends += [ca.fmin(cut + opened, OPEN) for cut in each]
+    state = ca.vertcat(following.mean, to_upper_entries(following.cov, entries), *ends)
+    return ca.Function("fit", [s, w, column], [state, ca.vertcat(*outputs)], {"cse": True})
 
 
 def _use_reading(
-    model: System, kind: str, q: FilterNumbers, belief: Gaussian, y: Any, side: Any, i: int
-) -> tuple[Gaussian, list[Any]]:
-    """Return the belief after the reading of output i, and the recorded numbers."""
+    model: System, kind: str, q: FilterNumbers, belief: Gaussian, cuts: Any, y: Any, side: Any, i: int
+) -> tuple[Gaussian, tuple[Any, Any], list[Any]]:
+    """Return the belief after the reading of output i, its cuts, and the recorded numbers."""
     n = model.n
 
     def read(X: Any) -> Any:
@@ -191,7 +222,11 @@ def _use_reading(
     noise = ca.fmax(q.after[i], LEAST_AFTER * q.before[i] + 1e-12) ** 2
     deviation = ca.sqrt(q.slope[i] ** 2 * variance + noise)
     pieces = list_pieces(kind, q, i)
-    shares = list(map(partial(weigh_piece, y, z, variance, noise), pieces))
+    opened = cuts
+    if kind == "plain":
+        shares = [weigh_piece(y, z, variance, noise, pieces[0])]
+    else:
+        shares, opened = _weigh_zone(pieces, z, variance, noise, y, side, cuts)
     shares.append(Share(WRONG / deviation, z, z**2 + variance))
     total = sum(each.weight for each in shares)
     mean = sum(each.weight * each.mean for each in shares) / total
@@ -205,4 +240,35 @@ def _use_reading(
     offset = ca.if_else(side > 0, offsets[0], ca.if_else(side < 0, offsets[1], 0.0))
     prediction = q.slope[i] * z + offset
     density = ca.if_else(seen, ca.log(total), 0.0)
-    return Gaussian(moved, cov), [density, prediction, ca.log(deviation)]
+    after = tuple(ca.if_else(seen, one, cut) for one, cut in zip(opened, cuts, strict=True))
+    return Gaussian(moved, cov), after, [density, prediction, ca.log(deviation)]
+
+
+def _weigh_zone(
+    pieces: list[Piece], z: Any, variance: Any, noise: Any, y: Any, side: Any, cuts: Any
+) -> tuple[list[Share], list[Any]]:
+    """Return the shares of right, silent and left piece, and the cuts after the reading."""
+    right, silent, left = pieces
+    middle, whole = uncut(z, variance, cuts)
+    std = ca.sqrt(whole)
+    top, bottom = middle + cuts[0] * std, middle - cuts[1] * std
+    sure = side != 0
+    inside = Piece(0.0, 0.0, bottom, top)
+    before = weigh_piece(y, middle, whole, noise, inside)
+    within = Piece(0.0, 0.0, ca.fmax(silent.low, bottom), ca.fmin(silent.high, top))
+    after = weigh_piece(y, middle, whole, noise, within)
+    chance = ca.fmax(normal_cdf(cuts[0]) - normal_cdf(-cuts[1]), LEAST)
+    mean = z + after.mean - before.mean
+    lost = (after.square - after.mean**2) / ca.fmax(before.square - before.mean**2, 1e-9 * whole)
+    shares = [Share(after.weight / chance, mean, mean**2 + variance * ca.fmin(lost, 1.0))]
+    far = 1e3 * std
+    beyond = [
+        right._replace(low=ca.fmin(right.low, top), high=ca.if_else(sure, middle + far, top)),
+        left._replace(low=ca.if_else(sure, middle - far, bottom), high=ca.fmax(left.high, bottom)),
+    ]
+    for piece in beyond:
+        one = weigh_piece(y, middle, whole, noise, piece)
+        shares.append(one._replace(weight=one.weight / chance))
+    active = (shares[1].weight + shares[2].weight) / sum(each.weight for each in shares)
+    edges = [(within.high - middle) / std, (middle - within.low) / std]
+    return shares, [edge * (1.0 - active) + active * OPEN for edge in edges]

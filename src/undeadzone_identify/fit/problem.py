@@ -21,7 +21,7 @@ from undeadzone.simulation.packed import BoundNumbers, ResampledPlant, bind_numb
 from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
 from undeadzone_identify.fit.free import PARAMETERS, WIDTHS, FreeNumber
-from undeadzone_identify.fit.likelihood import RECORDED, FilterNumbers, build_step
+from undeadzone_identify.fit.likelihood import OPEN, RECORDED, FilterNumbers, build_step
 
 SURE: Final = 4.0  # noise, in its rms, beyond which a reading is surely active
 KNOWN: Final = 1e-7  # deviation of a number of x(0) that is known
@@ -260,7 +260,8 @@ def build_problem(
     model = build_model(scenario)
     zone = resolve_zone(scenario)
     like = pack_scenario(scenario, model, zone)
-    state = np.zeros((model.n + model.m) * (model.n + model.m + 3) // 2)
+    size = (model.n + model.m) * (model.n + model.m + 3) // 2
+    state = np.append(np.zeros(size), np.full(2 * model.p, OPEN))
     state[: model.n] = plants.initial_state(scenario.plant, model)
     slots, built = _find_number_slots(scenario, like, free)
     sampled = []
