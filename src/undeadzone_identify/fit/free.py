@@ -168,6 +168,8 @@ def build_free_number(
     start = value if start is None else start
     if low is None or high is None:
         low, high = _default_range(name, start, sizes, claimed)
+    if start == 0 and low > 0:
+        return free_within(name, low, high, None, std)
     if not low < high:
         raise InputError(f"free: {name}: expected a range lo..hi with lo < hi, found {low}..{high}")
     if given is not None and not low <= start <= high and len(given) > 2:

@@ -30,6 +30,7 @@ from undeadzone.util import tree
 WRONG = 1e-9  # share of readings that mean nothing
 LEAST_AFTER = 0.02  # noise after the zone, at least, in noise ahead of it
 OPEN = 8.0  # a cut that cuts nothing
+DEEPEST = -5.0  # cut that is followed
 OPENING = 1.4  # by which fresh variance opens a cut, over the old variance
 LEAST = 1e-290  # chance of a piece, at least
 STEEPEST = 40.0  # deviations by which a cut moves a mean, at most
@@ -146,8 +147,8 @@ def uncut(z: Any, variance: Any, cuts: Any) -> tuple[Any, Any]:
         cuts: distances of the ends from the mean of the whole, right and left, in its deviations.
     """
     for cut, sign in ((cuts[0], 1.0), (cuts[1], -1.0)):
-        hazard = normal_density(cut) / ca.fmax(normal_cdf(cut), 1e-3)
-        left = ca.fmax(1.0 - hazard * (hazard + cut), 0.05)
+        hazard = normal_density(cut) / normal_cdf(cut)
+        left = 1.0 - hazard * (hazard + cut)
         variance = variance / left
         z = z + sign * ca.sqrt(variance) * hazard
     return z, variance
@@ -271,4 +272,5 @@ def _weigh_zone(
         shares.append(one._replace(weight=one.weight / chance))
     active = (shares[1].weight + shares[2].weight) / sum(each.weight for each in shares)
     edges = [(within.high - middle) / std, (middle - within.low) / std]
-    return shares, [edge * (1.0 - active) + active * OPEN for edge in edges]
+    moved = [ca.fmax(edge, DEEPEST) * (1.0 - active) + active * OPEN for edge in edges]
+    return shares, moved

@@ -193,12 +193,12 @@ class FitProblem(NamedTuple):
         """Return the numbers of plants that are built anew, by slot."""
         if not self.built:
             return {}
-        names = [self.free[i].name for i in self.built]
+        names = [self.free[i].name.removeprefix("plant.") for i in self.built]
         rows, places = np.unique(values[:, self.built], axis=0, return_inverse=True)
         packed = []
         for row in rows.tolist():
-            changed = with_numbers(self.scenario, dict(zip(names, row, strict=True)))
-            packed.append(tree.pack_tree(plants.system(changed.plant).params))
+            plant = with_numbers(self.scenario.plant, dict(zip(names, row, strict=True)))
+            packed.append(tree.pack_tree(plants.system(plant).params))
         found = np.array(packed)[places.ravel()]
         return dict(enumerate(found.T))
 
