@@ -14,9 +14,11 @@ from click.testing import CliRunner
 import undeadzone as uz
 from undeadzone.cli import group
 from undeadzone.scenario.reader import parse
+from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
 from undeadzone_identify.fit.fitting import complete_tables, prepare_fit, read_logs
-from undeadzone_identify.fit.problem import FitProblem, build_model
+from undeadzone_identify.fit.likelihood import build_step
+from undeadzone_identify.fit.problem import FitProblem, build_model, pack_scenario
 from undeadzone_identify.fit.search import measure_slopes
 
 STEP = 0.02
@@ -147,14 +149,16 @@ def test_derivatives_are_those_of_casadi() -> None:
     gradient = ca.Function("g", [symbol], [ca.gradient(ca.sum2(densities), symbol)])(params[0])
     expected = []
     for name, value in (("plant[1]", 1.5), ("after[0]", 0.01)):
-        expected.append(float(gradient[problem.names.index(name)]) * value)
+        expected.append(float(gradient[names_of(problem).index(name)]) * value)
     assert slope.scores[:, :200].sum(axis=1) == pytest.approx(expected, rel=1e-3)
 
 
-def build_step_of(problem: FitProblem) -> ca.Function:
-    from undeadzone_identify.fit.likelihood import build_step
-    from undeadzone_identify.fit.problem import pack_scenario
+def names_of(problem: FitProblem) -> list[str]:
+    like = pack_scenario(problem.scenario, problem.model, problem.zone)
+    return tree.number_addresses(like)
 
+
+def build_step_of(problem: FitProblem) -> ca.Function:
     like = pack_scenario(problem.scenario, problem.model, problem.zone)
     return build_step(problem.model, problem.kind, like)
 
@@ -178,11 +182,11 @@ def test_an_address_of_each_class_moves_its_number(
 ) -> None:
     problem = pose(text, {address: (0.011, 0.5)}, x0="known")
     _, params = problem.to_lanes(encode(problem, 0.25), (0.0, 0.0), 0)
-    found = [problem.names[slot] for slot, _ in problem.bound[0].slots[0]]
+    found = [names_of(problem)[slot] for slot, _ in problem.bound.slots[0]]
     assert found == packed or (packed is None and found[0].startswith("plant["))
     if text == TEXT and address.startswith("plant"):
         return
-    assert params[0, problem.names.index(found[0])] == pytest.approx(0.25)
+    assert params[0, names_of(problem).index(found[0])] == pytest.approx(0.25)
 
 
 def test_a_plant_is_built_anew_where_an_address_is_no_entry() -> None:

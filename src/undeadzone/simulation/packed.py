@@ -1,4 +1,4 @@
-"""Packed numbers of a loop or a filter: those that a change moves, and those of each of many lanes."""
+"""Packed numbers of a loop or a filter: those that a change moves, and those of each lane."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ from scipy.special import ndtr, ndtri
 
 from undeadzone.util.arrays import Floats
 from undeadzone_identify.fit.likelihood import LEAST_AFTER
-from undeadzone_identify.fit.problem import SURE, FitProblem, find_slots
+from undeadzone_identify.fit.problem import SURE, FitProblem
 
 LAGS: Final = (1, 2, 3, 5, 8, 13, 21, 34, 55, 89)  # samples over which scores are correlated
 FLAGGED: Final = 0.05  # probability that a true model is flagged, all tests together
@@ -25,22 +25,19 @@ SEED: Final = 7  # of the scores of silent readings: a random sequence, or they 
 
 def score_readings(problem: FitProblem, point: Floats) -> Floats:
     """Return the normal scores of all readings (N x p), NaN if one is missing."""
-    p = problem.model.p
     _, prediction, log_std = (part[0] for part in problem.record(point[None]))
     std = np.exp(log_std)
     _, params = problem.to_lanes(point[None], (0.0, 0.0), 0)
 
-    def number(name: str) -> Floats:
-        """Return a number of the answer (p)."""
-        return np.asarray(params[0, find_slots(problem.names, name)])
-
+    own = [params[0, part] for part in problem.slots[1:6]]
+    right, left, slope, before, after = own
     y = problem.readings
     chance = ndtr((y - prediction) / std)
     if problem.kind != "plain":
-        noise = np.maximum(number("after"), LEAST_AFTER * number("before") + 1e-12)
-        slack = SURE * noise if problem.kind == "deadzone" else np.zeros(p)
-        low = ndtr((-number("left") * number("slope") - slack - prediction) / std)
-        high = ndtr((number("right") * number("slope") + slack - prediction) / std)
+        noise = np.maximum(after, LEAST_AFTER * before + 1e-12)
+        slack = SURE * noise * (problem.kind == "deadzone")
+        low = ndtr((-left * slope - slack - prediction) / std)
+        high = ndtr((right * slope + slack - prediction) / std)
         random = low + (high - low) * np.random.default_rng(SEED).random(y.shape)
         chance = np.where(problem.all_sides == 0, random, chance)
     scores = ndtri(np.clip(chance, FARTHEST, 1 - FARTHEST))

@@ -6,18 +6,17 @@ import functools
 import hashlib
 import os
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, Literal
 
-import casadi as ca
 import numpy as np
 
 from undeadzone.errors import InputError
 from undeadzone.logs.names import parse_columns
 from undeadzone.logs.samples import place_on_steps
 from undeadzone.logs.whole import read_whole, samples_of_arrays
-from undeadzone.nonlinearities.actuator import resolve_actuator, through_zone
+from undeadzone.nonlinearities.sensor import Zone
 from undeadzone.plants import build as plants
 from undeadzone.plants.system import System, state_units
 from undeadzone.scenario.address import stem, with_value
@@ -25,7 +24,7 @@ from undeadzone.scenario.operating_point import resolve_levels
 from undeadzone.scenario.reader import read_for_logs
 from undeadzone.scenario.schema import Scenario
 from undeadzone.util import toml
-from undeadzone.util.answers import MemoryAnswers, open_answers
+from undeadzone.util.answers import open_answers
 from undeadzone.util.arrays import Floats, shift_rows
 from undeadzone.util.files import LARGEST_RUN
 from undeadzone.util.progress import notebook_progress
@@ -33,7 +32,6 @@ from undeadzone_identify.fit.checks import check_scores, score_readings
 from undeadzone_identify.fit.free import (
     DELAY,
     EXAMPLE,
-    PARAMETERS,
     WIDTHS,
     FreeNumber,
     Sizes,
@@ -58,6 +56,7 @@ from undeadzone_identify.fit.result import Fitted, FittedNumber, FittedSignals
 from undeadzone_identify.fit.search import Ends, search_maximum
 
 FIRST: Final = 20  # readings that show x(0)
+LEAST_REACH: Final = 0.1  # of x(0), over the largest reading
 FEWEST: Final = 20  # readings for each number
 LATEST: Final = 1000  # samples of a delay
 ALIKE: Final = 2.0  # nats, within which another answer fits as well
@@ -136,25 +135,11 @@ def fit(
             problem = prepare_fit(
                 scenario, model, moved, asked | dict.fromkeys(besides), x0, threads
             )
-            ends = search_maximum(problem, seed, advance, _Stages(answers, delay))
+            ends = search_maximum(problem, seed, advance, answers, f"delay {delay}")
             if best is None or ends.values[0] > best[1].values[0]:
                 best = problem, ends, delay
         assert best is not None
         return build_answer(*best, besides, advance)
-
-
-class _Stages(MemoryAnswers):
-    """Stages of the search of one delay, among the answers of all."""
-
-    def __init__(self, answers: MemoryAnswers, delay: int) -> None:
-        super().__init__()
-        self._answers = answers
-        self._delay = delay
-
-    def compute_missing(self, questions: Any, compute: Any) -> list[Any]:
-        """Return the answers to questions."""
-        named = [[self._delay, *question] for question in questions]
-        return self._answers.compute_missing(named, compute)
 
 
 def parse_free(free: Free) -> dict[str, Any]:
@@ -178,7 +163,8 @@ def _parse_number(text: str) -> tuple[str, Any]:
         low, high = map(float, ends)
     except ValueError:
         raise InputError(
-            f"free: expected ADDRESS or ADDRESS=lo..hi, such as sensor.right=0..0.5, found {text!r:.60}"
+            "free: expected ADDRESS or ADDRESS=lo..hi, such as sensor.right=0..0.5, found "
+            f"{text!r:.60}"
         ) from None
     return address.strip(), (low, high)
 
@@ -280,7 +266,8 @@ def prepare_fit(
         InputError: or a subclass.
     """
     known = find_numbers(scenario, model)
-    sizes = _measure_sizes(scenario, model, logs)
+    zone = resolve_zone(scenario)
+    sizes = _measure_sizes(zone, logs)
     numbers: dict[str, FreeNumber] = {}
     for address, given in asked.items():
         for name in expand_address(address, known):
@@ -296,61 +283,37 @@ def prepare_fit(
             f"logs: {readings} readings for {len(numbers)} numbers, fewer than {FEWEST} for each"
         )
     start = plants.initial_state(scenario.plant, model)
-    reach = _reach_of_start(scenario, model, logs, numbers)
+    reach = _reach_of_start(model, zone, logs, numbers.values())
     spread = np.full(model.n, KNOWN)
-    initial: list[list[FreeNumber]] = [[] for _ in logs]
+    initial = []
     if x0 == "free" and model.nonlinear:
-        for k in range(len(logs)):
-            whose = f" of log {k + 1}" if len(logs) > 1 else ""
-            for i, (value, size) in enumerate(zip(start, reach, strict=True)):
-                name = f"x0[{i}]{whose}"
-                initial[k].append(free_within(name, value - size, value + size, value))
+        for k, i in np.ndindex(len(logs), model.n):
+            name = f"x0[{i}]" + f" of log {k + 1}" * (len(logs) > 1)
+            initial.append(free_within(name, start[i] - reach[i], start[i] + reach[i], start[i]))
     elif x0 == "free":
         spread = 3 * reach
     return build_problem(scenario, logs, list(numbers.values()), spread, initial, threads)
 
 
-def _measure_sizes(scenario: Scenario, model: System, logs: Sequence[Log]) -> Sizes:
-    """Return the sizes from which default ranges follow, z from a run without noise."""
-    y = max(float(np.nanmax(np.abs(log.y), initial=0.0)) for log in logs)
-    zone = resolve_zone(scenario)
-    largest = y + float(max(zone.right.max(), zone.left.max()))
-    x = ca.SX.sym("x", model.n)
-    u = ca.SX.sym("u", model.m)
-    move = ca.Function("move", [x, u], [model.move(ca_numbers(model), x, u)])
-    read = ca.Function("read", [x], [model.read(ca_numbers(model), x)])
-    start = plants.initial_state(scenario.plant, model)
-    for log in logs:
-        inputs = log.u
-        if scenario.actuator is not None:
-            inputs = through_zone(np, inputs, resolve_actuator(scenario.actuator, model.m))
-        states = move.mapaccum(len(inputs))(start, inputs.T)
-        z = np.abs(read.map(len(inputs))(states).full())
-        if np.isfinite(z).all():
-            largest = max(largest, min(float(z.max()), 10 * max(y, largest)))
-    rms = [
-        float(np.sqrt(np.nanmean(np.concatenate([getattr(log, name) for log in logs]) ** 2)))
-        for name in "yu"
-    ]
-    return Sizes(largest or 1.0, rms[0] or 1.0, rms[1] or 1.0)
-
-
-def ca_numbers(model: System) -> Any:
-    """Return the numbers of a sampled plant, as its functions take them."""
-    return ca.SX(model.params) if model.nonlinear else model.params
+def _measure_sizes(zone: Zone, logs: Sequence[Log]) -> Sizes:
+    """Return the sizes from which default ranges follow."""
+    y = np.concatenate([log.y for log in logs])
+    u = np.concatenate([log.u for log in logs])
+    largest = np.nanmax(np.abs(y), initial=0.0) + max(*zone.right, *zone.left)
+    rms = [np.sqrt(np.nanmean(part**2)) or 1.0 for part in (y, u)]
+    return Sizes(2 * float(largest) or 1.0, *map(float, rms))
 
 
 def _reach_of_start(
-    scenario: Scenario, model: System, logs: Sequence[Log], numbers: Mapping[str, FreeNumber]
+    model: System, zone: Zone, logs: Sequence[Log], numbers: Iterable[FreeNumber]
 ) -> Floats:
     """Return the distance of x(0) from the scenario's that the first readings allow (n)."""
-    zone = resolve_zone(scenario)
-    widths = [*zone.right, *zone.left] if zone.kind != "gears" else [0.0]
-    widths += [each.high for each in numbers.values() if stem(each.name) in WIDTHS[:2]]
+    widths = [] if zone.kind == "gears" else [*zone.right, *zone.left]
+    widths += [each.high for each in numbers if stem(each.name) in WIDTHS[:2]]
     first = max(float(np.nanmax(np.abs(log.y[:FIRST]), initial=0.0)) for log in logs)
-    least = 0.1 * max(float(np.nanmax(np.abs(log.y), initial=0.0)) for log in logs)
-    size = max(first + max(widths), least)
-    return size * state_units(model.continuous, scenario.simulation.step)
+    largest = max(float(np.nanmax(np.abs(log.y), initial=0.0)) for log in logs)
+    size = max(first + max(widths, default=0.0), LEAST_REACH * largest)
+    return size * state_units(model.continuous, model.Ts)
 
 
 def build_answer(
@@ -364,8 +327,8 @@ def build_answer(
     point, value = ends.points[0], float(ends.values[0])
     if value < LOST * len(problem.readings) / 2:
         raise InputError(
-            "log: the scenario diverges along it from every start. Give narrower ranges, or another "
-            "start"
+            "log: the scenario diverges along it from every start. Give narrower ranges, or "
+            "another start"
         )
     intervals = estimate_intervals(problem, point, value)
     tick(1)

@@ -140,7 +140,7 @@ class Sizes(NamedTuple):
     """Sizes from which default ranges follow.
 
     Attributes:
-        z: largest |z| that the scenario makes along the logs, or the readings show.
+        z: largest width that is searched.
         y, u: rms of readings and inputs.
     """
 

@@ -208,7 +208,14 @@ def build_step(model: System, kind: str, like: FilterNumbers) -> ca.Function:
 
 
 def _use_reading(
-    model: System, kind: str, q: FilterNumbers, belief: Gaussian, cuts: Any, y: Any, side: Any, i: int
+    model: System,
+    kind: str,
+    q: FilterNumbers,
+    belief: Gaussian,
+    cuts: Any,
+    y: Any,
+    side: Any,
+    i: int,
 ) -> tuple[Gaussian, tuple[Any, Any], list[Any]]:
     """Return the belief after the reading of output i, its cuts, and the recorded numbers."""
     n = model.n

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
 import casadi as ca
@@ -20,7 +20,7 @@ from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.packed import BoundNumbers, ResampledPlant, bind_numbers
 from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
-from undeadzone_identify.fit.free import PARAMETERS, WIDTHS, FreeNumber
+from undeadzone_identify.fit.free import WIDTHS, FreeNumber
 from undeadzone_identify.fit.likelihood import OPEN, RECORDED, FilterNumbers, build_step
 
 SURE: Final = 4.0  # noise, in its rms, beyond which a reading is surely active
@@ -70,9 +70,9 @@ class FitProblem(NamedTuple):
         kind: of the characteristic, as `list_pieces` takes it.
         free: numbers that are fitted.
         built: places among them of those for which the plant is built anew.
-        names: names of the packed numbers of a lane.
+        slots: slices of the packed numbers of a lane.
         kernel: the compiled filter.
-        bound: numbers bound to its lanes, for each log.
+        bound: numbers bound to its lanes, but for x(0).
         logs: the logs.
         sides: surely active side of each reading of a log (N x p).
         spread: deviations of x(0) (n).
@@ -85,9 +85,9 @@ class FitProblem(NamedTuple):
     kind: str
     free: tuple[FreeNumber, ...]
     built: tuple[int, ...]
-    names: tuple[str, ...]
+    slots: FilterNumbers
     kernel: Kernel
-    bound: tuple[BoundNumbers, ...]
+    bound: BoundNumbers
     logs: tuple[Log, ...]
     sides: tuple[Floats, ...]
     spread: Floats
@@ -137,18 +137,21 @@ class FitProblem(NamedTuple):
             log: number of the log.
         """
         values = self.decode(points)
-        bound = self.bound[log]
+        bound = self.bound
         lanes = bound.to_lanes(values, self._compute_plants(values))
         params = np.tile(bound.params, (len(points), 1))
         params[:, bound.indices] = lanes.params
-        for name, size in zip(("heat_before", "heat_rms"), heat, strict=True):
-            params[:, find_slots(self.names, name)] = size
+        params[:, self.slots.heat_before] = heat[0]
+        params[:, self.slots.heat_rms] = heat[1]
         n, m = self.model.n, self.model.m
         states = lanes.states
-        rms = np.hypot(params[:, find_slots(self.names, "rms")], heat[1])
-        variances = np.hstack([np.tile(self.spread**2, (len(points), 1)), rms**2])
-        for i in range(n + m):
-            states[:, n + m + i * (i + 3) // 2] = variances[:, i]
+        if len(bound.slots) < len(self.free):
+            first = len(bound.slots) + log * n
+            states[:, :n] = values[:, first : first + n]
+        rms = np.hypot(params[:, self.slots.rms], heat[1])
+        diagonal = n + m + np.arange(n + m) * np.arange(3, n + m + 3) // 2
+        states[:, diagonal[:n]] = self.spread**2
+        states[:, diagonal[n:]] = rms**2
         return states, params
 
     def record(self, points: Floats, heat: tuple[float, float] = (0.0, 0.0)) -> Recorded:
@@ -168,16 +171,12 @@ class FitProblem(NamedTuple):
 
     def evaluate(self, points: Floats, heat: tuple[float, float] = (0.0, 0.0)) -> Floats:
         """Return the log likelihood with the prior at coordinates (lanes)."""
+        rows = max(1, ROOM // (RECORDED * self.readings.size))
         parts = []
-        for rows in self.split_rows(len(points)):
-            parts.append(self.record(points[rows], heat).density.sum(axis=(1, 2)))
+        for first in range(0, len(points), rows):
+            found = self.record(points[first : first + rows], heat)
+            parts.append(found.density.sum(axis=(1, 2)))
         return np.concatenate(parts) + self.log_prior(points)
-
-    def split_rows(self, count: int, lanes: int = 1) -> Iterator[slice]:
-        """Yield slices of rows whose records fit into memory, of `lanes` lanes each."""
-        rows = max(1, ROOM // (RECORDED * self.readings.size * lanes))
-        for first in range(0, count, rows):
-            yield slice(first, min(first + rows, count))
 
     def log_prior(self, points: Floats) -> Floats:
         """Return the log of the normal priors at coordinates (lanes)."""
@@ -201,11 +200,6 @@ class FitProblem(NamedTuple):
             packed.append(tree.pack_tree(plants.system(plant).params))
         found = np.array(packed)[places.ravel()]
         return dict(enumerate(found.T))
-
-
-def find_slots(names: Sequence[str], field: str) -> list[int]:
-    """Return the slots of a field of `FilterNumbers` among the packed numbers."""
-    return [i for i, name in enumerate(names) if name.partition("[")[0] == field]
 
 
 def pack_scenario(scenario: Scenario, model: System, zone: Zone) -> FilterNumbers:
@@ -241,7 +235,7 @@ def build_problem(
     logs: Sequence[Log],
     free: Sequence[FreeNumber],
     spread: Floats,
-    initial: Sequence[Sequence[FreeNumber]],
+    initial: Sequence[FreeNumber],
     threads: int | None,
 ) -> FitProblem:
     """Return the problem of fitting numbers of a scenario to logs.
@@ -251,7 +245,7 @@ def build_problem(
         logs: along which.
         free: numbers that are fitted.
         spread: deviations of x(0) (n) about the scenario's, if no number of it is fitted.
-        initial: the numbers of x(0) of each log that are fitted (n each, or none).
+        initial: the numbers of x(0) that are fitted, log by log (empty: none).
         threads: of the lanes.
 
     Raises:
@@ -271,16 +265,7 @@ def build_problem(
     params = tree.pack_tree(like)
     varies = bool(built) or not model.nonlinear  # a linear plant is sampled by the lanes alone
     computed = range(tree.count_numbers(like.plant) if varies else 0)
-    place = len(free)
-    bound = []
-    every = list(free)
-    for numbers in initial:
-        own = [()] * (place - len(free))
-        own += [((params.size + i, 1.0),) for i in range(len(numbers))]
-        mine = [*slots, *own, *[()] * (sum(map(len, initial)) - len(own))]
-        bound.append(bind_numbers(mine, state, params, sampled, computed=computed))
-        every += numbers
-        place += len(numbers)
+    bound = bind_numbers(slots, state, params, sampled, computed=computed)
     kind = choose_kind(zone, free)
     step = build_step(model, kind, like)
     kernel = build_kernel(step, params=range(params.size))
@@ -292,11 +277,11 @@ def build_problem(
         model=model,
         zone=zone,
         kind=kind,
-        free=tuple(every),
+        free=(*free, *initial),
         built=built,
-        names=tuple(tree.number_addresses(like)),
+        slots=tree.leaf_slices(like),
         kernel=kernel,
-        bound=tuple(bound),
+        bound=bound,
         logs=tuple(logs),
         sides=tuple(sides),
         spread=spread,

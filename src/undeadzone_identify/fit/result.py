@@ -10,7 +10,6 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 import undeadzone
-from undeadzone.results.sheet import Row
 from undeadzone.scenario.reader import anchor_files
 from undeadzone.scenario.schema import Scenario
 from undeadzone.util import shown, toml
@@ -57,11 +56,6 @@ class FittedNumber(NamedTuple):
     def interval(self) -> str:
         """Return the interval as text."""
         return f"[{self.low:.5g}, {self.high:.5g}]"
-
-    @property
-    def row(self) -> Row:
-        """Return the number as a row of a result."""
-        return Row(self.name, self.name, self.value, key=self.name, note=f" {self.interval}")
 
 
 class FittedSignals(NamedTuple):

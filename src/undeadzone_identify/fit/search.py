@@ -72,15 +72,12 @@ def measure_slopes(
     The information of a sure reading is that of a normal distribution about its prediction, that of
     a silent one the square of its score.
     """
-    k = points.shape[1]
+    moves = np.vstack([np.zeros(points.shape[1]), np.eye(points.shape[1])])
     found = []
-    for rows in problem.split_rows(len(points), k + 1):
-        some = points[rows, None] + np.vstack([np.zeros(k), np.eye(k)]) * steps[rows, None]
-        records = problem.record(some.reshape(-1, k), heat)
-        shaped = [part.reshape(len(some), k + 1, -1) for part in records]
-        for start, step in enumerate(steps[rows]):
-            point = some[start, 0]
-            found.append(_measure_slope(problem, point, step, [part[start] for part in shaped]))
+    for point, step in zip(points, steps, strict=True):
+        records = problem.record(point + moves * step, heat)
+        rows = [part.reshape(len(moves), -1) for part in records]
+        found.append(_measure_slope(problem, point, step, rows))
     return found
 
 
@@ -95,10 +92,8 @@ def _measure_slope(problem: FitProblem, point: Floats, step: Floats, rows: list[
     shown = np.nan_to_num(moved[:, used] / np.exp(log_std[used]))
     wider = np.nan_to_num(wider[:, used])
     information = shown @ shown.T + 2 * wider @ wider.T + unsure @ unsure.T
-    slope = np.ones(point.size)
     values = problem.decode(point[None])[0]
-    for i, number in enumerate(problem.free):
-        slope[i] = values[i] if number.log else 1.0
+    slope = np.where([number.log for number in problem.free], values, 1.0)
     pull = (values - [each.start for each in problem.free]) / problem.prior_std**2
     information += np.diag((slope / problem.prior_std) ** 2)
     value = density.sum() + problem.log_prior(point[None])[0]
@@ -193,6 +188,7 @@ def search_maximum(
     seed: int,
     tick: Callable[[int], None],
     answers: MemoryAnswers,
+    name: str = "",
 ) -> Ends:
     """Return the ends of the searches, the best first.
 
@@ -201,6 +197,7 @@ def search_maximum(
         seed: of the starts.
         tick: called after each step.
         answers: stages that are known, or are to be saved.
+        name: of the search among others.
     """
     low, high = problem.low, problem.high
     points = low + (high - low) * qmc.Sobol(low.size, seed=seed).random(STARTS)
@@ -209,7 +206,7 @@ def search_maximum(
     points[:, noises] = problem.start[noises]
     sizes = np.nanstd(problem.readings), np.nanstd(problem.inputs)
 
-    def run_stage(name: str, ends: Ends, stage: tuple[float, int, int]) -> Ends:
+    def run_stage(place: str, ends: Ends, stage: tuple[float, int, int]) -> Ends:
         """Return the ends of a stage, known or computed."""
         share, count, most = stage
         heat = (share * HOT * sizes[0], share * HOT * sizes[1])
@@ -221,7 +218,7 @@ def search_maximum(
             found = climb(problem, chosen, heat, most, frozen, tick)
             yield 0, [found.points.tolist(), found.values.tolist()]
 
-        (found,) = answers.compute_missing([[name, *stage]], compute)
+        (found,) = answers.compute_missing([[name, place, *stage]], compute)
         return Ends(*map(np.array, found)).keep_best(count)
 
     heat = (HOT * sizes[0], HOT * sizes[1])
