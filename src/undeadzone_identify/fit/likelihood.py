@@ -9,6 +9,8 @@ left of z is matched in mean and variance.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -21,7 +23,7 @@ from undeadzone.numerics.gaussian import (
     linearise,
     normal_cdf,
     normal_density,
-    propagate_covariance,
+    predict_first_order,
     to_upper_entries,
 )
 from undeadzone.plants.system import System
@@ -174,11 +176,15 @@ def build_step(model: System, kind: str, like: FilterNumbers) -> ca.Function:
     y, u, side = ca.vertsplit(w, [0, p, p + m, p + m + p])
     belief = Gaussian(s[: n + m], from_upper_entries(s[n + m : size], entries))
     outputs = []
+    rows = []
     cuts = []
     for i in range(p):
-        before = s[size + 2 * i], s[size + 2 * i + 1]
-        belief, after, recorded = _use_reading(model, kind, q, belief, before, y[i], side[i], i)
+        use = partial(_use_reading, kind, q, belief, ca.vertsplit(s[size + 2 * i :])[:2])
+        z, h = linearise(lambda X, i=i: model.read(q.plant, X[:n])[i], belief.mean)
+        fresh = q.before[i] ** 2 + q.heat_before[i] ** 2
+        belief, after, recorded = use(z, h, fresh, y[i], side[i], i)
         outputs += recorded
+        rows.append((h, fresh))
         cuts.append(after)
     if q.drive is not None:
         u = through_zone(ca, within_limits(ca, u, q.drive), q.drive)
@@ -191,46 +197,45 @@ def build_step(model: System, kind: str, like: FilterNumbers) -> ca.Function:
         return ca.vertcat(moved, (memory - 1.0) * X[n:])
 
     Q = ca.diag(ca.vertcat(ca.SX.zeros(n), rms**2 * (1.0 - memory**2)))
-    moved, E = linearise(change, belief.mean)
-    following = Gaussian(belief.mean + moved, propagate_covariance(belief.cov, E, Q))
+    following = predict_first_order(belief, change, Q)
     ends = []
-    for i, each in enumerate(cuts):
-        fresh = q.before[i] ** 2 + q.heat_before[i] ** 2
-        h = linearise(lambda X, i=i: model.read(q.plant, X[:n])[i], belief.mean)[1]
-        g = linearise(lambda X, i=i: model.read(q.plant, X[:n])[i], following.mean)[1]
-        along = belief.cov @ h.T
-        both = (h @ along + fresh) * (g @ following.cov @ g.T + fresh)
-        alike = ca.fmin((g @ along + g @ E @ along) ** 2 / both, 1.0)
-        opened = OPENING * (1.0 / ca.fmax(alike, 1e-3) - 1.0)
-        ends += [ca.fmin(cut + opened, OPEN) for cut in each]
+    for (h, fresh), pair in zip(rows, cuts, strict=True):
+        share = (h @ belief.cov @ h.T) / (h @ following.cov @ h.T + fresh)
+        opened = OPENING * (1.0 / ca.fmax(ca.fmin(share, 1.0), 1e-3) - 1.0)
+        ends += [ca.fmin(cut + opened, OPEN) for cut in pair]
     state = ca.vertcat(following.mean, to_upper_entries(following.cov, entries), *ends)
     return ca.Function("fit", [s, w, column], [state, ca.vertcat(*outputs)], {"cse": True})
 
 
 def _use_reading(
-    model: System,
     kind: str,
     q: FilterNumbers,
     belief: Gaussian,
-    cuts: Any,
+    cuts: Sequence[Any],
+    z: Any,
+    h: Any,
+    fresh: Any,
     y: Any,
     side: Any,
     i: int,
-) -> tuple[Gaussian, tuple[Any, Any], list[Any]]:
-    """Return the belief after the reading of output i, its cuts, and the recorded numbers."""
-    n = model.n
+) -> tuple[Gaussian, list[Any], list[Any]]:
+    """Return the belief after the reading of output i, its cuts, and the recorded numbers.
 
-    def read(X: Any) -> Any:
-        """Return what the sensor of output i reads, without its zone."""
-        return model.read(q.plant, X[:n])[i]
-
-    z, h = linearise(read, belief.mean)
+    Args:
+        kind, q: as those of `list_pieces`.
+        belief: before the reading.
+        cuts: of z by silence, as those of `uncut`.
+        z, h: prediction of z and its row.
+        fresh: variance of the noise ahead of the zone.
+        y, side: reading and its sure side.
+        i: number of the output.
+    """
     along = belief.cov @ h.T
-    variance = h @ along + q.before[i] ** 2 + q.heat_before[i] ** 2
+    variance = h @ along + fresh
     noise = ca.fmax(q.after[i], LEAST_AFTER * q.before[i] + 1e-12) ** 2
     deviation = ca.sqrt(q.slope[i] ** 2 * variance + noise)
     pieces = list_pieces(kind, q, i)
-    opened = cuts
+    opened = list(cuts)
     if kind == "plain":
         shares = [weigh_piece(y, z, variance, noise, pieces[0])]
     else:
@@ -248,7 +253,8 @@ def _use_reading(
     offset = ca.if_else(side > 0, offsets[0], ca.if_else(side < 0, offsets[1], 0.0))
     prediction = q.slope[i] * z + offset
     density = ca.if_else(seen, ca.log(total), 0.0)
-    after = tuple(ca.if_else(seen, one, cut) for one, cut in zip(opened, cuts, strict=True))
+    pairs = zip(opened, cuts, strict=True)
+    after = [ca.if_else(seen, one, cut) for one, cut in pairs]
     return Gaussian(moved, cov), after, [density, prediction, ca.log(deviation)]
 
 
