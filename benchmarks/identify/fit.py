@@ -21,7 +21,8 @@ from benchmarks.markdown import head, row
 from benchmarks.results import share
 from undeadzone.scenario.reader import parse
 from undeadzone.util.arrays import Floats
-from undeadzone_identify.fit.fitting import complete_tables, prepare_fit, read_logs
+from undeadzone_identify.fit.fitting import prepare_fit, read_logs
+from undeadzone_identify.fit.free import complete_tables
 from undeadzone_identify.fit.problem import FitProblem, build_model
 
 Generator = np.random.Generator
@@ -68,7 +69,10 @@ TANKS = """
 [plant]
 states = ["h1", "h2"]
 inputs = ["pump"]
-f = ["k * pump - c1 * h1 / sqrt(sqrt(h1 ** 2 + 0.001))", "c1 * h1 / sqrt(sqrt(h1 ** 2 + 0.001)) - c2 * h2 / sqrt(sqrt(h2 ** 2 + 0.001))"]
+f = [
+  "k * pump - c1 * h1 / sqrt(sqrt(h1 ** 2 + 0.001))",
+  "c1 * h1 / sqrt(sqrt(h1 ** 2 + 0.001)) - c2 * h2 / sqrt(sqrt(h2 ** 2 + 0.001))",
+]
 h = ["h2"]
 parameters = { k = 0.04, c1 = 0.08, c2 = 0.08 }
 [sensor]

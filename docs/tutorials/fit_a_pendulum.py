@@ -1,8 +1,8 @@
 # %% [markdown]
 # # A pendulum with unknown mass and damping
 #
-# You know the equations of a plant, but not all of its numbers, and its sensor has a dead zone. Here a
-# pendulum of 2.5 kg moves under a torque. We record it, and pretend to know only its length.
+# You know the equations of a plant, but not all of its numbers, and its sensor has a dead zone.
+# Here a pendulum of 2.5 kg moves under a torque. We record it, and pretend to know only its length.
 
 # %%
 import numpy as np
@@ -15,7 +15,7 @@ t = STEP * np.arange(2000)
 phases = rng.uniform(0, 2 * np.pi, 3)
 torque = sum(
     size * np.sin(2 * np.pi * f * t + phase)
-    for size, f, phase in zip((10.0, 8.0, 6.0), (0.17, 0.43, 0.71), phases)
+    for size, f, phase in zip((10.0, 8.0, 6.0), (0.17, 0.43, 0.71), phases, strict=True)
 )
 
 
@@ -35,8 +35,8 @@ y = record(mass=2.5, damping=0.8, right=0.12, left=0.05)
 print(f"{np.mean(y == 0):.0%} of the readings are 0")
 
 # %% [markdown]
-# The scenario has the equations, and a first guess of each number. Mass, damping and both widths are
-# far off.
+# The scenario has the equations, and a first guess of each number. Mass, damping and both widths
+# are far off.
 
 # %%
 scenario = uz.Scenario(
@@ -57,12 +57,18 @@ scenario = uz.Scenario(
 
 # %% [markdown]
 # `fit` finds the numbers under which the readings are most likely. A silent reading counts too: it
-# shows that the angle is inside the zone. The command line does the same with files: `undeadzone fit
-# pendulum.toml log.csv --free plant.mass,plant.damping,sensor.right,sensor.left`.
+# shows that the angle is inside the zone. The command line does the same with files:
+# `undeadzone fit pendulum.toml log.csv --free plant.mass,plant.damping,sensor.right,sensor.left`.
 
 # %%
 log = {"t": t, "u": torque, "y": y}
-free = ["plant.mass", "plant.damping", "disturbance.rms", "sensor.right=0..0.5", "sensor.left=0..0.5"]
+free = [
+    "plant.mass",
+    "plant.damping",
+    "disturbance.rms",
+    "sensor.right=0..0.5",
+    "sensor.left=0..0.5",
+]
 fitted = uz.fit(scenario, log, free)
 print(fitted)
 
@@ -75,10 +81,12 @@ print(fitted.scenario.plant.parameters)
 fitted
 
 # %% [markdown]
-# Is the model right? `fit` tests the readings against their prediction. A model without damping fits as
-# well as it can, but the log contradicts it.
+# Is the model right? `fit` tests the readings against their prediction. A model without damping
+# fits as well as it can, but the log contradicts it.
 
 # %%
-frictionless = scenario.replace("plant.parameters", {"g": 9.81, "l": 1.0, "mass": 1.0, "damping": 0.0})
+frictionless = scenario.replace(
+    "plant.parameters", {"g": 9.81, "l": 1.0, "mass": 1.0, "damping": 0.0}
+)
 wrong = uz.fit(frictionless, log, ["plant.mass", "sensor.right=0..0.5", "sensor.left=0..0.5"])
 print(wrong.verdict)

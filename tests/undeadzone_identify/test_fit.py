@@ -16,7 +16,8 @@ from undeadzone.cli import group
 from undeadzone.scenario.reader import parse
 from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
-from undeadzone_identify.fit.fitting import complete_tables, prepare_fit, read_logs
+from undeadzone_identify.fit.fitting import prepare_fit, read_logs
+from undeadzone_identify.fit.free import complete_tables
 from undeadzone_identify.fit.likelihood import build_step
 from undeadzone_identify.fit.problem import FitProblem, build_model, pack_scenario
 from undeadzone_identify.fit.search import measure_slopes
@@ -196,7 +197,7 @@ def test_a_plant_is_built_anew_where_an_address_is_no_entry() -> None:
     assert problem.built == (0,)
     _, params = problem.to_lanes(encode(problem, 1.0), (0.0, 0.0), 0)
     other = build_model(parse(text.replace("[2.0, 3.0", "[1.0, 3.0")))
-    assert params[0, :4].reshape(2, 2).T == pytest.approx(other.params.A, abs=1e-12)
+    assert pytest.approx(other.params.A, abs=1e-12) == params[0, :4].reshape(2, 2).T
 
 
 def test_the_truth_is_found_and_is_consistent() -> None:

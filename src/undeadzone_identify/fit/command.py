@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 import click
 
@@ -43,7 +44,7 @@ def fit(
     scenario: Path,
     logs: tuple[Path, ...],
     free: str,
-    x0: str,
+    x0: Literal["free", "known"],
     seed: int,
     columns: str | None,
     strict: bool,

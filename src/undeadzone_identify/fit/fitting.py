@@ -289,7 +289,8 @@ def prepare_fit(
     if x0 == "free" and model.nonlinear:
         for k, i in np.ndindex(len(logs), model.n):
             name = f"x0[{i}]" + f" of log {k + 1}" * (len(logs) > 1)
-            initial.append(free_within(name, start[i] - reach[i], start[i] + reach[i], start[i]))
+            first, size = float(start[i]), float(reach[i])
+            initial.append(free_within(name, first - size, first + size, first))
     elif x0 == "free":
         spread = 3 * reach
     return build_problem(scenario, logs, list(numbers.values()), spread, initial, threads)

@@ -186,9 +186,10 @@ def _read_range(name: str, given: Any) -> tuple[float | None, float | None, floa
     except (TypeError, ValueError):
         numbers = []
     if len(numbers) == 2:
-        return None, *numbers, math.inf
+        return None, numbers[0], numbers[1], math.inf
     if len(numbers) in (3, 4):
-        return (*numbers, math.inf)[:4]
+        start, low, high, std = [*numbers, math.inf][:4]
+        return start, low, high, std
     raise InputError(
         f"free: {name}: expected None, (lo, hi), (start, lo, hi) or (start, lo, hi, std), found "
         f"{given!r:.60}"

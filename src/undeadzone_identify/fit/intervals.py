@@ -3,7 +3,8 @@
 The deviation of a number is the larger one of two: that of the information, and that of the scores
 summed over blocks of readings. The latter includes the error of the filter's approximation in
 silence, which lasts for many readings. A number at an end of its range, or one that the logs hardly
-determine, has the interval in which the likelihood is within 1.92 of its maximum while the others stay.
+determine, has the interval in which the likelihood is within 1.92 of its maximum while the others
+stay.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from undeadzone.util.arrays import Floats
+from undeadzone.util.arrays import Flags, Floats
 from undeadzone.util.text import HALF_95
 from undeadzone_identify.fit.problem import FitProblem
 from undeadzone_identify.fit.search import AT_END, DIFFERENCE, diagonal_of, measure_slopes
@@ -43,7 +44,7 @@ class Intervals(NamedTuple):
     std: Floats
     correlations: Floats
     directions: Floats
-    shown: Floats
+    shown: Flags
 
 
 def estimate_intervals(problem: FitProblem, point: Floats, value: float) -> Intervals:
@@ -77,13 +78,13 @@ def estimate_intervals(problem: FitProblem, point: Floats, value: float) -> Inte
     scale = np.sqrt(np.maximum(np.diag(cov), 1e-300))
     correlations = cov / np.outer(scale, scale)
     linked = np.abs(correlations - np.diag(np.diag(correlations))).max(axis=0) > LINKED
-    for i in np.flatnonzero(at_end | ((ends[1] - ends[0] > WIDE * span) & ~linked)):
+    for i in map(int, np.flatnonzero(at_end | ((ends[1] - ends[0] > WIDE * span) & ~linked))):
         ends[:, i] = _scan_range(problem, point, value, i)
     values = problem.decode(ends)
     ranges = problem.decode(np.stack([low, high]))
     narrow = np.diff(values, axis=0)[0] < WIDE * np.diff(ranges, axis=0)[0]
     _, directions = np.linalg.eigh(-correlations)
-    return Intervals(*values, std, correlations, directions, narrow)
+    return Intervals(values[0], values[1], std, correlations, directions, narrow)
 
 
 def _invert_information(information: Floats) -> Floats:

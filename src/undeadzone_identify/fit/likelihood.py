@@ -178,9 +178,14 @@ def build_step(model: System, kind: str, like: FilterNumbers) -> ca.Function:
     outputs = []
     rows = []
     cuts = []
+
+    def read(i: int, X: Any) -> Any:
+        """Return what the sensor of output i reads, without its zone."""
+        return model.read(q.plant, X[:n])[i]
+
     for i in range(p):
         use = partial(_use_reading, kind, q, belief, ca.vertsplit(s[size + 2 * i :])[:2])
-        z, h = linearise(lambda X, i=i: model.read(q.plant, X[:n])[i], belief.mean)
+        z, h = linearise(partial(read, i), belief.mean)
         fresh = q.before[i] ** 2 + q.heat_before[i] ** 2
         belief, after, recorded = use(z, h, fresh, y[i], side[i], i)
         outputs += recorded
@@ -188,12 +193,15 @@ def build_step(model: System, kind: str, like: FilterNumbers) -> ca.Function:
         cuts.append(after)
     if q.drive is not None:
         u = through_zone(ca, within_limits(ca, u, q.drive), q.drive)
+    assert model.Ts is not None
+    assert model.change is not None
+    motion = model.change
     memory = ca.exp(-model.Ts / q.correlation_time)
     rms = ca.sqrt(q.rms**2 + q.heat_rms**2)
 
     def change(X: Any) -> Any:
         """Return the change of [x; a] in a step."""
-        moved = model.change(q.plant, X[:n], u + X[n:])
+        moved = motion(q.plant, X[:n], u + X[n:])
         return ca.vertcat(moved, (memory - 1.0) * X[n:])
 
     Q = ca.diag(ca.vertcat(ca.SX.zeros(n), rms**2 * (1.0 - memory**2)))

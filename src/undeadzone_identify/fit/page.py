@@ -20,8 +20,9 @@ if TYPE_CHECKING:
 POINTS: Final = 20_000  # samples that a line shows at most
 DIRECTIONS: Final = 2  # least known combinations that are shown
 CAPTIONS: Final = {
-    "fit": "Above: the readings, and their prediction from the readings before. Middle: their normal "
-    "scores, independent and standard normal if the scenario is true; 95 % lie between the lines. "
+    "fit": "Above: the readings, and their prediction from the readings before. Middle: their "
+    "normal scores, independent and standard normal if the scenario is true. 95 % of them lie "
+    "between the lines. "
     "Below: the two combinations of the numbers that the logs determine least, in deviations of "
     "each number.",
 }

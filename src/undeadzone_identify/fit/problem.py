@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
-import casadi as ca
 import numpy as np
 
 from undeadzone.compile.lanes import Kernel, build_kernel, run_lanes
@@ -303,8 +302,8 @@ def resolve_zone(scenario: Scenario) -> Zone:
     zone = resolve_sensor(scenario.sensor, system, scenario.simulation.step, pace)
     if zone.kind not in KINDS or zone.moves:
         raise InputError(
-            "sensor.kind: a play has no likelihood here, a dead zone or a jump has. Use `undeadzone "
-            "identify` for its gap"
+            "sensor.kind: a play has no likelihood here, a dead zone or a jump has. Use "
+            "`undeadzone identify` for its gap"
         )
     for name, there in (("range", zone.limits is not None), ("drift", np.any(zone.drift))):
         if there:

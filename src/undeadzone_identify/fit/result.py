@@ -22,7 +22,7 @@ HEAD: Final = ("number", "value", "95 % interval", "before", "")
 NAMES: Final = {
     "size": "readings are {times:.2g} times as far from their prediction as the scenario has it: "
     "free sensor.noise and disturbance.rms, or the plant lacks something",
-    "mean": "readings are off their prediction to one side: an offset of sensor or input is missing",
+    "mean": "readings are off their prediction to one side: an offset is missing",
     "white": "errors of the prediction last: the plant has too few states, a delay, or a "
     "disturbance of another correlation time",
     "shape": "errors of the prediction depend on input or output: a nonlinearity is missing",

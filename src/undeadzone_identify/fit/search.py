@@ -1,8 +1,8 @@
 """Search for the maximum of a likelihood: many starts, heat, Levenberg-Marquardt steps.
 
-Far from the truth a silent reading has the density 0 and no slope. Heat is further noise and further
-disturbance: the hot likelihood has a slope everywhere, and cools down to the true one. Derivatives
-are differences between lanes, of a share of each number's own deviation.
+Far from the truth a silent reading has the density 0 and no slope. Heat is further noise and
+further disturbance: the hot likelihood has a slope everywhere, and cools down to the true one.
+Derivatives are differences between lanes, of a share of each number's own deviation.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from undeadzone.util.answers import MemoryAnswers
-from undeadzone.util.arrays import Floats
+from undeadzone.util.arrays import Flags, Floats
 from undeadzone_identify.fit.problem import FitProblem
 
 STARTS: Final = 64  # points, of which the best are followed
@@ -111,7 +111,7 @@ def climb(
     points: Floats,
     heat: tuple[float, float],
     most: int,
-    frozen: Floats,
+    frozen: Flags,
     tick: Callable[[int], None],
 ) -> Ends:
     """Return the ends of searches by Levenberg-Marquardt steps within the ranges.
@@ -166,7 +166,7 @@ def climb(
 
 
 def _damped_step(
-    problem: FitProblem, point: Floats, slope: Slope, damping: float, frozen: Floats
+    problem: FitProblem, point: Floats, slope: Slope, damping: float, frozen: Flags
 ) -> Floats:
     """Return a step. Numbers at an end from which the likelihood falls stay."""
     span = problem.high - problem.low
@@ -204,7 +204,7 @@ def search_maximum(
     points[0] = problem.start
     noises = np.array([each.is_noise for each in problem.free])
     points[:, noises] = problem.start[noises]
-    sizes = np.nanstd(problem.readings), np.nanstd(problem.inputs)
+    sizes = float(np.nanstd(problem.readings)), float(np.nanstd(problem.inputs))
 
     def run_stage(place: str, ends: Ends, stage: tuple[float, int, int]) -> Ends:
         """Return the ends of a stage, known or computed."""
