@@ -279,8 +279,8 @@ def fit_output_error(case: Case, x0: str) -> tuple[Floats, Floats, bool]:
 
     def residuals(points: Floats) -> Floats:
         """Return simulated less measured readings of many points."""
-        z = blind_problem.record(points).prediction.reshape(len(points), -1)
-        values = problem.decode(points)
+        z = blind_problem.record_lanes(points).prediction.reshape(len(points), -1)
+        values = problem.decode_points(points)
         widths = []
         for side in ("right", "left"):
             known = np.full(len(points), getattr(problem.zone, side)[0])
@@ -303,7 +303,7 @@ def fit_output_error(case: Case, x0: str) -> tuple[Floats, Floats, bool]:
     best = min(ends, key=lambda end: end.cost)
     cov = np.linalg.pinv(best.jac.T @ best.jac) * 2 * best.cost / (y.size - span.size)
     reach = 1.96 * np.sqrt(np.diag(cov))
-    rows = problem.decode(np.stack([best.x, best.x - reach, best.x + reach]))
+    rows = problem.decode_points(np.stack([best.x, best.x - reach, best.x + reach]))
     return rows[0, : case.truth.size], rows[1:, : case.truth.size], True
 
 

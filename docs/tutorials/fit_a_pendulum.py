@@ -89,4 +89,4 @@ frictionless = scenario.replace(
     "plant.parameters", {"g": 9.81, "l": 1.0, "mass": 1.0, "damping": 0.0}
 )
 wrong = uz.fit(frictionless, log, ["plant.mass", "sensor.right=0..0.5", "sensor.left=0..0.5"])
-print(wrong.verdict)
+print(wrong.agreement)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
@@ -135,8 +136,8 @@ def bind_numbers(
         computed: slots that vary besides.
     """
     slots = tuple(slots)
-    pairs = [pair for each in slots for pair in each]
-    varied = {slot for slot, _ in pairs if slot < params.size} | set(computed)
+    every = {slot for slot, _ in itertools.chain(*slots)}
+    varied = every.intersection(range(params.size)).union(computed)
     sampled = tuple(system for system in plants if varied & set(system.param_slots))
     varied = varied.union(*(system.param_slots for system in sampled))
     copied = tuple(pair for pair in copies if pair[1] in varied)

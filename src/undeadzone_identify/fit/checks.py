@@ -25,7 +25,7 @@ SEED: Final = 7  # of the scores of silent readings: a random sequence, or they 
 
 def score_readings(problem: FitProblem, point: Floats) -> Floats:
     """Return the normal scores of all readings (N x p), NaN if one is missing."""
-    _, prediction, log_std = (part[0] for part in problem.record(point[None]))
+    _, prediction, log_std = (part[0] for part in problem.record_lanes(point[None]))
     std = np.exp(log_std)
     _, params = problem.to_lanes(point[None], (0.0, 0.0), 0)
 
@@ -61,7 +61,7 @@ def check_scores(problem: FitProblem, point: Floats, scores: Floats) -> dict[str
     sums = [(off[lag:] * off[:-lag]).sum(axis=0) / np.sqrt(len(v) - lag) for lag in lags]
     white = stats.chi2.sf(np.square(sums).sum(), np.size(sums))
     u = problem.inputs
-    z = problem.record(point[None]).prediction[0]
+    z = problem.record_lanes(point[None]).prediction[0]
     columns = np.hstack([u, u**2, np.abs(u), z, z**2, np.abs(z)])
     q, _ = np.linalg.qr(columns - columns.mean(axis=0))
     shape = stats.chi2.sf(np.square(q.T @ off).sum(), q.shape[1] * off.shape[1])

@@ -65,7 +65,7 @@ def fit(
     figure and report.html to DIR (default: NAME-fit). With --no-figures and no --out it writes
     nothing. Stages of the search are kept in DIR: after Ctrl-C, kill or a crash --resume goes on.
 
-    Exit code 1: the log contradicts the scenario, or determines none of the numbers.
+    Exit code 1: the log contradicts the scenario, or determines no number.
     """
     from undeadzone.scenario.reader import read_for_logs
     from undeadzone.util.own_files import require_own_file

@@ -333,7 +333,7 @@ def build_answer(
         )
     intervals = estimate_intervals(problem, point, value)
     tick(1)
-    values = problem.decode(point[None])[0]
+    values = problem.decode_points(point[None])[0]
     scores = score_readings(problem, point)
     numbers = []
     for i, number in enumerate(problem.free):
@@ -353,7 +353,7 @@ def build_answer(
                 note,
             )
         )
-    prediction = problem.record(point[None]).prediction[0]
+    prediction = problem.record_lanes(point[None]).prediction[0]
     t = np.concatenate([log.t for log in problem.logs])
     return Fitted(
         scenario=_write_numbers(problem, values, delay),
@@ -407,7 +407,9 @@ def _find_other_answers(
         if value > ends.values[0] - ALIKE and min(distances) > APART:
             far.append(point)
             names = [each.name for each in problem.free]
-            others.append(dict(zip(names, problem.decode(point[None])[0].tolist(), strict=True)))
+            others.append(
+                dict(zip(names, problem.decode_points(point[None])[0].tolist(), strict=True))
+            )
     return tuple(others)
 
 

@@ -64,11 +64,11 @@ class FreeNumber(NamedTuple):
         """Return whether it is a noise, which is fitted last."""
         return stem(self.name) in NOISES
 
-    def encode(self, value: Any) -> Any:
+    def encode_value(self, value: Any) -> Any:
         """Return the coordinate of a value."""
         return np.log(value) if self.log else value
 
-    def decode(self, coordinate: Any) -> Any:
+    def decode_value(self, coordinate: Any) -> Any:
         """Return the value of a coordinate."""
         return np.exp(coordinate) if self.log else coordinate
 

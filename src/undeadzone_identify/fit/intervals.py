@@ -80,8 +80,8 @@ def estimate_intervals(problem: FitProblem, point: Floats, value: float) -> Inte
     linked = np.abs(correlations - np.diag(np.diag(correlations))).max(axis=0) > LINKED
     for i in map(int, np.flatnonzero(at_end | ((ends[1] - ends[0] > WIDE * span) & ~linked))):
         ends[:, i] = _scan_range(problem, point, value, i)
-    values = problem.decode(ends)
-    ranges = problem.decode(np.stack([low, high]))
+    values = problem.decode_points(ends)
+    ranges = problem.decode_points(np.stack([low, high]))
     narrow = np.diff(values, axis=0)[0] < WIDE * np.diff(ranges, axis=0)[0]
     _, directions = np.linalg.eigh(-correlations)
     return Intervals(values[0], values[1], std, correlations, directions, narrow)
@@ -115,6 +115,6 @@ def _scan_range(problem: FitProblem, point: Floats, value: float, i: int) -> tup
     places = np.unique(np.clip(steps, low, high))
     points = np.tile(point, (places.size, 1))
     points[:, i] = places
-    good = problem.evaluate(points) > value - DROP
+    good = problem.evaluate_points(points) > value - DROP
     good |= places == point[i]
     return float(places[good].min()), float(places[good].max())

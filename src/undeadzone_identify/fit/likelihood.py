@@ -179,13 +179,13 @@ def build_step(model: System, kind: str, like: FilterNumbers) -> ca.Function:
     rows = []
     cuts = []
 
-    def read(i: int, X: Any) -> Any:
+    def read_output(i: int, X: Any) -> Any:
         """Return what the sensor of output i reads, without its zone."""
         return model.read(q.plant, X[:n])[i]
 
     for i in range(p):
         use = partial(_use_reading, kind, q, belief, ca.vertsplit(s[size + 2 * i :])[:2])
-        z, h = linearise(partial(read, i), belief.mean)
+        z, h = linearise(partial(read_output, i), belief.mean)
         fresh = q.before[i] ** 2 + q.heat_before[i] ** 2
         belief, after, recorded = use(z, h, fresh, y[i], side[i], i)
         outputs += recorded
@@ -199,13 +199,13 @@ def build_step(model: System, kind: str, like: FilterNumbers) -> ca.Function:
     memory = ca.exp(-model.Ts / q.correlation_time)
     rms = ca.sqrt(q.rms**2 + q.heat_rms**2)
 
-    def change(X: Any) -> Any:
+    def change_all(X: Any) -> Any:
         """Return the change of [x; a] in a step."""
         moved = motion(q.plant, X[:n], u + X[n:])
         return ca.vertcat(moved, (memory - 1.0) * X[n:])
 
     Q = ca.diag(ca.vertcat(ca.SX.zeros(n), rms**2 * (1.0 - memory**2)))
-    following = predict_first_order(belief, change, Q)
+    following = predict_first_order(belief, change_all, Q)
     ends = []
     for (h, fresh), pair in zip(rows, cuts, strict=True):
         share = (h @ belief.cov @ h.T) / (h @ following.cov @ h.T + fresh)

@@ -49,7 +49,7 @@ def build_fit_page(
     agrees = "the log does not contradict the scenario"
     rows = [(name, chance) for name, chance in result.checks.items()]
     bound = FLAGGED / len(rows)
-    words = f"A test below {bound:.2g} contradicts the scenario. {result.verdict}"
+    words = f"A test below {bound:.2g} contradicts the scenario. {result.agreement}"
     notes = [
         html.build_paragraph(f"Another answer fits as well: {each}.") for each in result.others
     ]

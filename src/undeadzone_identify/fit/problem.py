@@ -75,6 +75,9 @@ class FitProblem(NamedTuple):
         logs: the logs.
         sides: surely active side of each reading of a log (N x p).
         spread: deviations of x(0) (n).
+        low, high, start: ends of the ranges and first values, in coordinates (k).
+        prior_std: deviations of the normal priors (k) (inf: there is none).
+        readings, inputs, all_sides: those of all logs (N x p, N x m, N x p).
         threads: of the lanes.
     """
 
@@ -90,41 +93,18 @@ class FitProblem(NamedTuple):
     logs: tuple[Log, ...]
     sides: tuple[Floats, ...]
     spread: Floats
+    low: Floats
+    high: Floats
+    start: Floats
+    prior_std: Floats
+    readings: Floats
+    inputs: Floats
+    all_sides: Floats
     threads: int | None = None
 
-    @property
-    def low(self) -> Floats:
-        """Return the lower ends of the ranges, in coordinates."""
-        return np.array([each.encode(each.low) for each in self.free])
-
-    @property
-    def high(self) -> Floats:
-        """Return the upper ends of the ranges, in coordinates."""
-        return np.array([each.encode(each.high) for each in self.free])
-
-    @property
-    def start(self) -> Floats:
-        """Return the first values, in coordinates."""
-        return np.array([each.encode(each.start) for each in self.free])
-
-    @property
-    def readings(self) -> Floats:
-        """Return the readings of all logs (N x p)."""
-        return np.concatenate([log.y for log in self.logs])
-
-    @property
-    def inputs(self) -> Floats:
-        """Return the inputs of all logs (N x m)."""
-        return np.concatenate([log.u for log in self.logs])
-
-    @property
-    def all_sides(self) -> Floats:
-        """Return the surely active sides of all logs (N x p)."""
-        return np.concatenate(self.sides)
-
-    def decode(self, points: Floats) -> Floats:
+    def decode_points(self, points: Floats) -> Floats:
         """Return the values of coordinates (lanes x numbers)."""
-        columns = [each.decode(points[:, i]) for i, each in enumerate(self.free)]
+        columns = [each.decode_value(points[:, i]) for i, each in enumerate(self.free)]
         return np.stack(columns, axis=1)
 
     def to_lanes(self, points: Floats, heat: tuple[float, float], log: int) -> Any:
@@ -135,7 +115,7 @@ class FitProblem(NamedTuple):
             heat: further noise ahead of the zone [z] and further disturbance [u].
             log: number of the log.
         """
-        values = self.decode(points)
+        values = self.decode_points(points)
         bound = self.bound
         lanes = bound.to_lanes(values, self._compute_plants(values))
         params = np.tile(bound.params, (len(points), 1))
@@ -153,7 +133,7 @@ class FitProblem(NamedTuple):
         states[:, diagonal[n:]] = rms**2
         return states, params
 
-    def record(self, points: Floats, heat: tuple[float, float] = (0.0, 0.0)) -> Recorded:
+    def record_lanes(self, points: Floats, heat: tuple[float, float] = (0.0, 0.0)) -> Recorded:
         """Return the records of lanes at coordinates along all logs."""
         p = self.model.p
         parts = []
@@ -168,24 +148,19 @@ class FitProblem(NamedTuple):
         density = np.nan_to_num(every[..., 0], nan=LOST, posinf=LOST, neginf=LOST)
         return Recorded(np.maximum(density, LOST), every[..., 1], every[..., 2])
 
-    def evaluate(self, points: Floats, heat: tuple[float, float] = (0.0, 0.0)) -> Floats:
+    def evaluate_points(self, points: Floats, heat: tuple[float, float] = (0.0, 0.0)) -> Floats:
         """Return the log likelihood with the prior at coordinates (lanes)."""
         rows = max(1, ROOM // (RECORDED * self.readings.size))
         parts = []
         for first in range(0, len(points), rows):
-            found = self.record(points[first : first + rows], heat)
+            found = self.record_lanes(points[first : first + rows], heat)
             parts.append(found.density.sum(axis=(1, 2)))
         return np.concatenate(parts) + self.log_prior(points)
 
     def log_prior(self, points: Floats) -> Floats:
         """Return the log of the normal priors at coordinates (lanes)."""
-        off = (self.decode(points) - [each.start for each in self.free]) / self.prior_std
+        off = (self.decode_points(points) - [each.start for each in self.free]) / self.prior_std
         return np.asarray(-0.5 * (off**2).sum(axis=1))
-
-    @property
-    def prior_std(self) -> Floats:
-        """Return the deviations of the normal priors (inf: there is none)."""
-        return np.array([each.std for each in self.free])
 
     def _compute_plants(self, values: Floats) -> dict[int, Floats]:
         """Return the numbers of plants that are built anew, by slot."""
@@ -271,12 +246,16 @@ def build_problem(
     noise = np.hypot(zone.noise, zone.quantum)
     gate = SURE * np.maximum(noise, 0.02 * zone.noise_before + 1e-12) * (kind == "deadzone")
     sides = [np.sign(log.y) * (np.abs(log.y) > gate) for log in logs]
+    every = (*free, *initial)
+    rows = [[each.low, each.high, each.start] for each in every]
+    columns = zip(every, rows, strict=True)
+    low, high, start = np.array([each.encode_value(np.array(row)) for each, row in columns]).T
     return FitProblem(
         scenario=scenario,
         model=model,
         zone=zone,
         kind=kind,
-        free=(*free, *initial),
+        free=every,
         built=built,
         slots=tree.leaf_slices(like),
         kernel=kernel,
@@ -284,6 +263,13 @@ def build_problem(
         logs=tuple(logs),
         sides=tuple(sides),
         spread=spread,
+        low=low,
+        high=high,
+        start=start,
+        prior_std=np.array([each.std for each in every]),
+        readings=np.concatenate([log.y for log in logs]),
+        inputs=np.concatenate([log.u for log in logs]),
+        all_sides=np.concatenate(sides),
         threads=threads,
     )
 

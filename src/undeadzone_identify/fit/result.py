@@ -52,8 +52,7 @@ class FittedNumber(NamedTuple):
     shown: bool
     note: str = ""
 
-    @property
-    def interval(self) -> str:
+    def format_interval(self) -> str:
         """Return the interval as text."""
         return f"[{self.low:.5g}, {self.high:.5g}]"
 
@@ -114,17 +113,12 @@ class Fitted:
         return min(self.checks.values()) >= FLAGGED / len(self.checks)
 
     @property
-    def values(self) -> dict[str, float]:
-        """Return the estimates by name."""
-        return {each.name: each.value for each in self.numbers}
-
-    def interval(self, name: str) -> tuple[float, float]:
-        """Return the 95 % interval of a number."""
-        (found,) = [each for each in self.numbers if each.name == name]
-        return found.low, found.high
+    def by_address(self) -> dict[str, FittedNumber]:
+        """Return the fitted numbers by name."""
+        return {each.name: each for each in self.numbers}
 
     @property
-    def verdict(self) -> str:
+    def agreement(self) -> str:
         """Return whether the logs contradict the scenario, with the reasons."""
         least = min(self.checks.values())
         if self.consistent:
@@ -144,13 +138,13 @@ class Fitted:
         """Return the numbers as rows of text, below their head."""
         rows = [list(HEAD)]
         for each in self.numbers:
-            cells = [f"{each.value:.6g}", each.interval, f"{each.start:.6g}"]
+            cells = [f"{each.value:.6g}", each.format_interval(), f"{each.start:.6g}"]
             rows.append([each.name, *cells, each.note])
         return rows
 
     def blocks(self) -> list[shown.Block]:
         """Return the tables that `undeadzone fit` prints."""
-        words: dict[str, Any] = {"scenario": self.scenario.title, "tests": self.verdict}
+        words: dict[str, Any] = {"scenario": self.scenario.title, "tests": self.agreement}
         if self.besides:
             words["free besides"] = f"{', '.join(self.besides)}: the scenario has no value"
         if self.delay:
@@ -179,9 +173,11 @@ class Fitted:
             FileError: if it cannot be written.
         """
         path = to_path(path)
-        lines = [f"# Fitted by undeadzone {undeadzone.__version__}. {self.verdict}"]
+        lines = [f"# Fitted by undeadzone {undeadzone.__version__}. {self.agreement}"]
         for each in self.numbers:
-            lines.append(f"# {each.name}: {each.value:.6g} {each.interval} {each.note}".rstrip())
+            lines.append(
+                f"# {each.name}: {each.value:.6g} {each.format_interval()} {each.note}".rstrip()
+            )
         here = Path(os.path.relpath(Path(), path.parent))
         text = toml.to_toml(anchor_files(self.scenario, here))
         return write_text(mark_toml("\n".join([*lines, text])), path)

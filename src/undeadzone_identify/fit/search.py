@@ -75,7 +75,7 @@ def measure_slopes(
     moves = np.vstack([np.zeros(points.shape[1]), np.eye(points.shape[1])])
     found = []
     for point, step in zip(points, steps, strict=True):
-        records = problem.record(point + moves * step, heat)
+        records = problem.record_lanes(point + moves * step, heat)
         rows = [part.reshape(len(moves), -1) for part in records]
         found.append(_measure_slope(problem, point, step, rows))
     return found
@@ -92,7 +92,7 @@ def _measure_slope(problem: FitProblem, point: Floats, step: Floats, rows: list[
     shown = np.nan_to_num(moved[:, used] / np.exp(log_std[used]))
     wider = np.nan_to_num(wider[:, used])
     information = shown @ shown.T + 2 * wider @ wider.T + unsure @ unsure.T
-    values = problem.decode(point[None])[0]
+    values = problem.decode_points(point[None])[0]
     slope = np.where([number.log for number in problem.free], values, 1.0)
     pull = (values - [each.start for each in problem.free]) / problem.prior_std**2
     information += np.diag((slope / problem.prior_std) ** 2)
@@ -148,7 +148,7 @@ def climb(
                 move = np.clip(move, -LONGEST * span, LONGEST * span)
                 trials.append(np.clip(points[start] + move, low, high))
         offers = np.array(trials).reshape(live.size, len(DAMPINGS), -1)
-        found = problem.evaluate(np.array(trials), heat).reshape(live.size, -1)
+        found = problem.evaluate_points(np.array(trials), heat).reshape(live.size, -1)
         for k, start in enumerate(live):
             best = int(np.argmax(found[k]))
             gain = found[k, best] - values[start]
@@ -211,18 +211,18 @@ def search_maximum(
         share, count, most = stage
         heat = (share * HOT * sizes[0], share * HOT * sizes[1])
 
-        def compute(missing: list[int]) -> Any:
+        def compute_stage(missing: list[int]) -> Any:
             """Yield the ends of the stage."""
             chosen = ends.keep_best(count).points
             frozen = noises & (share > 0)
             found = climb(problem, chosen, heat, most, frozen, tick)
             yield 0, [found.points.tolist(), found.values.tolist()]
 
-        (found,) = answers.compute_missing([[name, place, *stage]], compute)
+        (found,) = answers.compute_missing([[name, place, *stage]], compute_stage)
         return Ends(*map(np.array, found)).keep_best(count)
 
     heat = (HOT * sizes[0], HOT * sizes[1])
-    ends = Ends(points, problem.evaluate(points, heat))
+    ends = Ends(points, problem.evaluate_points(points, heat))
     for k, stage in enumerate(STAGES):
         ends = run_stage(f"stage {k}", ends, stage)
     again = ends

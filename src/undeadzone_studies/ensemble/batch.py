@@ -126,7 +126,7 @@ def prepare_batch(scenario: Scenario, moved: Iterable[int] = ()) -> Batch:
     problem = resolve_scenario(scenario)
     loop = close_problem(problem)
     binding = bind_ensemble(problem, loop)
-    indices = tuple(sorted({*binding.indices, *moved}))
+    indices = tuple(sorted({*binding.numbers.indices, *moved}))
     binding = binding._replace(numbers=binding.numbers._replace(indices=indices))
     vary = problem.scenario.ensemble or Vary()
     measured = metrics.add_metrics(loop, problem)
@@ -135,16 +135,16 @@ def prepare_batch(scenario: Scenario, moved: Iterable[int] = ()) -> Batch:
     tail = np.zeros(t.size)
     tail[last_samples(t)] = 1.0
     largest = np.abs(problem.reference.output_at(t)).max()
-    params = np.append(binding.params, vary.tolerance * largest)
+    params = np.append(binding.numbers.params, vary.tolerance * largest)
     own = build_run_noise(problem, loop, binding)
     kernel = lanes.build_kernel(
         measured.step,
         measured.rare,
         exogenous=own.entries,
-        params=binding.indices,
+        params=binding.numbers.indices,
         record=[],
         known_exogenous=constant_zero_inputs(shared, own.entries),
-        known_params=constant_params(params, binding.indices),
+        known_params=constant_params(params, binding.numbers.indices),
         fused=True,
     )
     names = (*binding.names_of_columns, *metrics.metric_names(problem.plant, problem.sensor.kind))

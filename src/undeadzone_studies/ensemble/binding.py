@@ -42,16 +42,6 @@ class Binding(NamedTuple):
     numbers: BoundNumbers
 
     @property
-    def params(self) -> Floats:
-        """Return the nominal params, packed."""
-        return self.numbers.params
-
-    @property
-    def indices(self) -> tuple[int, ...]:
-        """Return the packed params that differ between runs."""
-        return self.numbers.indices
-
-    @property
     def names_of_columns(self) -> list[str]:
         """Return the names of the drawn columns, such as `sensor.right[0]`.
 
@@ -224,7 +214,7 @@ def _noise_streams(problem: Problem, loop: Loop, binding: Binding) -> dict[str, 
     for stream, name in ((noise.AFTER, "after"), (noise.BEFORE, "before")):
         for channel in range(problem.plant.p):
             slot = slots[f"scale.{name}[{channel}]"]
-            if binding.params[slot] != 0 or slot in binding.indices:
+            if binding.numbers.params[slot] != 0 or slot in binding.numbers.indices:
                 words[f"{name}[{channel}]"] = noise.counter_word(stream, channel)
     return words
 

@@ -306,7 +306,7 @@ def _record_outputs(
         _record_trail(batch.kernel, every), runs, own, every=every
     )
     instants = batch.exogenous[::every, :-2].copy()
-    params = batch.binding.params.copy()
+    params = batch.binding.numbers.params.copy()
     step = batch.loop.step
     s, w, p = (ca.SX.sym(name, step.size1_in(i)) for i, name in enumerate("swp"))
     show = interpret.build_stateless_step([ca.vertcat(s, w), p], step(s, w, p)[1][outputs])
@@ -314,7 +314,7 @@ def _record_outputs(
     for lane, trail in enumerate(trails):
         states, _, drawn = np.split(trail, [s.numel(), finals.shape[1]], axis=1)
         instants[:, batch.own.entries] = drawn
-        params[list(batch.binding.indices)] = own.params[lane]
+        params[list(batch.binding.numbers.indices)] = own.params[lane]
         recorded[lane] = interpret.map_rows(show, np.hstack([states, instants]), params)
     return recorded
 

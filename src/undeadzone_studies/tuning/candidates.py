@@ -115,9 +115,9 @@ class TestRuns(NamedTuple):
         form = graph(candidate)
         binding = self.batch.binding
         if form == self.graph:
-            shared = np.delete(np.arange(binding.params.size), binding.indices)
+            shared = np.delete(np.arange(binding.numbers.params.size), binding.numbers.indices)
             _, params = pack_problem(candidate, self.batch.loop)
-            if np.array_equal(params[shared], binding.params[shared]):
+            if np.array_equal(params[shared], binding.numbers.params[shared]):
                 return None
         return form
 

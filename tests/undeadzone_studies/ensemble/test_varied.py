@@ -195,7 +195,7 @@ def test_a_run_is_that_of_the_scenario_with_the_number_written_in(
     assert np.isfinite(expected).all()
     np.testing.assert_allclose(varied, expected, rtol=1e-11, atol=1e-11)
     nominal, _ = interpret.run_interpreted(
-        loop.step, binding.numbers.state, exogenous, binding.params
+        loop.step, binding.numbers.state, exogenous, binding.numbers.params
     )
     assert not np.allclose(varied, nominal, rtol=1e-6, atol=1e-6)
 
@@ -347,7 +347,11 @@ def test_nothing_varies_in_an_empty_table() -> None:
     """Only the noise does."""
     binding = bound({}, {"runs": 5})
     lanes = binding.numbers.to_lanes(binding.draw_columns(0, 5, 5))
-    assert (binding.names_of_columns, binding.indices, lanes.params.shape) == ([], (), (5, 0))
+    assert (binding.names_of_columns, binding.numbers.indices, lanes.params.shape) == (
+        [],
+        (),
+        (5, 0),
+    )
     assert np.array_equal(lanes.states, np.tile(binding.numbers.state, (5, 1)))
 
 
@@ -424,7 +428,7 @@ def test_blocks_do_not_matter_to_the_last_bit(sampling: str, first: int, count: 
     for k in (0, count // 2, count - 1):
         state, params = binding.numbers.pack_lane(values[k])
         assert np.array_equal(state, lanes.states[k])
-        assert np.array_equal(params[list(binding.indices)], lanes.params[k])
+        assert np.array_equal(params[list(binding.numbers.indices)], lanes.params[k])
 
 
 # --- the hold of many plants ---
