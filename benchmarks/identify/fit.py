@@ -21,9 +21,9 @@ from benchmarks.markdown import head, row
 from benchmarks.results import share
 from undeadzone.scenario.reader import parse
 from undeadzone.util.arrays import Floats
-from undeadzone_identify.fit.fitting import prepare_fit, read_logs
-from undeadzone_identify.fit.free import complete_tables
-from undeadzone_identify.fit.problem import FitProblem, build_model
+from undeadzone_identify.fitting.estimates import prepare_fit, read_logs
+from undeadzone_identify.fitting.free import complete_tables
+from undeadzone_identify.fitting.problem import FitProblem, build_model
 
 Generator = np.random.Generator
 REST = """

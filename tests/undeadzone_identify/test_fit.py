@@ -17,11 +17,11 @@ from undeadzone.cli import group
 from undeadzone.scenario.reader import parse
 from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
-from undeadzone_identify.fit.fitting import prepare_fit, read_logs
-from undeadzone_identify.fit.free import complete_tables
-from undeadzone_identify.fit.likelihood import build_step
-from undeadzone_identify.fit.problem import FitProblem, build_model, pack_scenario
-from undeadzone_identify.fit.search import measure_slopes
+from undeadzone_identify.fitting.estimates import prepare_fit, read_logs
+from undeadzone_identify.fitting.free import complete_tables
+from undeadzone_identify.fitting.likelihood import build_step
+from undeadzone_identify.fitting.problem import FitProblem, build_model, pack_scenario
+from undeadzone_identify.fitting.search import measure_slopes
 
 STEP = 0.02
 TEXT = """

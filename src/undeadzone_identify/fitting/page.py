@@ -10,8 +10,8 @@ import numpy as np
 from undeadzone.report import html, ink
 from undeadzone.report.style import create_panels, escape_formulas, finish_panel
 from undeadzone.util import toml
-from undeadzone_identify.fit.checks import FLAGGED
-from undeadzone_identify.fit.result import HEAD, Fitted
+from undeadzone_identify.fitting.checks import FLAGGED
+from undeadzone_identify.fitting.result import HEAD, Fitted
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

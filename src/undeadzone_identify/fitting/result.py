@@ -16,7 +16,7 @@ from undeadzone.util import shown, toml
 from undeadzone.util.arrays import Floats, to_json_value
 from undeadzone.util.files import to_path, write_text
 from undeadzone.util.own_files import mark_toml
-from undeadzone_identify.fit.checks import FLAGGED
+from undeadzone_identify.fitting.checks import FLAGGED
 
 HEAD: Final = ("number", "value", "95 % interval", "before", "")
 NAMES: Final = {
@@ -85,6 +85,7 @@ class Fitted:
             least known one on (k x k).
         log_likelihood: at the maximum.
         checks: probability of each test of the answer under a true scenario, by name.
+        consistent: whether no test contradicts the scenario.
         others: values of further answers that fit the logs as well, by name.
         besides: addresses that were free without being asked for.
         delay: samples by which the inputs act late.
@@ -97,6 +98,7 @@ class Fitted:
     directions: Floats
     log_likelihood: float
     checks: dict[str, float]
+    consistent: bool
     others: tuple[dict[str, float], ...]
     besides: tuple[str, ...]
     delay: int
@@ -105,12 +107,7 @@ class Fitted:
     @property
     def drawn(self) -> tuple[str, str, str]:
         """Return module and functions that draw it for `uz.plot`."""
-        return "undeadzone_identify.fit.page", "plot_fit", "plot_readings"
-
-    @property
-    def consistent(self) -> bool:
-        """Return whether the logs do not contradict the scenario."""
-        return min(self.checks.values()) >= FLAGGED / len(self.checks)
+        return "undeadzone_identify.fitting.page", "plot_fit", "plot_readings"
 
     @property
     def by_address(self) -> dict[str, FittedNumber]:

@@ -92,7 +92,7 @@ def fit(
     if keep is not None:
         keep.unlink(missing_ok=True)
     if folder is not None and output.figures:
-        from undeadzone_identify.fit.page import write_fit
+        from undeadzone_identify.fitting.page import write_fit
 
         written += write_fit(result, folder, build_origin(scenario, seed))
     last = files_line(written)

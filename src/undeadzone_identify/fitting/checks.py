@@ -14,8 +14,8 @@ from scipy import stats
 from scipy.special import ndtr, ndtri
 
 from undeadzone.util.arrays import Floats
-from undeadzone_identify.fit.likelihood import LEAST_AFTER
-from undeadzone_identify.fit.problem import SURE, FitProblem
+from undeadzone_identify.fitting.likelihood import LEAST_AFTER
+from undeadzone_identify.fitting.problem import SURE, FitProblem
 
 LAGS: Final = (1, 2, 3, 5, 8, 13, 21, 34, 55, 89)  # samples over which scores are correlated
 FLAGGED: Final = 0.05  # probability that a true model is flagged, all tests together

@@ -19,8 +19,8 @@ from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.packed import BoundNumbers, ResampledPlant, bind_numbers
 from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
-from undeadzone_identify.fit.free import WIDTHS, FreeNumber
-from undeadzone_identify.fit.likelihood import OPEN, RECORDED, FilterNumbers, build_step
+from undeadzone_identify.fitting.free import WIDTHS, FreeNumber
+from undeadzone_identify.fitting.likelihood import OPEN, RECORDED, FilterNumbers, build_step
 
 SURE: Final = 4.0  # noise, in its rms, beyond which a reading is surely active
 KNOWN: Final = 1e-7  # deviation of a number of x(0) that is known

@@ -28,8 +28,8 @@ from undeadzone.util.answers import open_answers
 from undeadzone.util.arrays import Floats, shift_rows
 from undeadzone.util.files import LARGEST_RUN
 from undeadzone.util.progress import notebook_progress
-from undeadzone_identify.fit.checks import check_scores, score_readings
-from undeadzone_identify.fit.free import (
+from undeadzone_identify.fitting.checks import FLAGGED, check_scores, score_readings
+from undeadzone_identify.fitting.free import (
     DELAY,
     EXAMPLE,
     WIDTHS,
@@ -42,8 +42,8 @@ from undeadzone_identify.fit.free import (
     find_numbers,
     free_within,
 )
-from undeadzone_identify.fit.intervals import LINKED, Intervals, estimate_intervals
-from undeadzone_identify.fit.problem import (
+from undeadzone_identify.fitting.intervals import LINKED, Intervals, estimate_intervals
+from undeadzone_identify.fitting.problem import (
     KNOWN,
     LOST,
     FitProblem,
@@ -52,8 +52,8 @@ from undeadzone_identify.fit.problem import (
     build_problem,
     resolve_zone,
 )
-from undeadzone_identify.fit.result import Fitted, FittedNumber, FittedSignals
-from undeadzone_identify.fit.search import Ends, search_maximum
+from undeadzone_identify.fitting.result import Fitted, FittedNumber, FittedSignals
+from undeadzone_identify.fitting.search import Ends, search_maximum
 
 FIRST: Final = 20  # readings that show x(0)
 LEAST_REACH: Final = 0.1  # of x(0), over the largest reading
@@ -335,6 +335,7 @@ def build_answer(
     tick(1)
     values = problem.decode_points(point[None])[0]
     scores = score_readings(problem, point)
+    checks = check_scores(problem, point, scores)
     numbers = []
     for i, number in enumerate(problem.free):
         low, high = float(intervals.low[i]), float(intervals.high[i])
@@ -361,7 +362,8 @@ def build_answer(
         correlations=intervals.correlations,
         directions=intervals.directions,
         log_likelihood=value,
-        checks=check_scores(problem, point, scores),
+        checks=checks,
+        consistent=min(checks.values()) >= FLAGGED / len(checks),
         others=_find_other_answers(problem, ends, intervals),
         besides=tuple(besides),
         delay=delay,

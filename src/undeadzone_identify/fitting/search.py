@@ -15,7 +15,7 @@ from scipy.stats import qmc
 
 from undeadzone.util.answers import MemoryAnswers
 from undeadzone.util.arrays import Flags, Floats
-from undeadzone_identify.fit.problem import FitProblem
+from undeadzone_identify.fitting.problem import FitProblem
 
 STARTS: Final = 64  # points, of which the best are followed
 HOT: Final = 0.2  # heat of the first stage, in the rms of readings and inputs

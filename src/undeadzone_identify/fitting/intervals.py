@@ -15,8 +15,8 @@ import numpy as np
 
 from undeadzone.util.arrays import Flags, Floats
 from undeadzone.util.text import HALF_95
-from undeadzone_identify.fit.problem import FitProblem
-from undeadzone_identify.fit.search import AT_END, DIFFERENCE, diagonal_of, measure_slopes
+from undeadzone_identify.fitting.problem import FitProblem
+from undeadzone_identify.fitting.search import AT_END, DIFFERENCE, diagonal_of, measure_slopes
 
 BLOCKS: Final = (60, 20)  # of a log, over each of which scores are summed
 SHORTEST: Final = 5  # readings of a block
