@@ -36,7 +36,6 @@ from undeadzone_identify.fitting.free import (
     FreeNumber,
     Sizes,
     build_free_number,
-    claimed_range,
     complete_tables,
     expand_address,
     find_numbers,
@@ -53,7 +52,7 @@ from undeadzone_identify.fitting.problem import (
     resolve_zone,
 )
 from undeadzone_identify.fitting.result import Fitted, FittedNumber, FittedSignals
-from undeadzone_identify.fitting.search import Ends, search_maximum
+from undeadzone_identify.fitting.search import Peaks, search_maximum
 
 FIRST: Final = 20  # readings that show x(0)
 LEAST_REACH: Final = 0.1  # of x(0), over the largest reading
@@ -86,7 +85,7 @@ def fit(
     Args:
         scenario: a scenario, or the path of its file, which needs no [reference] and no
             [controller]. [plant], [sensor], [actuator] and [disturbance] generate the log.
-            [observer] is not used, but for its ranges of the widths.
+            [observer] is not used.
         logs: a log or several of one plant: paths, DataFrames, or tables of arrays t, u, y.
         free: addresses of the numbers, as `plant.mass,sensor.right=0..0.5`, a list, or a table with
             the range of each: None, (lo, hi), (start, lo, hi) or (start, lo, hi, std) with a normal
@@ -129,15 +128,15 @@ def fit(
         notebook_progress(progress, "fitting", None) as advance,
         open_answers(keep, described, "stages", resume) as answers,
     ):
-        best: tuple[FitProblem, Ends, int] | None = None
+        best: tuple[FitProblem, Peaks, int] | None = None
         for delay in delays:
-            moved = [_delay_log(log, delay) for log in read]
+            moved = [_delay_log(record, delay) for record in read]
             problem = prepare_fit(
                 scenario, model, moved, asked | dict.fromkeys(besides), x0, threads
             )
-            ends = search_maximum(problem, seed, advance, answers, f"delay {delay}")
-            if best is None or ends.values[0] > best[1].values[0]:
-                best = problem, ends, delay
+            peaks = search_maximum(problem, seed, advance, answers, f"delay {delay}")
+            if best is None or peaks.values[0] > best[1].values[0]:
+                best = problem, peaks, delay
         assert best is not None
         return build_answer(*best, besides, advance)
 
@@ -158,9 +157,9 @@ def _parse_number(text: str) -> tuple[str, Any]:
     address, there, bounds = text.partition("=")
     if not there:
         return address.strip(), None
-    ends = bounds.split("..")
+    parts = bounds.split("..")
     try:
-        low, high = map(float, ends)
+        low, high = map(float, parts)
     except ValueError:
         raise InputError(
             "free: expected ADDRESS or ADDRESS=lo..hi, such as sensor.right=0..0.5, found "
@@ -212,9 +211,9 @@ def _hold_missing(u: Floats) -> Floats:
     return np.where(last < 0, 0.0, np.take_along_axis(u, np.maximum(last, 0), axis=0))
 
 
-def _delay_log(log: Log, delay: int) -> Log:
+def _delay_log(record: Log, delay: int) -> Log:
     """Return a log whose inputs act later."""
-    return log._replace(u=shift_rows(log.u, delay, np.zeros(1, int)))
+    return record._replace(u=shift_rows(record.u, delay, np.zeros(1, int)))
 
 
 def _list_delays(scenario: Scenario, asked: dict[str, Any]) -> list[int]:
@@ -234,8 +233,8 @@ def _describe_fit(
 ) -> dict[str, Any]:
     """Return all data that the stages of a search depend on."""
     digest = hashlib.blake2b(digest_size=16)
-    for log in logs:
-        digest.update(np.ascontiguousarray(np.hstack([log.y, log.u])).tobytes())
+    for record in logs:
+        digest.update(np.ascontiguousarray(np.hstack([record.y, record.u])).tobytes())
     return {
         "scenario": toml.to_toml(scenario),
         "free": {name: str(given) for name, given in asked.items()},
@@ -273,11 +272,10 @@ def prepare_fit(
         for name in expand_address(address, known):
             if name in numbers:
                 raise InputError(f"free: {name} is named twice. Keep one address that names it")
-            claimed = claimed_range(scenario, name)
             value = known[name].value
             assert value is not None
-            numbers[name] = build_free_number(name, value, given, sizes, claimed)
-    readings = sum(int(np.isfinite(log.y).sum()) for log in logs)
+            numbers[name] = build_free_number(name, value, given, sizes)
+    readings = sum(int(np.isfinite(record.y).sum()) for record in logs)
     if readings < FEWEST * len(numbers):
         raise InputError(
             f"logs: {readings} readings for {len(numbers)} numbers, fewer than {FEWEST} for each"
@@ -298,8 +296,8 @@ def prepare_fit(
 
 def _measure_sizes(zone: Zone, logs: Sequence[Log]) -> Sizes:
     """Return the sizes from which default ranges follow."""
-    y = np.concatenate([log.y for log in logs])
-    u = np.concatenate([log.u for log in logs])
+    y = np.concatenate([record.y for record in logs])
+    u = np.concatenate([record.u for record in logs])
     largest = np.nanmax(np.abs(y), initial=0.0) + max(*zone.right, *zone.left)
     rms = [np.sqrt(np.nanmean(part**2)) or 1.0 for part in (y, u)]
     return Sizes(2 * float(largest) or 1.0, *map(float, rms))
@@ -311,21 +309,21 @@ def _reach_of_start(
     """Return the distance of x(0) from the scenario's that the first readings allow (n)."""
     widths = [] if zone.kind == "gears" else [*zone.right, *zone.left]
     widths += [each.high for each in numbers if stem(each.name) in WIDTHS[:2]]
-    first = max(float(np.nanmax(np.abs(log.y[:FIRST]), initial=0.0)) for log in logs)
-    largest = max(float(np.nanmax(np.abs(log.y), initial=0.0)) for log in logs)
+    first = max(float(np.nanmax(np.abs(record.y[:FIRST]), initial=0.0)) for record in logs)
+    largest = max(float(np.nanmax(np.abs(record.y), initial=0.0)) for record in logs)
     size = max(first + max(widths, default=0.0), LEAST_REACH * largest)
     return size * state_units(model.continuous, model.Ts)
 
 
 def build_answer(
     problem: FitProblem,
-    ends: Ends,
+    peaks: Peaks,
     delay: int,
     besides: Sequence[str],
     tick: Callable[[int], None],
 ) -> Fitted:
     """Return the answer at the best end of the searches. Raises InputError if all diverged."""
-    point, value = ends.points[0], float(ends.values[0])
+    point, value = peaks.points[0], float(peaks.values[0])
     if value < LOST * len(problem.readings) / 2:
         raise InputError(
             "log: the scenario diverges along it from every start. Give narrower ranges, or "
@@ -355,7 +353,7 @@ def build_answer(
             )
         )
     prediction = problem.record_lanes(point[None]).prediction[0]
-    t = np.concatenate([log.t for log in problem.logs])
+    t = np.concatenate([record.t for record in problem.logs])
     return Fitted(
         scenario=_write_numbers(problem, values, delay),
         numbers=tuple(numbers),
@@ -364,7 +362,7 @@ def build_answer(
         log_likelihood=value,
         checks=checks,
         consistent=min(checks.values()) >= FLAGGED / len(checks),
-        others=_find_other_answers(problem, ends, intervals),
+        others=_find_other_answers(problem, peaks, intervals),
         besides=tuple(besides),
         delay=delay,
         signals=FittedSignals(t, problem.readings, prediction, scores),
@@ -390,7 +388,7 @@ def _note_number(problem: FitProblem, found: Intervals, values: Floats, i: int) 
     row = np.abs(found.correlations[i]) * (np.arange(len(values)) != i)
     other = int(np.argmax(row))
     if row[other] > LINKED:
-        both = number.log and problem.free[other].log
+        both = number.is_log and problem.free[other].is_log
         opposite = found.correlations[i, other] < 0
         kind = ("ratio", "product")[int(opposite)] if both else ("difference", "sum")[int(opposite)]
         words += f"; only the {kind} with {problem.free[other].name} is known"
@@ -398,15 +396,15 @@ def _note_number(problem: FitProblem, found: Intervals, values: Floats, i: int) 
 
 
 def _find_other_answers(
-    problem: FitProblem, ends: Ends, found: Intervals
+    problem: FitProblem, peaks: Peaks, found: Intervals
 ) -> tuple[dict[str, float], ...]:
-    """Return further ends that fit as well and are more than deviations away, by name."""
+    """Return further peaks that fit as well and are more than deviations away, by name."""
     others: list[dict[str, float]] = []
-    far = [ends.points[0]]
+    far = [peaks.points[0]]
     scale = np.maximum(found.std, 1e-3 * (problem.high - problem.low))
-    for point, value in zip(ends.points[1:], ends.values[1:], strict=True):
+    for point, value in zip(peaks.points[1:], peaks.values[1:], strict=True):
         distances = [np.abs((point - each) / scale).max() for each in far]
-        if value > ends.values[0] - ALIKE and min(distances) > APART:
+        if value > peaks.values[0] - ALIKE and min(distances) > APART:
             far.append(point)
             names = [each.name for each in problem.free]
             others.append(

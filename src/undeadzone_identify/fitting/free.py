@@ -14,7 +14,6 @@ from undeadzone.scenario.address import (
     Number,
     entries_there,
     find_option_numbers,
-    index_of,
     matching,
     similar,
     stem,
@@ -22,7 +21,6 @@ from undeadzone.scenario.address import (
 )
 from undeadzone.scenario.schema import Scenario
 from undeadzone.signals.exosystem import Random
-from undeadzone.util.arrays import Floats
 
 TABLES: Final = ("plant", "sensor", "actuator", "disturbance")  # whose numbers may be fitted
 PARAMETERS: Final = "plant.parameters."
@@ -49,7 +47,7 @@ class FreeNumber(NamedTuple):
         low, high: ends of its range.
         start: first value of the search.
         std: deviation of its normal prior about `start` (inf: its range alone).
-        log: whether it is searched in logarithms.
+        is_log: whether it is searched in logarithms.
     """
 
     name: str
@@ -57,7 +55,7 @@ class FreeNumber(NamedTuple):
     high: float
     start: float
     std: float = math.inf
-    log: bool = False
+    is_log: bool = False
 
     @property
     def is_noise(self) -> bool:
@@ -66,21 +64,21 @@ class FreeNumber(NamedTuple):
 
     def encode_value(self, value: Any) -> Any:
         """Return the coordinate of a value."""
-        return np.log(value) if self.log else value
+        return np.log(value) if self.is_log else value
 
     def decode_value(self, coordinate: Any) -> Any:
         """Return the value of a coordinate."""
-        return np.exp(coordinate) if self.log else coordinate
+        return np.exp(coordinate) if self.is_log else coordinate
 
 
 def free_within(
     name: str, low: float, high: float, start: float | None = None, std: float = math.inf
 ) -> FreeNumber:
     """Return a number that is free within a range, from its middle unless a start is given."""
-    log = low > 0 and high / low > LOGARITHMIC
-    middle = math.sqrt(low * high) if log else (low + high) / 2
+    is_log = low > 0 and high / low > LOGARITHMIC
+    middle = math.sqrt(low * high) if is_log else (low + high) / 2
     first = middle if start is None else min(max(start, low), high)
-    return FreeNumber(name, low, high, first, std, log)
+    return FreeNumber(name, low, high, first, std, is_log)
 
 
 def find_numbers(scenario: Scenario, system: System) -> dict[str, Number]:
@@ -149,9 +147,7 @@ class Sizes(NamedTuple):
     u: float
 
 
-def build_free_number(
-    name: str, value: float, given: Any, sizes: Sizes, claimed: Floats | None
-) -> FreeNumber:
+def build_free_number(name: str, value: float, given: Any, sizes: Sizes) -> FreeNumber:
     """Return a number with its range.
 
     Args:
@@ -159,7 +155,6 @@ def build_free_number(
         value: in the scenario.
         given: what the user gives: None, (low, high), or (start, low, high[, std]).
         sizes: of the logs.
-        claimed: range of a width in [observer] (None: there is none).
 
     Raises:
         InputError: no range follows from a value of 0, or it is not one.
@@ -167,7 +162,7 @@ def build_free_number(
     start, low, high, std = _read_range(name, given)
     start = value if start is None else start
     if low is None or high is None:
-        low, high = _default_range(name, start, sizes, claimed)
+        low, high = _default_range(name, start, sizes)
     if start == 0 and low > 0:
         return free_within(name, low, high, None, std)
     if not low < high:
@@ -196,14 +191,12 @@ def _read_range(name: str, given: Any) -> tuple[float | None, float | None, floa
     )
 
 
-def _default_range(
-    name: str, value: float, sizes: Sizes, claimed: Floats | None
-) -> tuple[float, float]:
+def _default_range(name: str, value: float, sizes: Sizes) -> tuple[float, float]:
     """Return the range of a number without one. Raises InputError."""
     place = stem(name)
     if place in WIDTHS:
         largest = sizes.z if place.startswith("sensor") else 3 * sizes.u
-        return (0.0, max(largest, 2 * value)) if claimed is None else (claimed[0], claimed[1])
+        return 0.0, max(largest, 2 * value)
     if place in NOISES:
         size = value or {"s": sizes.y, "d": sizes.u}[place[0]] / LOUD
         return size / LOUD, size * LOUD
@@ -215,15 +208,3 @@ def _default_range(
     if value > 0 and place not in SIGNED:
         return value / FAR, value * FAR
     return value - WIDE * abs(value), value + WIDE * abs(value)
-
-
-def claimed_range(scenario: Scenario, name: str) -> Floats | None:
-    """Return the range of a sensor's width in [observer], or None."""
-    if not name.startswith("sensor.") or stem(name) not in WIDTHS:
-        return None
-    side = stem(name).partition(".")[2]
-    for key in (side, "right"):
-        claim = np.asarray(getattr(scenario.observer, key, None), dtype=object)
-        if claim.shape == (2,) and not index_of(name):
-            return claim.astype(float)
-    return None

@@ -137,9 +137,9 @@ class FitProblem(NamedTuple):
         """Return the records of lanes at coordinates along all logs."""
         p = self.model.p
         parts = []
-        for k, (log, sides) in enumerate(zip(self.logs, self.sides, strict=True)):
+        for k, (record, sides) in enumerate(zip(self.logs, self.sides, strict=True)):
             states, params = self.to_lanes(points, heat, k)
-            w = np.hstack([log.y, log.u, sides])
+            w = np.hstack([record.y, record.u, sides])
             found, _ = run_lanes(
                 self.kernel, states, w, params[0], lane_params=params, threads=self.threads
             )
@@ -245,7 +245,7 @@ def build_problem(
     kernel = build_kernel(step, params=range(params.size))
     noise = np.hypot(zone.noise, zone.quantum)
     gate = SURE * np.maximum(noise, 0.02 * zone.noise_before + 1e-12) * (kind == "deadzone")
-    sides = [np.sign(log.y) * (np.abs(log.y) > gate) for log in logs]
+    sides = [np.sign(record.y) * (np.abs(record.y) > gate) for record in logs]
     every = (*free, *initial)
     rows = [[each.low, each.high, each.start] for each in every]
     columns = zip(every, rows, strict=True)
@@ -267,8 +267,8 @@ def build_problem(
         high=high,
         start=start,
         prior_std=np.array([each.std for each in every]),
-        readings=np.concatenate([log.y for log in logs]),
-        inputs=np.concatenate([log.u for log in logs]),
+        readings=np.concatenate([record.y for record in logs]),
+        inputs=np.concatenate([record.u for record in logs]),
         all_sides=np.concatenate(sides),
         threads=threads,
     )

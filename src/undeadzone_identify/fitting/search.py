@@ -47,21 +47,21 @@ class Slope(NamedTuple):
     scores: Floats
 
 
-class Ends(NamedTuple):
-    """Ends of searches from several starts, the best first.
+class Peaks(NamedTuple):
+    """Peaks of searches from several starts, the best first.
 
     Attributes:
-        points: coordinates (ends x k).
-        values: log likelihoods (ends).
+        points: coordinates (peaks x k).
+        values: log likelihoods (peaks).
     """
 
     points: Floats
     values: Floats
 
-    def keep_best(self, count: int) -> Ends:
-        """Return the best ends."""
+    def keep_best(self, count: int) -> Peaks:
+        """Return the best peaks."""
         order = np.argsort(-self.values, kind="stable")[:count]
-        return Ends(self.points[order], self.values[order])
+        return Peaks(self.points[order], self.values[order])
 
 
 def measure_slopes(
@@ -93,7 +93,7 @@ def _measure_slope(problem: FitProblem, point: Floats, step: Floats, rows: list[
     wider = np.nan_to_num(wider[:, used])
     information = shown @ shown.T + 2 * wider @ wider.T + unsure @ unsure.T
     values = problem.decode_points(point[None])[0]
-    slope = np.where([number.log for number in problem.free], values, 1.0)
+    slope = np.where([number.is_log for number in problem.free], values, 1.0)
     pull = (values - [each.start for each in problem.free]) / problem.prior_std**2
     information += np.diag((slope / problem.prior_std) ** 2)
     value = density.sum() + problem.log_prior(point[None])[0]
@@ -113,8 +113,8 @@ def climb(
     most: int,
     frozen: Flags,
     tick: Callable[[int], None],
-) -> Ends:
-    """Return the ends of searches by Levenberg-Marquardt steps within the ranges.
+) -> Peaks:
+    """Return the peaks of searches by Levenberg-Marquardt steps within the ranges.
 
     Args:
         problem: the numbers.
@@ -162,7 +162,7 @@ def climb(
             if damping[start] > 1e7:
                 small[start] = 2
         tick(1)
-    return Ends(points, values)
+    return Peaks(points, values)
 
 
 def _damped_step(
@@ -189,8 +189,8 @@ def search_maximum(
     tick: Callable[[int], None],
     answers: MemoryAnswers,
     name: str = "",
-) -> Ends:
-    """Return the ends of the searches, the best first.
+) -> Peaks:
+    """Return the peaks of the searches, the best first.
 
     Args:
         problem: the numbers.
@@ -206,27 +206,27 @@ def search_maximum(
     points[:, noises] = problem.start[noises]
     sizes = float(np.nanstd(problem.readings)), float(np.nanstd(problem.inputs))
 
-    def run_stage(place: str, ends: Ends, stage: tuple[float, int, int]) -> Ends:
-        """Return the ends of a stage, known or computed."""
+    def run_stage(place: str, peaks: Peaks, stage: tuple[float, int, int]) -> Peaks:
+        """Return the peaks of a stage, known or computed."""
         share, count, most = stage
         heat = (share * HOT * sizes[0], share * HOT * sizes[1])
 
         def compute_stage(missing: list[int]) -> Any:
-            """Yield the ends of the stage."""
-            chosen = ends.keep_best(count).points
+            """Yield the peaks of the stage."""
+            chosen = peaks.keep_best(count).points
             frozen = noises & (share > 0)
             found = climb(problem, chosen, heat, most, frozen, tick)
             yield 0, [found.points.tolist(), found.values.tolist()]
 
         (found,) = answers.compute_missing([[name, place, *stage]], compute_stage)
-        return Ends(*map(np.array, found)).keep_best(count)
+        return Peaks(*map(np.array, found)).keep_best(count)
 
     heat = (HOT * sizes[0], HOT * sizes[1])
-    ends = Ends(points, problem.evaluate_points(points, heat))
+    peaks = Peaks(points, problem.evaluate_points(points, heat))
     for k, stage in enumerate(STAGES):
-        ends = run_stage(f"stage {k}", ends, stage)
-    again = ends
+        peaks = run_stage(f"stage {k}", peaks, stage)
+    again = peaks
     for k, stage in enumerate(AGAIN):
         again = run_stage(f"again {k}", again, stage)
-    both = np.concatenate([ends.points, again.points])
-    return Ends(both, np.concatenate([ends.values, again.values])).keep_best(len(both))
+    both = np.concatenate([peaks.points, again.points])
+    return Peaks(both, np.concatenate([peaks.values, again.values])).keep_best(len(both))
