@@ -21,7 +21,7 @@ from undeadzone_identify.fitting.estimates import prepare_fit, read_logs
 from undeadzone_identify.fitting.free import complete_tables
 from undeadzone_identify.fitting.likelihood import build_step
 from undeadzone_identify.fitting.problem import FitProblem, build_model, pack_scenario
-from undeadzone_identify.fitting.search import measure_slopes
+from undeadzone_identify.fitting.search import measure_slope
 
 STEP = 0.02
 TEXT = """
@@ -137,7 +137,7 @@ def test_without_a_zone_the_likelihood_is_that_of_the_kalman_filter() -> None:
 def test_derivatives_are_those_of_casadi() -> None:
     text = FORMULAS.replace("right = 0.3\nleft = 0.2", "right = 0.0\nleft = 0.0")
     problem = pose(text, {"plant.b": None, "sensor.noise": None}, x0="known")
-    slope = measure_slopes(problem, problem.start[None], np.full((1, 2), 1e-6))[0]
+    slope = measure_slope(problem, problem.start, np.full(2, 1e-6))
     step = build_step_of(problem)
     states, params = problem.to_lanes(problem.start[None], (0.0, 0.0), 0)
     symbol = ca.SX.sym("q", params.shape[1])
@@ -211,8 +211,11 @@ def test_the_truth_is_found_and_is_consistent() -> None:
         assert number.value == pytest.approx(value, rel=0.1)
     assert found.consistent
     assert found.scenario.sensor.right == found.by_address["sensor.right"].value
-    again = uz.fit(parse(TEXT), [make_log(3), make_log(4)], free, threads=2)
-    assert again.numbers == found.numbers
+
+
+def test_threads_change_no_bit() -> None:
+    again = uz.fit(parse(TEXT), make_log(), "sensor.right", threads=2)
+    assert again.numbers == fit_width().numbers
 
 
 def test_a_wrong_model_is_contradicted() -> None:

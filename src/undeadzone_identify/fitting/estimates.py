@@ -281,7 +281,7 @@ def prepare_fit(
             f"logs: {readings} readings for {len(numbers)} numbers, fewer than {FEWEST} for each"
         )
     start = plants.initial_state(scenario.plant, model)
-    reach = _reach_of_start(model, zone, logs, numbers.values())
+    reach = _reach_of_start(model, sizes, logs, numbers.values())
     spread = np.full(model.n, KNOWN)
     initial = []
     if x0 == "free" and model.nonlinear:
@@ -304,14 +304,12 @@ def _measure_sizes(zone: Zone, logs: Sequence[Log]) -> Sizes:
 
 
 def _reach_of_start(
-    model: System, zone: Zone, logs: Sequence[Log], numbers: Iterable[FreeNumber]
+    model: System, sizes: Sizes, logs: Sequence[Log], numbers: Iterable[FreeNumber]
 ) -> Floats:
     """Return the distance of x(0) from the scenario's that the first readings allow (n)."""
-    widths = [] if zone.kind == "gears" else [*zone.right, *zone.left]
-    widths += [each.high for each in numbers if stem(each.name) in WIDTHS[:2]]
     first = max(float(np.nanmax(np.abs(record.y[:FIRST]), initial=0.0)) for record in logs)
-    largest = max(float(np.nanmax(np.abs(record.y), initial=0.0)) for record in logs)
-    size = max(first + max(widths, default=0.0), LEAST_REACH * largest)
+    widths = [each.high for each in numbers if stem(each.name) in WIDTHS[:2]]
+    size = max(first + max(widths, default=0.0), LEAST_REACH * sizes.z)
     return size * state_units(model.continuous, model.Ts)
 
 
@@ -372,18 +370,13 @@ def build_answer(
 def _note_number(problem: FitProblem, found: Intervals, values: Floats, i: int) -> str:
     """Return what limits the knowledge of a number, empty if nothing does."""
     number = problem.free[i]
-    low, high = float(found.low[i]), float(found.high[i])
-    edges = {"sensor.right": (1, "right", "d_r"), "sensor.left": (-1, "left", "d_l")}
-    side, edge, letter = edges.get(stem(number.name), (0, "", ""))
-    if side and not (problem.all_sides == side).any():
-        return f"no reading passed the {edge} edge: only {letter} > {low:.4g} follows"
-    span = number.high - number.low
-    if found.shown[i] and values[i] <= number.low + 1e-6 * span:
-        return f"at the end of its range: at most {high:.4g}"
-    if found.shown[i] and values[i] >= number.high - 1e-6 * span:
-        return f"at the end of its range: at least {low:.4g}"
+    low, high = found.low[i], found.high[i]
+    for side, edge in ((1, "right"), (-1, "left")):
+        if stem(number.name) == f"sensor.{edge}" and not (problem.all_sides == side).any():
+            return f"no reading passed the {edge} edge: only d_{edge[0]} > {low:.4g} follows"
     if found.shown[i]:
-        return ""
+        at_end = values[i] in (low, high)
+        return f"at the end of its range: {low:.4g} to {high:.4g}" if at_end else ""
     words = f"the log cannot tell it: any value from {low:.4g} to {high:.4g} does"
     row = np.abs(found.correlations[i]) * (np.arange(len(values)) != i)
     other = int(np.argmax(row))

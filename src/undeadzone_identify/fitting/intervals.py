@@ -16,7 +16,7 @@ import numpy as np
 from undeadzone.util.arrays import Flags, Floats
 from undeadzone.util.text import HALF_95
 from undeadzone_identify.fitting.problem import FitProblem
-from undeadzone_identify.fitting.search import AT_END, DIFFERENCE, diagonal_of, measure_slopes
+from undeadzone_identify.fitting.search import AT_END, DIFFERENCE, diagonal_of, measure_slope
 
 BLOCKS: Final = (60, 20)  # of a log, over each of which scores are summed
 SHORTEST: Final = 5  # readings of a block
@@ -59,7 +59,7 @@ def estimate_intervals(problem: FitProblem, point: Floats, value: float) -> Inte
     span = high - low
     steps = 1e-6 * span
     for _ in range(3):
-        (slope,) = measure_slopes(problem, point[None], steps[None])
+        slope = measure_slope(problem, point, steps)
         deviations = 1 / np.sqrt(diagonal_of(problem, slope.information))
         steps = np.minimum(DIFFERENCE * deviations, 2e-3 * span)
     at_end = (point <= low + AT_END * span) | (point >= high - AT_END * span)
@@ -90,9 +90,9 @@ def estimate_intervals(problem: FitProblem, point: Floats, value: float) -> Inte
 def _invert_information(information: Floats) -> Floats:
     """Return the inverse of an information, limited where it has none."""
     units = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
-    even = information * np.outer(units, units)
-    values, vectors = np.linalg.eigh(even)
-    return (vectors / np.maximum(values, LEAST)) @ vectors.T * np.outer(units, units)
+    values, vectors = np.linalg.eigh(information * np.outer(units, units))
+    rows = units[:, None] * vectors / np.sqrt(np.maximum(values, LEAST))
+    return rows @ rows.T
 
 
 def _sum_block_scores(scores: Floats, blocks: int) -> Floats:

@@ -65,20 +65,12 @@ def build_fit_page(
         html.build_section(
             "Tests", html.build_table(("test", "p"), rows), html.build_paragraph(words)
         ),
-        html.build_section("Correlations of the errors", _correlation_table(result)),
         html.build_section(
             "The fitted scenario",
             html.fold_section("fitted.toml", html.source_html(toml.to_toml(result.scenario))),
         ),
         origin=origin,
     )
-
-
-def _correlation_table(result: Fitted) -> html.Html:
-    """Return the correlations of the errors of all numbers."""
-    names = [each.name for each in result.numbers]
-    pairs = zip(names, result.correlations.tolist(), strict=True)
-    return html.build_table(("", *names), [(name, *row) for name, row in pairs])
 
 
 def plot_fit(result: Fitted) -> Figure:

@@ -22,6 +22,7 @@ HOT: Final = 0.2  # heat of the first stage, in the rms of readings and inputs
 STAGES: Final = ((1.0, 8, 3), (1.0, 4, 6), (0.2, 4, 6), (0.04, 2, 6), (0.0, 2, 25))
 AGAIN: Final = ((0.04, 2, 6), (0.0, 2, 25))  # from the answer, once more
 DAMPINGS: Final = (1e-2, 1.0, 1e3)  # factors that each step tries
+STUCK: Final = 1e6  # damping beyond which a search ends, and its growth without a gain
 DIFFERENCE: Final = 0.02  # of a derivative, in deviations of the number
 FIRST_DIFFERENCE: Final = 1e-4  # of the first one, in ranges
 LARGEST_DIFFERENCE: Final = 2e-3  # in ranges
@@ -64,26 +65,18 @@ class Peaks(NamedTuple):
         return Peaks(self.points[order], self.values[order])
 
 
-def measure_slopes(
-    problem: FitProblem, points: Floats, steps: Floats, heat: tuple[float, float] = (0.0, 0.0)
-) -> list[Slope]:
-    """Return the derivatives at points (starts x k), by differences of `steps` (starts x k).
+def measure_slope(
+    problem: FitProblem, point: Floats, steps: Floats, heat: tuple[float, float] = (0.0, 0.0)
+) -> Slope:
+    """Return the derivatives at a point (k), by differences of `steps` (k).
 
     The information of a sure reading is that of a normal distribution about its prediction, that of
     a silent one the square of its score.
     """
-    moves = np.vstack([np.zeros(points.shape[1]), np.eye(points.shape[1])])
-    found = []
-    for point, step in zip(points, steps, strict=True):
-        records = problem.record_lanes(point + moves * step, heat)
-        rows = [part.reshape(len(moves), -1) for part in records]
-        found.append(_measure_slope(problem, point, step, rows))
-    return found
-
-
-def _measure_slope(problem: FitProblem, point: Floats, step: Floats, rows: list[Floats]) -> Slope:
-    """Return the derivatives at a point from the records there, and a step along each number."""
-    scores, moved, wider = ((part[1:] - part[0]) / step[:, None] for part in rows)
+    moves = np.vstack([np.zeros(point.size), np.diag(steps)])
+    records = problem.record_lanes(point + moves, heat)
+    rows = [part.reshape(len(moves), -1) for part in records]
+    scores, moved, wider = ((part[1:] - part[0]) / steps[:, None] for part in rows)
     density, _, log_std = (part[0] for part in rows)
     sure = (problem.all_sides.ravel() != 0) | (problem.kind == "plain")
     seen = np.isfinite(problem.readings.ravel()) & (np.abs(density) < DIVERGED)
@@ -108,61 +101,46 @@ def diagonal_of(problem: FitProblem, information: Floats) -> Floats:
 
 def climb(
     problem: FitProblem,
-    points: Floats,
+    point: Floats,
     heat: tuple[float, float],
     most: int,
     frozen: Flags,
     tick: Callable[[int], None],
-) -> Peaks:
-    """Return the peaks of searches by Levenberg-Marquardt steps within the ranges.
+) -> tuple[Floats, float]:
+    """Return the peak near a point, and its log likelihood, by Levenberg-Marquardt steps.
 
     Args:
         problem: the numbers.
-        points: starts (starts x k).
-        heat: as of `FitProblem.record`.
+        point: the start, within the ranges (k).
+        heat: as of `FitProblem.record_lanes`.
         most: steps at most.
         frozen: flags of the numbers that stay (k).
         tick: called after each step.
     """
-    points = points.copy()
-    low, high = problem.low, problem.high
-    span = high - low
-    steps = np.tile(FIRST_DIFFERENCE * span, (len(points), 1))
-    damping = np.full(len(points), 1e-2)
-    values = np.full(len(points), -np.inf)
-    small = np.zeros(len(points), int)  # last steps that hardly gained
+    span = problem.high - problem.low
+    steps = FIRST_DIFFERENCE * span
+    damping, value = 1e-2, -np.inf
+    small = 0  # last steps that hardly gained
     for turn in range(most):
-        live = np.flatnonzero(small < 2)
-        if not live.size:
-            break
-        slopes = measure_slopes(problem, points[live], steps[live], heat)
-        trials = []
-        for start, slope in zip(live, slopes, strict=True):
-            values[start] = slope.value
-            diagonal = diagonal_of(problem, slope.information)
-            steps[start] = np.clip(
-                DIFFERENCE / np.sqrt(diagonal), 1e-9 * span, LARGEST_DIFFERENCE * span
-            )
-            for factor in DAMPINGS:
-                move = _damped_step(problem, points[start], slope, damping[start] * factor, frozen)
-                move = np.clip(move, -LONGEST * span, LONGEST * span)
-                trials.append(np.clip(points[start] + move, low, high))
-        offers = np.array(trials).reshape(live.size, len(DAMPINGS), -1)
-        found = problem.evaluate_points(np.array(trials), heat).reshape(live.size, -1)
-        for k, start in enumerate(live):
-            best = int(np.argmax(found[k]))
-            gain = found[k, best] - values[start]
-            if gain > 0:
-                points[start] = offers[k, best]
-                values[start] = found[k, best]
-                damping[start] = np.clip(damping[start] * DAMPINGS[best], 1e-7, 1e6)
-            else:
-                damping[start] *= 1e6
-            small[start] = small[start] + 1 if gain < GAIN and turn > 0 else 0
-            if damping[start] > 1e7:
-                small[start] = 2
+        slope = measure_slope(problem, point, steps, heat)
+        value = slope.value
+        units = DIFFERENCE / np.sqrt(diagonal_of(problem, slope.information))
+        steps = np.clip(units, 1e-9 * span, LARGEST_DIFFERENCE * span)
+        moves = [_damped_step(problem, point, slope, damping * each, frozen) for each in DAMPINGS]
+        trials = point + np.clip(moves, -LONGEST * span, LONGEST * span)
+        trials = np.clip(trials, problem.low, problem.high)
+        found = problem.evaluate_points(trials, heat)
+        best = int(np.argmax(found))
+        gain = found[best] - value
+        damping *= DAMPINGS[best] if gain > 0 else STUCK
+        if gain > 0:
+            point, value = trials[best], float(found[best])
+            damping = min(max(damping, 1e-7), 1e6)
+        small = small + 1 if gain < GAIN and turn > 0 else 0
         tick(1)
-    return Peaks(points, values)
+        if small > 1 or damping > STUCK:
+            break
+    return point, value
 
 
 def _damped_step(
@@ -215,11 +193,11 @@ def search_maximum(
             """Yield the peaks of the stage."""
             chosen = peaks.keep_best(count).points
             frozen = noises & (share > 0)
-            found = climb(problem, chosen, heat, most, frozen, tick)
-            yield 0, [found.points.tolist(), found.values.tolist()]
+            found = [climb(problem, point, heat, most, frozen, tick) for point in chosen]
+            yield 0, [[point.tolist(), value] for point, value in found]
 
         (found,) = answers.compute_missing([[name, place, *stage]], compute_stage)
-        return Peaks(*map(np.array, found)).keep_best(count)
+        return Peaks(*map(np.array, zip(*found, strict=True))).keep_best(count)
 
     heat = (HOT * sizes[0], HOT * sizes[1])
     peaks = Peaks(points, problem.evaluate_points(points, heat))
