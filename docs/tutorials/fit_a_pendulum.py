@@ -11,7 +11,7 @@ import undeadzone as uz
 
 STEP, G = 0.01, 9.81
 rng = np.random.default_rng(0)
-t = STEP * np.arange(2000)
+t = STEP * np.arange(1000)
 phases = rng.uniform(0, 2 * np.pi, 3)
 torque = sum(
     size * np.sin(2 * np.pi * f * t + phase)
