@@ -254,9 +254,11 @@ def _use_reading(
     square = sum(each.weight * each.square for each in shares) / total
     left = ca.fmin(ca.fmax((square - mean**2) / variance, 1e-12), 1.0)
     seen = present(y)
+    doubt = shares[0].weight * (total - shares[0].weight) / total**2
+    trust = ca.if_else(seen, (1.0 - 4.0 * doubt) ** 2, 0.0)
     gain = along / variance
-    moved = belief.mean + gain * ca.if_else(seen, mean - z, 0.0)
-    cov = belief.cov - gain @ along.T * ca.if_else(seen, 1.0 - left, 0.0)
+    moved = belief.mean + gain * trust * (mean - z)
+    cov = belief.cov - gain @ along.T * trust * (1.0 - left)
     offsets = [pieces[0].offset, pieces[-1].offset]
     offset = ca.if_else(side > 0, offsets[0], ca.if_else(side < 0, offsets[1], 0.0))
     prediction = q.slope[i] * z + offset
