@@ -28,18 +28,16 @@ def score_readings(problem: FitProblem, point: Floats) -> Floats:
     _, prediction, log_std = (part[0] for part in problem.record_lanes(point[None]))
     std = np.exp(log_std)
     _, params = problem.to_lanes(point[None], (0.0, 0.0), 0)
-
-    own = [params[0, part] for part in problem.slots[1:6]]
-    right, left, slope, before, after = own
-    y = problem.readings
+    right, left, slope, before, after = (params[0, part] for part in problem.slots[1:6])
+    y = problem.whole.y
     chance = ndtr((y - prediction) / std)
     if problem.kind != "plain":
         noise = np.maximum(after, LEAST_AFTER * before + 1e-12)
         slack = SURE * noise * (problem.kind == "deadzone")
-        low = ndtr((-left * slope - slack - prediction) / std)
-        high = ndtr((right * slope + slack - prediction) / std)
+        edges = -left * slope - slack, right * slope + slack
+        low, high = (ndtr((edge - prediction) / std) for edge in edges)
         random = low + (high - low) * np.random.default_rng(SEED).random(y.shape)
-        chance = np.where(problem.all_sides == 0, random, chance)
+        chance = np.where(problem.whole.side == 0, random, chance)
     scores = ndtri(np.clip(chance, FARTHEST, 1 - FARTHEST))
     return np.where(np.isfinite(y), scores, np.nan)
 
@@ -50,20 +48,20 @@ def check_scores(problem: FitProblem, point: Floats, scores: Floats) -> dict[str
     The tests: size of the scores, their mean, whether they are white, and whether their mean
     depends on input or output (shape).
     """
+    v = np.nan_to_num(scores)
     seen = np.isfinite(scores)
-    v = np.where(seen, scores, 0.0)
-    count = int(seen.sum())
-    square = float((v**2).sum())
-    size = 2 * min(stats.chi2.cdf(square, count), stats.chi2.sf(square, count))
-    mean = 2 * stats.norm.sf(abs(v.sum()) / np.sqrt(count))
-    off = np.where(seen, v - v.sum(axis=0) / seen.sum(axis=0), 0.0)
+    count = seen.sum()
+    square = np.sum(v**2)
+    off = seen * (v - v.sum(axis=0) / seen.sum(axis=0))
     lags = [lag for lag in LAGS if lag < len(v)]
-    sums = [(off[lag:] * off[:-lag]).sum(axis=0) / np.sqrt(len(v) - lag) for lag in lags]
-    white = stats.chi2.sf(np.square(sums).sum(), np.size(sums))
-    u = problem.inputs
+    sums = np.array([(off[lag:] * off[:-lag]).sum(axis=0) / np.sqrt(len(v) - lag) for lag in lags])
     z = problem.record_lanes(point[None]).prediction[0]
-    columns = np.hstack([u, u**2, np.abs(u), z, z**2, np.abs(z)])
+    both = np.hstack([problem.whole.u, z])
+    columns = np.hstack([both, both**2, np.abs(both)])
     q, _ = np.linalg.qr(columns - columns.mean(axis=0))
-    shape = stats.chi2.sf(np.square(q.T @ off).sum(), q.shape[1] * off.shape[1])
-    chances = {"size": size, "mean": mean, "white": white, "shape": shape}
-    return {name: min(1.0, float(chance)) for name, chance in chances.items()}
+    return {
+        "size": float(2 * min(stats.chi2.cdf(square, count), stats.chi2.sf(square, count))),
+        "mean": float(2 * stats.norm.sf(abs(v.sum()) / np.sqrt(count))),
+        "white": float(stats.chi2.sf(np.sum(sums**2), sums.size)),
+        "shape": float(stats.chi2.sf(np.sum((q.T @ off) ** 2), q.shape[1] * off.shape[1])),
+    }

@@ -14,8 +14,6 @@ import numpy as np
 
 from undeadzone.errors import InputError
 from undeadzone.logs.names import parse_columns
-from undeadzone.logs.samples import place_on_steps
-from undeadzone.logs.whole import read_whole, samples_of_arrays
 from undeadzone.nonlinearities.sensor import Zone
 from undeadzone.plants import build as plants
 from undeadzone.plants.system import System, state_units
@@ -23,10 +21,10 @@ from undeadzone.scenario.address import stem, with_value
 from undeadzone.scenario.operating_point import resolve_levels
 from undeadzone.scenario.reader import read_for_logs
 from undeadzone.scenario.schema import Scenario
+from undeadzone.simulation.estimate import read_any_log
 from undeadzone.util import toml
 from undeadzone.util.answers import open_answers
-from undeadzone.util.arrays import Floats, shift_rows
-from undeadzone.util.files import LARGEST_RUN
+from undeadzone.util.arrays import Floats, hold_last, shift_rows
 from undeadzone.util.progress import notebook_progress
 from undeadzone_identify.fitting.checks import FLAGGED, check_scores, score_readings
 from undeadzone_identify.fitting.free import (
@@ -60,7 +58,7 @@ FEWEST: Final = 20  # readings for each number
 LATEST: Final = 1000  # samples of a delay
 ALIKE: Final = 2.0  # nats, within which another answer fits as well
 APART: Final = 3.0  # deviations, from which it is another answer
-MOST: Final = 20_000_000  # samples of a log
+FIRST_ROW: Final = np.zeros(1, int)  # of a log
 
 Free = Mapping[str, Any] | Sequence[str] | str
 Start = Literal["free", "known"]
@@ -130,7 +128,7 @@ def fit(
     ):
         best: tuple[FitProblem, Peaks, int] | None = None
         for delay in delays:
-            moved = [_delay_log(record, delay) for record in read]
+            moved = [each._replace(u=shift_rows(each.u, delay, FIRST_ROW)) for each in read]
             problem = prepare_fit(
                 scenario, model, moved, asked | dict.fromkeys(besides), x0, threads
             )
@@ -178,42 +176,21 @@ def read_logs(
     several = logs if isinstance(logs, list | tuple) else [logs]
     if not several:
         raise InputError("logs: expected one log at least")
-    zone = resolve_zone(scenario)
-    levels = resolve_levels(scenario.operating_point, model, zone.slope, range(model.p))
+    slope = resolve_zone(scenario).slope
+    levels = resolve_levels(scenario.operating_point, model, slope, range(model.p))
     chosen = parse_columns(columns)
     found = []
-    for k, log in enumerate(several):
-        if isinstance(log, Mapping):
-            source = f"log {k + 1}"
-            table = {name: log.get(name) for name in ("t", "y", "u")}
-            if table["y"] is None or table["u"] is None:
-                raise InputError(f"{source}: expected arrays y and u, and t if there are times")
-            samples, _ = samples_of_arrays(table, model.p, model.m)
-            timed = table["t"] is not None
-        else:
-            whole = read_whole(log, model.p, model.m, chosen, strict, LARGEST_RUN, MOST)
-            source, samples = whole.source, whole.samples
-            timed = whole.layout is not None and whole.layout.has_times
-        regular = place_on_steps(samples, timed, scenario.simulation.step, source).samples
-        u = _hold_missing(regular.u)
-        y = regular.y
+    for each in several:
+        if isinstance(each, Mapping):
+            each = {name: each.get(name) for name in ("t", "u", "y")}
+        read = read_any_log(scenario, model, each, chosen, strict)
+        t, y, u = read.placed.samples[:3]
+        u = np.nan_to_num(hold_last(u))
         if levels is not None:
             u = u - levels.u
             y = y - levels.y
-        found.append(Log(source, regular.t, y, u))
+        found.append(Log(read.source, t, y, u, np.zeros_like(y)))
     return found
-
-
-def _hold_missing(u: Floats) -> Floats:
-    """Return inputs whose missing values are the last ones before them, 0 at first."""
-    rows = np.where(np.isfinite(u), np.arange(len(u))[:, None], -1)
-    last = np.maximum.accumulate(rows, axis=0)
-    return np.where(last < 0, 0.0, np.take_along_axis(u, np.maximum(last, 0), axis=0))
-
-
-def _delay_log(record: Log, delay: int) -> Log:
-    """Return a log whose inputs act later."""
-    return record._replace(u=shift_rows(record.u, delay, np.zeros(1, int)))
 
 
 def _list_delays(scenario: Scenario, asked: dict[str, Any]) -> list[int]:
@@ -322,7 +299,7 @@ def build_answer(
 ) -> Fitted:
     """Return the answer at the best end of the searches. Raises InputError if all diverged."""
     point, value = peaks.points[0], float(peaks.values[0])
-    if value < LOST * len(problem.readings) / 2:
+    if value < LOST * len(problem.whole.y) / 2:
         raise InputError(
             "log: the scenario diverges along it from every start. Give narrower ranges, or "
             "another start"
@@ -332,26 +309,14 @@ def build_answer(
     values = problem.decode_points(point[None])[0]
     scores = score_readings(problem, point)
     checks = check_scores(problem, point, scores)
+    ends = zip(values.tolist(), intervals.low.tolist(), intervals.high.tolist(), strict=True)
     numbers = []
-    for i, number in enumerate(problem.free):
-        low, high = float(intervals.low[i]), float(intervals.high[i])
-        narrow = bool(intervals.shown[i])
+    for i, (number, end) in enumerate(zip(problem.free, ends, strict=True)):
+        reach = number[1:4]
         note = _note_number(problem, intervals, values, i)
-        numbers.append(
-            FittedNumber(
-                number.name,
-                float(values[i]),
-                low,
-                high,
-                number.low,
-                number.high,
-                number.start,
-                narrow,
-                note,
-            )
-        )
+        numbers.append(FittedNumber(number.name, *end, *reach, bool(intervals.shown[i]), note))
     prediction = problem.record_lanes(point[None]).prediction[0]
-    t = np.concatenate([record.t for record in problem.logs])
+    t, y, *_ = problem.whole[1:]
     return Fitted(
         scenario=_write_numbers(problem, values, delay),
         numbers=tuple(numbers),
@@ -363,7 +328,7 @@ def build_answer(
         others=_find_other_answers(problem, peaks, intervals),
         besides=tuple(besides),
         delay=delay,
-        signals=FittedSignals(t, problem.readings, prediction, scores),
+        signals=FittedSignals(t, y, prediction, scores),
     )
 
 
@@ -372,7 +337,7 @@ def _note_number(problem: FitProblem, found: Intervals, values: Floats, i: int) 
     number = problem.free[i]
     low, high = found.low[i], found.high[i]
     for side, edge in ((1, "right"), (-1, "left")):
-        if stem(number.name) == f"sensor.{edge}" and not (problem.all_sides == side).any():
+        if stem(number.name) == f"sensor.{edge}" and side not in problem.whole.side:
             return f"no reading passed the {edge} edge: only d_{edge[0]} > {low:.4g} follows"
     if found.shown[i]:
         at_end = values[i] in (low, high)
@@ -392,30 +357,23 @@ def _find_other_answers(
     problem: FitProblem, peaks: Peaks, found: Intervals
 ) -> tuple[dict[str, float], ...]:
     """Return further peaks that fit as well and are more than deviations away, by name."""
-    others: list[dict[str, float]] = []
     far = [peaks.points[0]]
     scale = np.maximum(found.std, 1e-3 * (problem.high - problem.low))
-    for point, value in zip(peaks.points[1:], peaks.values[1:], strict=True):
-        distances = [np.abs((point - each) / scale).max() for each in far]
-        if value > peaks.values[0] - ALIKE and min(distances) > APART:
+    for point in peaks.points[peaks.values > peaks.values[0] - ALIKE]:
+        if np.abs((point - far) / scale).max(axis=1).min() > APART:
             far.append(point)
-            names = [each.name for each in problem.free]
-            others.append(
-                dict(zip(names, problem.decode_points(point[None])[0].tolist(), strict=True))
-            )
-    return tuple(others)
+    names = [each.name for each in problem.free]
+    values = problem.decode_points(np.array(far[1:]).reshape(-1, len(names))).tolist()
+    return tuple(dict(zip(names, each, strict=True)) for each in values)
 
 
 def _write_numbers(problem: FitProblem, values: Floats, delay: int) -> Scenario:
     """Return the scenario with fitted numbers, x(0) too if there is one log."""
+    found = dict(zip((each.name for each in problem.free), values.tolist(), strict=True))
+    start = [found.pop(name) for name in [*found] if name.startswith("x0[")]
     scenario = problem.scenario
-    start = plants.initial_state(scenario.plant, problem.model).tolist()
-    fitted = []
-    for number, value in zip(problem.free, values.tolist(), strict=True):
-        if number.name.startswith("x0["):
-            fitted.append(value)
-        else:
-            scenario = with_value(scenario, number.name, value)
-    if len(fitted) == len(start):
-        scenario = with_value(scenario, "plant.x0", fitted)
+    for name, value in found.items():
+        scenario = with_value(scenario, name, value)
+    if len(start) == problem.model.n:
+        scenario = with_value(scenario, "plant.x0", start)
     return with_value(scenario, DELAY, delay) if delay != scenario.plant.delay else scenario

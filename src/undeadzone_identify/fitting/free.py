@@ -62,23 +62,15 @@ class FreeNumber(NamedTuple):
         """Return whether it is a noise, which is fitted last."""
         return stem(self.name) in NOISES
 
-    def encode_value(self, value: Any) -> Any:
-        """Return the coordinate of a value."""
-        return np.log(value) if self.is_log else value
-
-    def decode_value(self, coordinate: Any) -> Any:
-        """Return the value of a coordinate."""
-        return np.exp(coordinate) if self.is_log else coordinate
-
 
 def free_within(
-    name: str, low: float, high: float, start: float | None = None, std: float = math.inf
+    name: str, low: float, high: float, start: float, std: float = math.inf
 ) -> FreeNumber:
-    """Return a number that is free within a range, from its middle unless a start is given."""
+    """Return a number that is free within a range, from its middle if its start lies outside."""
     is_log = low > 0 and high / low > LOGARITHMIC
-    middle = math.sqrt(low * high) if is_log else (low + high) / 2
-    first = middle if start is None else min(max(start, low), high)
-    return FreeNumber(name, low, high, first, std, is_log)
+    if not low <= start <= high:
+        start = math.sqrt(low * high) if is_log else (low + high) / 2
+    return FreeNumber(name, low, high, start, std, is_log)
 
 
 def find_numbers(scenario: Scenario, system: System) -> dict[str, Number]:
@@ -159,36 +151,22 @@ def build_free_number(name: str, value: float, given: Any, sizes: Sizes) -> Free
     Raises:
         InputError: no range follows from a value of 0, or it is not one.
     """
-    start, low, high, std = _read_range(name, given)
-    start = value if start is None else start
-    if low is None or high is None:
-        low, high = _default_range(name, start, sizes)
-    if start == 0 and low > 0:
-        return free_within(name, low, high, None, std)
+    if given is None:
+        given = _default_range(name, value, sizes)
+    try:
+        given = np.array(given, float)
+    except (TypeError, ValueError):
+        given = np.array(0.0)
+    if given.shape not in ((2,), (3,), (4,)):
+        raise InputError(
+            f"free: {name}: expected None, (lo, hi), (start, lo, hi) or (start, lo, hi, std)"
+        )
+    start, low, high, std = [value, *given, math.inf][given.size > 2 :][:4]
     if not low < high:
         raise InputError(f"free: {name}: expected a range lo..hi with lo < hi, found {low}..{high}")
-    if given is not None and not low <= start <= high and len(given) > 2:
+    if given.size > 2 and not low <= start <= high:
         raise InputError(f"free: {name}: the start {start:g} lies outside of {low:g}..{high:g}")
-    return free_within(name, low, high, start, std)
-
-
-def _read_range(name: str, given: Any) -> tuple[float | None, float | None, float | None, float]:
-    """Return start, low, high and deviation, None each if not given. Raises InputError."""
-    if given is None:
-        return None, None, None, math.inf
-    try:
-        numbers = [float(each) for each in given]
-    except (TypeError, ValueError):
-        numbers = []
-    if len(numbers) == 2:
-        return None, numbers[0], numbers[1], math.inf
-    if len(numbers) in (3, 4):
-        start, low, high, std = [*numbers, math.inf][:4]
-        return start, low, high, std
-    raise InputError(
-        f"free: {name}: expected None, (lo, hi), (start, lo, hi) or (start, lo, hi, std), found "
-        f"{given!r:.60}"
-    )
+    return free_within(name, float(low), float(high), float(start), float(std))
 
 
 def _default_range(name: str, value: float, sizes: Sizes) -> tuple[float, float]:

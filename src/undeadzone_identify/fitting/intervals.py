@@ -66,7 +66,8 @@ def estimate_intervals(problem: FitProblem, point: Floats, value: float) -> Inte
     free = np.flatnonzero(~at_end)
     inside = np.ix_(free, free)
     cov = np.zeros((point.size, point.size))
-    cov[inside] = _invert_information(slope.information[inside])
+    units = 1 / np.sqrt(diagonal_of(problem, slope.information)[free])
+    cov[inside] = _invert_information(slope.information[inside], units)
     variance = np.diag(cov).copy()
     known = np.nan_to_num(slope.scores[free])
     for blocks in BLOCKS:
@@ -87,9 +88,10 @@ def estimate_intervals(problem: FitProblem, point: Floats, value: float) -> Inte
     return Intervals(values[0], values[1], std, correlations, directions, narrow)
 
 
-def _invert_information(information: Floats) -> Floats:
-    """Return the inverse of an information, limited where it has none."""
-    units = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+def _invert_information(information: Floats, units: Floats) -> Floats:
+    """Return the inverse of an information about numbers of given units, limited where it has
+    none.
+    """
     values, vectors = np.linalg.eigh(information * np.outer(units, units))
     rows = units[:, None] * vectors / np.sqrt(np.maximum(values, LEAST))
     return rows @ rows.T

@@ -254,7 +254,7 @@ def _use_reading(
     square = sum(each.weight * each.square for each in shares) / total
     left = ca.fmin(ca.fmax((square - mean**2) / variance, 1e-12), 1.0)
     seen = present(y)
-    doubt = shares[0].weight * (total - shares[0].weight) / total**2
+    doubt = shares[0].weight * sum(each.weight for each in shares[1:-1]) / total**2
     trust = ca.if_else(seen, (1.0 - 4.0 * doubt) ** 2, 0.0)
     gain = along / variance
     moved = belief.mean + gain * trust * (mean - z)

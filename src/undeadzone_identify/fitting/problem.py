@@ -18,7 +18,7 @@ from undeadzone.scenario.encoders import resolve_sensor
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.packed import BoundNumbers, ResampledPlant, bind_numbers
 from undeadzone.util import tree
-from undeadzone.util.arrays import Floats
+from undeadzone.util.arrays import Flags, Floats
 from undeadzone_identify.fitting.free import WIDTHS, FreeNumber
 from undeadzone_identify.fitting.likelihood import OPEN, RECORDED, FilterNumbers, build_step
 
@@ -37,12 +37,14 @@ class Log(NamedTuple):
         t: times (N) [s].
         y: readings (N x p), NaN if one is missing.
         u: inputs (N x m).
+        side: 1 or -1 where a reading surely is active, else 0 (N x p).
     """
 
     name: str
     t: Floats
     y: Floats
     u: Floats
+    side: Floats
 
 
 class Recorded(NamedTuple):
@@ -73,11 +75,11 @@ class FitProblem(NamedTuple):
         kernel: the compiled filter.
         bound: numbers bound to its lanes, but for x(0).
         logs: the logs.
-        sides: surely active side of each reading of a log (N x p).
+        whole: all of them, one after the other.
         spread: deviations of x(0) (n).
+        is_log: whether the coordinate of a number is its logarithm (k).
         low, high, start: ends of the ranges and first values, in coordinates (k).
         prior_std: deviations of the normal priors (k) (inf: there is none).
-        readings, inputs, all_sides: those of all logs (N x p, N x m, N x p).
         threads: of the lanes.
     """
 
@@ -91,21 +93,18 @@ class FitProblem(NamedTuple):
     kernel: Kernel
     bound: BoundNumbers
     logs: tuple[Log, ...]
-    sides: tuple[Floats, ...]
+    whole: Log
     spread: Floats
+    is_log: Flags
     low: Floats
     high: Floats
     start: Floats
     prior_std: Floats
-    readings: Floats
-    inputs: Floats
-    all_sides: Floats
     threads: int | None = None
 
     def decode_points(self, points: Floats) -> Floats:
         """Return the values of coordinates (lanes x numbers)."""
-        columns = [each.decode_value(points[:, i]) for i, each in enumerate(self.free)]
-        return np.stack(columns, axis=1)
+        return np.exp(points, out=points.copy(), where=self.is_log)
 
     def to_lanes(self, points: Floats, heat: tuple[float, float], log: int) -> Any:
         """Return states and params of lanes at coordinates, along one log.
@@ -137,9 +136,9 @@ class FitProblem(NamedTuple):
         """Return the records of lanes at coordinates along all logs."""
         p = self.model.p
         parts = []
-        for k, (record, sides) in enumerate(zip(self.logs, self.sides, strict=True)):
+        for k, record in enumerate(self.logs):
             states, params = self.to_lanes(points, heat, k)
-            w = np.hstack([record.y, record.u, sides])
+            w = np.hstack([record.y, record.u, record.side])
             found, _ = run_lanes(
                 self.kernel, states, w, params[0], lane_params=params, threads=self.threads
             )
@@ -150,12 +149,10 @@ class FitProblem(NamedTuple):
 
     def evaluate_points(self, points: Floats, heat: tuple[float, float] = (0.0, 0.0)) -> Floats:
         """Return the log likelihood with the prior at coordinates (lanes)."""
-        rows = max(1, ROOM // (RECORDED * self.readings.size))
-        parts = []
-        for first in range(0, len(points), rows):
-            found = self.record_lanes(points[first : first + rows], heat)
-            parts.append(found.density.sum(axis=(1, 2)))
-        return np.concatenate(parts) + self.log_prior(points)
+        rows = max(1, ROOM // (RECORDED * self.whole.y.size))
+        parts = np.split(points, range(rows, len(points), rows))
+        sums = [self.record_lanes(part, heat).density.sum(axis=(1, 2)) for part in parts]
+        return np.concatenate(sums) + self.log_prior(points)
 
     def log_prior(self, points: Floats) -> Floats:
         """Return the log of the normal priors at coordinates (lanes)."""
@@ -243,13 +240,13 @@ def build_problem(
     kind = choose_kind(zone, free)
     step = build_step(model, kind, like)
     kernel = build_kernel(step, params=range(params.size))
-    noise = np.hypot(zone.noise, zone.quantum)
-    gate = SURE * np.maximum(noise, 0.02 * zone.noise_before + 1e-12) * (kind == "deadzone")
-    sides = [np.sign(record.y) * (np.abs(record.y) > gate) for record in logs]
+    noise = np.maximum(np.hypot(zone.noise, zone.quantum), 0.02 * zone.noise_before + 1e-12)
+    gate = SURE * noise * (kind == "deadzone")
+    logs = [each._replace(side=np.sign(each.y) * (np.abs(each.y) > gate)) for each in logs]
     every = (*free, *initial)
-    rows = [[each.low, each.high, each.start] for each in every]
-    columns = zip(every, rows, strict=True)
-    low, high, start = np.array([each.encode_value(np.array(row)) for each, row in columns]).T
+    *rows, prior_std, is_log = map(np.array, zip(*(each[1:] for each in every), strict=True))
+    is_log = is_log.astype(bool)
+    low, high, start = np.log(rows, out=np.array(rows), where=is_log)
     return FitProblem(
         scenario=scenario,
         model=model,
@@ -261,15 +258,13 @@ def build_problem(
         kernel=kernel,
         bound=bound,
         logs=tuple(logs),
-        sides=tuple(sides),
+        whole=Log("", *map(np.concatenate, zip(*(each[1:] for each in logs), strict=True))),
         spread=spread,
+        is_log=is_log,
         low=low,
         high=high,
         start=start,
-        prior_std=np.array([each.std for each in every]),
-        readings=np.concatenate([record.y for record in logs]),
-        inputs=np.concatenate([record.u for record in logs]),
-        all_sides=np.concatenate(sides),
+        prior_std=prior_std,
         threads=threads,
     )
 

@@ -78,15 +78,15 @@ def measure_slope(
     rows = [part.reshape(len(moves), -1) for part in records]
     scores, moved, wider = ((part[1:] - part[0]) / steps[:, None] for part in rows)
     density, _, log_std = (part[0] for part in rows)
-    sure = (problem.all_sides.ravel() != 0) | (problem.kind == "plain")
-    seen = np.isfinite(problem.readings.ravel()) & (np.abs(density) < DIVERGED)
+    sure = (problem.whole.side.ravel() != 0) | (problem.kind == "plain")
+    seen = np.isfinite(problem.whole.y.ravel()) & (np.abs(density) < DIVERGED)
     unsure = np.nan_to_num(scores[:, seen & ~sure])
     used = seen & sure
     shown = np.nan_to_num(moved[:, used] / np.exp(log_std[used]))
     wider = np.nan_to_num(wider[:, used])
     information = shown @ shown.T + 2 * wider @ wider.T + unsure @ unsure.T
     values = problem.decode_points(point[None])[0]
-    slope = np.where([number.is_log for number in problem.free], values, 1.0)
+    slope = np.where(problem.is_log, values, 1.0)
     pull = (values - [each.start for each in problem.free]) / problem.prior_std**2
     information += np.diag((slope / problem.prior_std) ** 2)
     value = density.sum() + problem.log_prior(point[None])[0]
@@ -182,7 +182,7 @@ def search_maximum(
     points[0] = problem.start
     noises = np.array([each.is_noise for each in problem.free])
     points[:, noises] = problem.start[noises]
-    sizes = float(np.nanstd(problem.readings)), float(np.nanstd(problem.inputs))
+    sizes = float(np.nanstd(problem.whole.y)), float(np.nanstd(problem.whole.u))
 
     def run_stage(place: str, peaks: Peaks, stage: tuple[float, int, int]) -> Peaks:
         """Return the peaks of a stage, known or computed."""
