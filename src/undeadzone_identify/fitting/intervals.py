@@ -69,9 +69,8 @@ def estimate_intervals(problem: FitProblem, point: Floats, value: float) -> Inte
     units = 1 / np.sqrt(diagonal_of(problem, slope.information)[free])
     cov[inside] = _invert_information(slope.information[inside], units)
     variance = np.diag(cov).copy()
-    known = np.nan_to_num(slope.scores[free])
     for blocks in BLOCKS:
-        wide = cov[inside] @ _sum_block_scores(known, blocks) @ cov[inside]
+        wide = cov[inside] @ _sum_block_scores(slope.scores[free], blocks) @ cov[inside]
         variance[free] = np.maximum(variance[free], np.diag(wide))
     std = np.sqrt(variance)
     ends = np.stack([point - HALF_95 * std, point + HALF_95 * std])

@@ -13,7 +13,7 @@ from undeadzone.nonlinearities.actuator import resolve_actuator
 from undeadzone.nonlinearities.sensor import Zone
 from undeadzone.plants import build as plants
 from undeadzone.plants.system import System, plant_pace, sample_plant
-from undeadzone.scenario.address import with_numbers, with_value
+from undeadzone.scenario.address import stem, with_numbers, with_value
 from undeadzone.scenario.encoders import resolve_sensor
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.packed import BoundNumbers, ResampledPlant, bind_numbers
@@ -79,7 +79,7 @@ class FitProblem(NamedTuple):
         spread: deviations of x(0) (n).
         is_log: whether the coordinate of a number is its logarithm (k).
         low, high, start: ends of the ranges and first values, in coordinates (k).
-        prior_std: deviations of the normal priors (k) (inf: there is none).
+        prior_std: deviations of the normal priors of coordinates (k) (inf: there is none).
         threads: of the lanes.
     """
 
@@ -106,7 +106,7 @@ class FitProblem(NamedTuple):
         """Return the values of coordinates (lanes x numbers)."""
         return np.exp(points, out=points.copy(), where=self.is_log)
 
-    def to_lanes(self, points: Floats, heat: tuple[float, float], log: int) -> Any:
+    def to_lanes(self, points: Floats, heat: Any, log: int) -> Any:
         """Return states and params of lanes at coordinates, along one log.
 
         Args:
@@ -132,7 +132,7 @@ class FitProblem(NamedTuple):
         states[:, diagonal[n:]] = rms**2
         return states, params
 
-    def record_lanes(self, points: Floats, heat: tuple[float, float] = (0.0, 0.0)) -> Recorded:
+    def record_lanes(self, points: Floats, heat: Any = (0.0, 0.0)) -> Recorded:
         """Return the records of lanes at coordinates along all logs."""
         p = self.model.p
         parts = []
@@ -147,7 +147,7 @@ class FitProblem(NamedTuple):
         density = np.nan_to_num(every[..., 0], nan=LOST, posinf=LOST, neginf=LOST)
         return Recorded(np.maximum(density, LOST), every[..., 1], every[..., 2])
 
-    def evaluate_points(self, points: Floats, heat: tuple[float, float] = (0.0, 0.0)) -> Floats:
+    def evaluate_points(self, points: Floats, heat: Any = (0.0, 0.0)) -> Floats:
         """Return the log likelihood with the prior at coordinates (lanes)."""
         rows = max(1, ROOM // (RECORDED * self.whole.y.size))
         parts = np.split(points, range(rows, len(points), rows))
@@ -156,8 +156,7 @@ class FitProblem(NamedTuple):
 
     def log_prior(self, points: Floats) -> Floats:
         """Return the log of the normal priors at coordinates (lanes)."""
-        off = (self.decode_points(points) - [each.start for each in self.free]) / self.prior_std
-        return np.asarray(-0.5 * (off**2).sum(axis=1))
+        return np.asarray(-0.5 * (((points - self.start) / self.prior_std) ** 2).sum(axis=1))
 
     def _compute_plants(self, values: Floats) -> dict[int, Floats]:
         """Return the numbers of plants that are built anew, by slot."""
@@ -247,6 +246,7 @@ def build_problem(
     *rows, prior_std, is_log = map(np.array, zip(*(each[1:] for each in every), strict=True))
     is_log = is_log.astype(bool)
     low, high, start = np.log(rows, out=np.array(rows), where=is_log)
+    prior_std = prior_std / np.where(is_log, rows[2], 1.0)
     return FitProblem(
         scenario=scenario,
         model=model,
@@ -297,9 +297,9 @@ def resolve_zone(scenario: Scenario) -> Zone:
 
 def choose_kind(zone: Zone, free: Sequence[FreeNumber]) -> str:
     """Return the kind of the characteristic: "plain" if it has no zone, and none is fitted."""
-    names = {each.name.partition("[")[0] for each in free}
-    is_plain = zone.kind == "gears" or not (np.any(zone.right) or np.any(zone.left))
-    return "plain" if is_plain and not names & set(WIDTHS[:2]) else zone.kind
+    zoned = zone.kind != "gears" and np.any([zone.right, zone.left])
+    fitted = {stem(each.name) for each in free} & set(WIDTHS[:2])
+    return zone.kind if zoned or fitted else "plain"
 
 
 def _find_number_slots(

@@ -59,14 +59,14 @@ class Peaks(NamedTuple):
     points: Floats
     values: Floats
 
-    def keep_best(self, count: int) -> Peaks:
-        """Return the best peaks."""
+    def keep_best(self, count: int | None = None) -> Peaks:
+        """Return the best peaks, in order."""
         order = np.argsort(-self.values, kind="stable")[:count]
         return Peaks(self.points[order], self.values[order])
 
 
 def measure_slope(
-    problem: FitProblem, point: Floats, steps: Floats, heat: tuple[float, float] = (0.0, 0.0)
+    problem: FitProblem, point: Floats, steps: Floats, heat: Any = (0.0, 0.0)
 ) -> Slope:
     """Return the derivatives at a point (k), by differences of `steps` (k).
 
@@ -74,23 +74,17 @@ def measure_slope(
     a silent one the square of its score.
     """
     moves = np.vstack([np.zeros(point.size), np.diag(steps)])
-    records = problem.record_lanes(point + moves, heat)
-    rows = [part.reshape(len(moves), -1) for part in records]
-    scores, moved, wider = ((part[1:] - part[0]) / steps[:, None] for part in rows)
+    rows = [part.reshape(len(moves), -1) for part in problem.record_lanes(point + moves, heat)]
+    scores, moved, wider = (np.nan_to_num((part[1:] - part[0]) / steps[:, None]) for part in rows)
     density, _, log_std = (part[0] for part in rows)
     sure = (problem.whole.side.ravel() != 0) | (problem.kind == "plain")
     seen = np.isfinite(problem.whole.y.ravel()) & (np.abs(density) < DIVERGED)
-    unsure = np.nan_to_num(scores[:, seen & ~sure])
-    used = seen & sure
-    shown = np.nan_to_num(moved[:, used] / np.exp(log_std[used]))
-    wider = np.nan_to_num(wider[:, used])
-    information = shown @ shown.T + 2 * wider @ wider.T + unsure @ unsure.T
-    values = problem.decode_points(point[None])[0]
-    slope = np.where(problem.is_log, values, 1.0)
-    pull = (values - [each.start for each in problem.free]) / problem.prior_std**2
-    information += np.diag((slope / problem.prior_std) ** 2)
+    shown = np.hstack([moved / np.exp(log_std), np.sqrt(2) * wider])[:, np.tile(seen & sure, 2)]
+    shown = np.hstack([shown, scores[:, seen & ~sure]])
+    information = shown @ shown.T + np.diag(problem.prior_std**-2.0)
+    pull = (point - problem.start) / problem.prior_std**2
     value = density.sum() + problem.log_prior(point[None])[0]
-    return Slope(float(value), scores.sum(axis=1) - pull * slope, information, scores)
+    return Slope(float(value), scores.sum(axis=1) - pull, information, scores)
 
 
 def diagonal_of(problem: FitProblem, information: Floats) -> Floats:
@@ -102,7 +96,7 @@ def diagonal_of(problem: FitProblem, information: Floats) -> Floats:
 def climb(
     problem: FitProblem,
     point: Floats,
-    heat: tuple[float, float],
+    heat: Any,
     most: int,
     frozen: Flags,
     tick: Callable[[int], None],
@@ -147,17 +141,14 @@ def _damped_step(
     problem: FitProblem, point: Floats, slope: Slope, damping: float, frozen: Flags
 ) -> Floats:
     """Return a step. Numbers at an end from which the likelihood falls stay."""
-    span = problem.high - problem.low
-    at_low = (point <= problem.low + AT_END * span) & (slope.gradient < 0)
-    at_high = (point >= problem.high - AT_END * span) & (slope.gradient > 0)
-    moving = np.flatnonzero(~(frozen | at_low | at_high))
-    step = np.zeros(point.size)
-    if not moving.size:
-        return step
+    ends = np.where(slope.gradient < 0, problem.low, problem.high)
+    near = np.abs(point - ends) <= AT_END * (problem.high - problem.low)
+    moving = np.flatnonzero(~(frozen | near))
     units = 1 / np.sqrt(diagonal_of(problem, slope.information)[moving])
     even = slope.information[np.ix_(moving, moving)] * np.outer(units, units)
-    pull = units * slope.gradient[moving]
-    step[moving] = units * np.linalg.solve(even + max(damping, 1e-9) * np.eye(moving.size), pull)
+    even += max(damping, 1e-9) * np.eye(moving.size)
+    step = np.zeros(point.size)
+    step[moving] = units * np.linalg.solve(even, units * slope.gradient[moving])
     return step
 
 
@@ -182,29 +173,25 @@ def search_maximum(
     points[0] = problem.start
     noises = np.array([each.is_noise for each in problem.free])
     points[:, noises] = problem.start[noises]
-    sizes = float(np.nanstd(problem.whole.y)), float(np.nanstd(problem.whole.u))
+    hot = HOT * np.array([np.nanstd(problem.whole.y), np.nanstd(problem.whole.u)])
 
-    def run_stage(place: str, peaks: Peaks, stage: tuple[float, int, int]) -> Peaks:
+    def run_stage(place: int, peaks: Peaks, share: float, count: int, most: int) -> Peaks:
         """Return the peaks of a stage, known or computed."""
-        share, count, most = stage
-        heat = (share * HOT * sizes[0], share * HOT * sizes[1])
 
         def compute_stage(missing: list[int]) -> Any:
             """Yield the peaks of the stage."""
-            chosen = peaks.keep_best(count).points
             frozen = noises & (share > 0)
-            found = [climb(problem, point, heat, most, frozen, tick) for point in chosen]
-            yield 0, [[point.tolist(), value] for point, value in found]
+            found = []
+            for point in peaks.keep_best(count).points:
+                top, value = climb(problem, point, share * hot, most, frozen, tick)
+                found.append([top.tolist(), value])
+            yield 0, found
 
-        (found,) = answers.compute_missing([[name, place, *stage]], compute_stage)
+        (found,) = answers.compute_missing([[name, place, share, count, most]], compute_stage)
         return Peaks(*map(np.array, zip(*found, strict=True))).keep_best(count)
 
-    heat = (HOT * sizes[0], HOT * sizes[1])
-    peaks = Peaks(points, problem.evaluate_points(points, heat))
-    for k, stage in enumerate(STAGES):
-        peaks = run_stage(f"stage {k}", peaks, stage)
-    again = peaks
-    for k, stage in enumerate(AGAIN):
-        again = run_stage(f"again {k}", again, stage)
-    both = np.concatenate([peaks.points, again.points])
-    return Peaks(both, np.concatenate([peaks.values, again.values])).keep_best(len(both))
+    found = [Peaks(points, problem.evaluate_points(points, hot))]
+    for k, stage in enumerate((*STAGES, *AGAIN)):
+        found.append(run_stage(k, found[-1], *stage))
+    both = zip(found[len(STAGES)], found[-1], strict=True)
+    return Peaks(*map(np.concatenate, both)).keep_best()
