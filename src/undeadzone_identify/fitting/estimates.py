@@ -122,48 +122,45 @@ def fit(
     read = read_logs(scenario, model, logs, columns, strict)
     delays = _list_delays(scenario, asked)
     described = functools.partial(_describe_fit, scenario, asked, read, x0, seed)
+    found = []
     with (
         notebook_progress(progress, "fitting", None) as advance,
         open_answers(keep, described, "stages", resume) as answers,
     ):
-        best: tuple[FitProblem, Peaks, int] | None = None
         for delay in delays:
             moved = [each._replace(u=shift_rows(each.u, delay, FIRST_ROW)) for each in read]
-            problem = prepare_fit(
-                scenario, model, moved, asked | dict.fromkeys(besides), x0, threads
-            )
+            every = asked | dict.fromkeys(besides)
+            problem = prepare_fit(scenario, model, moved, every, x0, threads)
             peaks = search_maximum(problem, seed, advance, answers, f"delay {delay}")
-            if best is None or peaks.values[0] > best[1].values[0]:
-                best = problem, peaks, delay
-        assert best is not None
+            found.append((problem, peaks, delay))
+        best = max(found, key=lambda each: each[1].values[0])
         return build_answer(*best, besides, advance)
 
 
 def parse_free(free: Free) -> dict[str, Any]:
     """Return the ranges of free numbers by address. Raises InputError."""
     if isinstance(free, str):
-        free = [part.strip() for part in re.split(r",(?![^\[]*\])", free) if part.strip()]
+        free = re.split(r",(?![^\[]*\])", free)
     if not isinstance(free, Mapping):
-        free = dict(map(_parse_number, free))
+        free = dict(_parse_number(part) for part in free if part.strip())
     if not free:
         raise InputError(f"free: nothing to fit. Name a number: {EXAMPLE}")
-    return {str(name): value for name, value in free.items()}
+    return dict(free)
 
 
 def _parse_number(text: str) -> tuple[str, Any]:
     """Return an address and its range from ADDRESS[=lo..hi]. Raises InputError."""
-    address, there, bounds = text.partition("=")
+    address, there, bounds = map(str.strip, text.partition("="))
     if not there:
-        return address.strip(), None
-    parts = bounds.split("..")
+        return address, None
     try:
-        low, high = map(float, parts)
+        low, high = map(float, bounds.split(".."))
     except ValueError:
         raise InputError(
             "free: expected ADDRESS or ADDRESS=lo..hi, such as sensor.right=0..0.5, found "
             f"{text!r:.60}"
         ) from None
-    return address.strip(), (low, high)
+    return address, (low, high)
 
 
 def read_logs(
@@ -197,25 +194,24 @@ def _list_delays(scenario: Scenario, asked: dict[str, Any]) -> list[int]:
     """Return the delays to be tried, and take them from what is free. Raises InputError."""
     if DELAY not in asked:
         return [scenario.plant.delay]
-    bounds = asked.pop(DELAY)
-    if bounds is None or len(bounds) != 2 or not 0 <= bounds[0] < bounds[1] <= LATEST:
-        raise InputError(f"free: {DELAY}: expected a range of whole samples, as {DELAY}=0..5")
-    if not asked:
-        raise InputError(f"free: {DELAY}: name another number besides, such as {EXAMPLE}")
-    return list(range(int(bounds[0]), int(bounds[1]) + 1))
+    low, high = asked.pop(DELAY) or (0, 0)
+    if not asked or not 0 <= low < high <= LATEST:
+        raise InputError(
+            f"free: {DELAY}: expected a range of whole samples, as {DELAY}=0..5. And name another "
+            f"number besides, such as {EXAMPLE}"
+        )
+    return list(range(int(low), int(high) + 1))
 
 
 def _describe_fit(
     scenario: Scenario, asked: dict[str, Any], logs: Sequence[Log], x0: str, seed: int
 ) -> dict[str, Any]:
     """Return all data that the stages of a search depend on."""
-    digest = hashlib.blake2b(digest_size=16)
-    for record in logs:
-        digest.update(np.ascontiguousarray(np.hstack([record.y, record.u])).tobytes())
+    data = b"".join(np.hstack(each[2:4]).tobytes() for each in logs)
     return {
         "scenario": toml.to_toml(scenario),
         "free": {name: str(given) for name, given in asked.items()},
-        "logs": digest.hexdigest(),
+        "logs": hashlib.blake2b(data, digest_size=16).hexdigest(),
         "x0": x0,
         "seed": seed,
     }
@@ -249,25 +245,21 @@ def prepare_fit(
         for name in expand_address(address, known):
             if name in numbers:
                 raise InputError(f"free: {name} is named twice. Keep one address that names it")
-            value = known[name].value
-            assert value is not None
-            numbers[name] = build_free_number(name, value, given, sizes)
-    readings = sum(int(np.isfinite(record.y).sum()) for record in logs)
+            numbers[name] = build_free_number(name, known[name].value or 0.0, given, sizes)
+    readings = sum(np.isfinite(record.y).sum() for record in logs)
     if readings < FEWEST * len(numbers):
         raise InputError(
             f"logs: {readings} readings for {len(numbers)} numbers, fewer than {FEWEST} for each"
         )
     start = plants.initial_state(scenario.plant, model)
     reach = _reach_of_start(model, sizes, logs, numbers.values())
-    spread = np.full(model.n, KNOWN)
+    fitted = x0 == "free" and model.nonlinear
     initial = []
-    if x0 == "free" and model.nonlinear:
-        for k, i in np.ndindex(len(logs), model.n):
-            name = f"x0[{i}]" + f" of log {k + 1}" * (len(logs) > 1)
-            first, size = float(start[i]), float(reach[i])
-            initial.append(free_within(name, first - size, first + size, first))
-    elif x0 == "free":
-        spread = 3 * reach
+    for k, i in np.ndindex(len(logs) * fitted, model.n):
+        name = f"x0[{i}]" + f" of log {k + 1}" * (len(logs) > 1)
+        ends = start[i] - reach[i], start[i] + reach[i], start[i]
+        initial.append(free_within(name, *map(float, ends)))
+    spread = np.full(model.n, KNOWN) if fitted or x0 == "known" else 3 * reach
     return build_problem(scenario, logs, list(numbers.values()), spread, initial, threads)
 
 
@@ -341,15 +333,14 @@ def _note_number(problem: FitProblem, found: Intervals, values: Floats, i: int) 
             return f"no reading passed the {edge} edge: only d_{edge[0]} > {low:.4g} follows"
     if found.shown[i]:
         at_end = values[i] in (low, high)
-        return f"at the end of its range: {low:.4g} to {high:.4g}" if at_end else ""
+        return f"at the end of its range: {low:.4g} to {high:.4g}" * at_end
     words = f"the log cannot tell it: any value from {low:.4g} to {high:.4g} does"
-    row = np.abs(found.correlations[i]) * (np.arange(len(values)) != i)
-    other = int(np.argmax(row))
-    if row[other] > LINKED:
-        both = number.is_log and problem.free[other].is_log
-        opposite = found.correlations[i, other] < 0
-        kind = ("ratio", "product")[int(opposite)] if both else ("difference", "sum")[int(opposite)]
-        words += f"; only the {kind} with {problem.free[other].name} is known"
+    row = found.correlations[i] * (np.arange(len(values)) != i)
+    k = np.argmax(np.abs(row))
+    if abs(row[k]) > LINKED:
+        kinds = [["difference", "sum"], ["ratio", "product"]]
+        kind = kinds[int(problem.is_log[[i, k]].all())][int(row[k] < 0)]
+        words += f"; only the {kind} with {problem.free[k].name} is known"
     return words
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from undeadzone.report import html, ink
 from undeadzone.report.style import create_panels, escape_formulas, finish_panel
 from undeadzone.util import toml
-from undeadzone_identify.fitting.checks import FLAGGED
+from undeadzone.util.text import HALF_95
 from undeadzone_identify.fitting.result import HEAD, Fitted
 
 if TYPE_CHECKING:
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 POINTS: Final = 20_000  # samples that a line shows at most
-DIRECTIONS: Final = 2  # least known combinations that are shown
 CAPTIONS: Final = {
     "fit": "Above: the readings, and their prediction from the readings before. Middle: their "
     "normal scores, independent and standard normal if the scenario is true. 95 % of them lie "
@@ -47,43 +46,33 @@ def build_fit_page(
     pictures = html.encode_pictures(images, CAPTIONS)
     contradicted = "the log contradicts the scenario"
     agrees = "the log does not contradict the scenario"
-    rows = [(name, chance) for name, chance in result.checks.items()]
-    bound = FLAGGED / len(rows)
-    words = f"A test below {bound:.2g} contradicts the scenario. {result.agreement}"
-    notes = [
-        html.build_paragraph(f"Another answer fits as well: {each}.") for each in result.others
-    ]
+    words, rows = result.blocks()
     return html.build_page(
         f"Fitted: {result.scenario.title}",
         html.verdict_line(html.choose_verdict(result.consistent, agrees, contradicted)),
         html.build_section(
-            "Numbers",
-            html.build_table(HEAD, result.describe_numbers()[1:]),
-            *notes,
-            *html.pick_pictures(pictures, "fit"),
+            "Numbers", html.build_table(HEAD, rows[1:]), *html.pick_pictures(pictures, "fit")
         ),
         html.build_section(
-            "Tests", html.build_table(("test", "p"), rows), html.build_paragraph(words)
+            "Tests",
+            html.build_table(("", ""), words.items()),
+            html.build_table(("test", "p"), result.checks.items()),
         ),
-        html.build_section(
-            "The fitted scenario",
-            html.fold_section("fitted.toml", html.source_html(toml.to_toml(result.scenario))),
-        ),
+        html.build_section("The fitted scenario", html.source_html(toml.to_toml(result.scenario))),
         origin=origin,
     )
 
 
 def plot_fit(result: Fitted) -> Figure:
     """Return the figure: readings with prediction, scores, least known directions."""
-    rows = [["readings"], ["scores"], ["directions"]]
-    figure, panels = create_panels(rows, f"{result.scenario.title}: fitted", height=2.6)
+    places = [["readings"], ["scores"], ["directions"]]
+    figure, panels = create_panels(places, f"{result.scenario.title}: fitted", height=2.6)
     plot_readings(panels["readings"], result)
     finish_panel(panels["readings"], "Readings", "y", legend=2, x_label="sample")
     axes = panels["scores"]
-    every = _thin_out(result)
-    axes.plot(every, result.signals.scores[every], ".", markersize=2, color=ink.READING)
-    for side in (-1.96, 1.96):
-        axes.axhline(side, color=ink.ZONE)
+    _plot_thinned(axes, result.signals.scores, ".", color=ink.READING)
+    axes.axhline(-HALF_95, color=ink.ZONE)
+    axes.axhline(HALF_95, color=ink.ZONE)
     finish_panel(axes, "Normal scores of the readings", "", legend=0, x_label="sample")
     _draw_directions(panels["directions"], result)
     return figure
@@ -91,25 +80,22 @@ def plot_fit(result: Fitted) -> Figure:
 
 def plot_readings(axes: Axes, result: Fitted) -> None:
     """Draw the readings and their prediction on the piece that they lie on."""
-    every = _thin_out(result)
-    axes.plot(every, result.signals.y[every], ".", markersize=2, color=ink.READING, label="y")
-    seen = result.signals.prediction[every]
-    axes.plot(every, seen, color=ink.ESTIMATE, label="prediction")
+    _plot_thinned(axes, result.signals.y, ".", color=ink.READING, label="y")
+    _plot_thinned(axes, result.signals.prediction, "-", color=ink.ESTIMATE, label="prediction")
 
 
-def _thin_out(result: Fitted) -> Any:
-    """Return the samples that are drawn."""
-    count = len(result.signals.t)
-    return np.arange(0, count, max(1, count // POINTS))
+def _plot_thinned(axes: Axes, values: Any, mark: str, **style: Any) -> None:
+    """Draw values over samples, not more than `POINTS` of them."""
+    every = slice(None, None, 1 + len(values) // POINTS)
+    axes.plot(np.arange(len(values))[every], values[every], mark, markersize=2, **style)
 
 
 def _draw_directions(axes: Axes, result: Fitted) -> None:
     """Draw the shares of the numbers in the least known directions as bars."""
     names = [escape_formulas(each.name.rpartition(".")[2]) for each in result.numbers]
     places = np.arange(len(names))
-    colours = (ink.ESTIMATE, ink.REFERENCE)
-    for k in range(min(DIRECTIONS, len(names))):
+    for k, colour in enumerate((ink.ESTIMATE, ink.REFERENCE)[: len(names)]):
         shares = result.directions[:, k]
-        axes.bar(places + 0.4 * k - 0.2, shares, 0.4, color=colours[k], label=f"direction {k + 1}")
+        axes.bar(places + 0.4 * k - 0.2, shares, 0.4, color=colour, label=f"direction {k + 1}")
     axes.set_xticks(places, names)
     finish_panel(axes, "Least known directions", "", legend=2, x_label="")

@@ -135,8 +135,8 @@ class Fitted:
         """Return the numbers as rows of text, below their head."""
         rows = [list(HEAD)]
         for each in self.numbers:
-            cells = [f"{each.value:.6g}", each.format_interval(), f"{each.start:.6g}"]
-            rows.append([each.name, *cells, each.note])
+            value, start = f"{each.value:.6g}", f"{each.start:.6g}"
+            rows.append([each.name, value, each.format_interval(), start, each.note])
         return rows
 
     def blocks(self) -> list[shown.Block]:
@@ -186,11 +186,7 @@ class Fitted:
             "title": self.scenario.title,
             "numbers": [each._asdict() for each in self.numbers],
             "correlations": dict(zip(names, self.correlations.tolist(), strict=True)),
-            "log_likelihood": self.log_likelihood,
             "tests": self.checks,
-            "consistent": self.consistent,
-            "others": self.others,
-            "besides": self.besides,
-            "delay": self.delay,
         }
-        return dict(to_json_value(summary))
+        same = ("log_likelihood", "consistent", "others", "besides", "delay")
+        return dict(to_json_value(summary | {name: getattr(self, name) for name in same}))
