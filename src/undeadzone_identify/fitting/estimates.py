@@ -54,6 +54,7 @@ from undeadzone_identify.fitting.search import Peaks, search_maximum
 
 FIRST: Final = 20  # readings that show x(0)
 LEAST_REACH: Final = 0.1  # of x(0), over the largest reading
+FARTHEST: Final = 3.0  # x(0) from the scenario's, in the first readings
 FEWEST: Final = 20  # readings for each number
 LATEST: Final = 1000  # samples of a delay
 ALIKE: Final = 2.0  # nats, within which another answer fits as well
@@ -259,7 +260,7 @@ def prepare_fit(
         name = f"x0[{i}]" + f" of log {k + 1}" * (len(logs) > 1)
         ends = start[i] - reach[i], start[i] + reach[i], start[i]
         initial.append(free_within(name, *map(float, ends)))
-    spread = np.full(model.n, KNOWN) if fitted or x0 == "known" else 3 * reach
+    spread = np.full(model.n, KNOWN) if fitted or x0 == "known" else reach
     return build_problem(scenario, logs, list(numbers.values()), spread, initial, threads)
 
 
@@ -279,7 +280,7 @@ def _reach_of_start(
     first = max(float(np.nanmax(np.abs(record.y[:FIRST]), initial=0.0)) for record in logs)
     widths = [each.high for each in numbers if stem(each.name) in WIDTHS[:2]]
     size = max(first + max(widths, default=0.0), LEAST_REACH * sizes.z)
-    return size * state_units(model.continuous, model.Ts)
+    return FARTHEST * size * state_units(model.continuous, model.Ts)
 
 
 def build_answer(
