@@ -184,7 +184,7 @@ def identify(
         if free is not None:
             columns = ["--columns", options["columns"]] * bool(options["columns"])
             words = shell_command("undeadzone", "fit", motor, *logs, *columns, "--free", free)
-            follow = {"next": f"{words} if the encoder is the motor's: its gap, inertia, friction"}
+            follow = {"next": f"{words}; if the encoder is the motor's: its gap, inertia, friction"}
             written.append(motor)
     lines = compensating_lines(numbers, first.name) if answer.account.is_certain else {}
     if folder is not None and lines:

@@ -3,25 +3,29 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import json
+import re
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
-import casadi as ca
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from benchmarks.identify.fit import CASES, Case, colour, cut
+from scipy.signal import dlsim
 
 import undeadzone as uz
-from undeadzone.cli import group
+from commands import undeadzone
 from undeadzone.scenario.reader import parse
 from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
+from undeadzone_identify.fitting import search
 from undeadzone_identify.fitting.estimates import prepare_fit, read_logs
 from undeadzone_identify.fitting.free import complete_tables
-from undeadzone_identify.fitting.likelihood import build_step
 from undeadzone_identify.fitting.problem import FitProblem, build_model, pack_scenario
-from undeadzone_identify.fitting.search import measure_slope
+from undeadzone_identify.fitting.search import climb
+from walks import Walk, commands_in
 
 STEP = 0.02
 TEXT = """
@@ -75,22 +79,17 @@ GEARED = TEXT.replace(TEXT[TEXT.index("[plant]") : TEXT.index("[sensor]")], ARM)
 
 
 def make_log(
-    seed: int = 0, count: int = 600, right: float = 0.3, left: float = 0.2, start: float = 0.1
+    seed: int = 1, count: int = 600, right: float = 0.3, left: float = 0.2, start: float = 0.1
 ) -> dict[str, Floats]:
-    """Simulate TEXT with NumPy alone."""
+    """Simulate TEXT."""
     rng = np.random.default_rng(seed)
-    model = build_model(parse(TEXT))
+    scenario = parse(TEXT)
     t = STEP * np.arange(count)
     u = sum(np.sin(2 * np.pi * f * t + rng.uniform(0, 6)) for f in (0.11, 0.37, 0.9))
-    x, w, z = np.zeros(2), 0.0, np.empty(count)
-    memory = np.exp(-STEP / 0.2)
-    for k in range(count):
-        z[k] = x[0]
-        pushed = max(u[k] - start, 0) + min(u[k], 0)
-        x = model.params.A @ x + model.params.B[:, 0] * (pushed + w)
-        w = memory * w + 0.02 * np.sqrt(1 - memory**2) * rng.standard_normal()
-    y = np.maximum(z - right, 0) + np.minimum(z + left, 0) + 0.01 * rng.standard_normal(count)
-    return {"t": t, "u": u, "y": y}
+    w = colour(rng, count, STEP, scenario.disturbance)
+    matrices = (*build_model(scenario).params, 0.0, STEP)
+    z = dlsim(matrices, cut(u, start, 0.0) + w)[1][:, 0]
+    return {"t": t, "u": u, "y": cut(z, right, left) + 0.01 * rng.standard_normal(count)}
 
 
 def pose(text: str, free: dict[str, Any], log: Any = None, x0: Any = "free") -> FitProblem:
@@ -134,35 +133,9 @@ def test_without_a_zone_the_likelihood_is_that_of_the_kalman_filter() -> None:
     assert problem.evaluate_points(problem.start[None])[0] == pytest.approx(expected, rel=1e-7)
 
 
-def test_derivatives_are_those_of_casadi() -> None:
-    text = FORMULAS.replace("right = 0.3\nleft = 0.2", "right = 0.0\nleft = 0.0")
-    problem = pose(text, {"plant.b": None, "sensor.noise": None}, x0="known")
-    slope = measure_slope(problem, problem.start, np.full(2, 1e-6))
-    step = build_step_of(problem)
-    states, params = problem.to_lanes(problem.start[None], (0.0, 0.0), 0)
-    symbol = ca.SX.sym("q", params.shape[1])
-    s = ca.SX.sym("s", states.shape[1])
-    w = ca.SX.sym("w", 3)
-    following, recorded = step(s, w, symbol)
-    one = ca.Function("one", [s, w, symbol], [following, recorded[0]])
-    (log,) = problem.logs
-    rows = np.hstack([log.y, log.u, log.side])[:200].T
-    _, densities = one.mapaccum(200)(states[0], rows, ca.repmat(symbol, 1, 200))
-    gradient = ca.Function("g", [symbol], [ca.gradient(ca.sum2(densities), symbol)])(params[0])
-    expected = []
-    for name, value in (("plant[1]", 1.5), ("after[0]", 0.01)):
-        expected.append(float(gradient[names_of(problem).index(name)]) * value)
-    assert slope.scores[:, :200].sum(axis=1) == pytest.approx(expected, rel=1e-3)
-
-
 def names_of(problem: FitProblem) -> list[str]:
     like = pack_scenario(problem.scenario, problem.model, problem.zone)
     return tree.number_addresses(like)
-
-
-def build_step_of(problem: FitProblem) -> ca.Function:
-    like = pack_scenario(problem.scenario, problem.model, problem.zone)
-    return build_step(problem.model, problem.kind, like)
 
 
 @pytest.mark.parametrize(
@@ -214,7 +187,7 @@ def test_the_truth_is_found_and_is_consistent() -> None:
 
 
 def test_threads_change_no_bit() -> None:
-    again = uz.fit(parse(TEXT), make_log(), "sensor.right", threads=2)
+    again = uz.fit(parse(TEXT), make_log(), "sensor.right=0..1", threads=2)
     assert again.numbers == fit_width().numbers
 
 
@@ -283,40 +256,46 @@ def test_too_few_readings_are_refused() -> None:
 
 @functools.cache
 def fit_width() -> uz.Fitted:
-    return uz.fit(parse(TEXT), make_log(), "sensor.right", threads=1)
+    return uz.fit(parse(TEXT), make_log(), "sensor.right=0..1", threads=1)
 
 
-def write_problem(folder: Path) -> tuple[str, str]:
-    """Write scenario and log as files."""
-    log = make_log()
-    table = np.column_stack([log["t"], log["u"], log["y"]])
-    np.savetxt(folder / "log.csv", table, delimiter=",", header="t,u,y", comments="")
-    (folder / "mine.toml").write_text(TEXT)
-    return str(folder / "mine.toml"), str(folder / "log.csv")
+def write_log(path: Path, log: dict[str, Floats], head: str = "t,u,y") -> None:
+    """Write a log as a file."""
+    np.savetxt(path, np.column_stack([*log.values()]), delimiter=",", header=head, comments="")
 
 
-def test_the_command_writes_scenario_and_page(tmp_path: Path) -> None:
-    files = write_problem(tmp_path)
-    out = tmp_path / "out"
-    words = ["fit", *files, "--free", "sensor.right=0..1", "--json", "--out", str(out)]
-    done = CliRunner().invoke(group, words)
-    assert done.exit_code == 0, done.output
-    result = json.loads(done.stdout)
-    assert done.exit_code == 0
-    assert uz.read(out / "fitted.toml").sensor.right == result["numbers"][0]["value"]
-    assert "Least known" in (out / "report.html").read_text() or (out / "fit.svg").exists()
+def test_a_user_follows_what_is_printed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    walk = Walk(tmp_path)
+    write_log(tmp_path / "log.csv", make_log())
+    (tmp_path / "mine.toml").write_text(TEXT)
+    line = "undeadzone fit mine.toml log.csv --free sensor.right=0..1"
+    climbs = itertools.chain([climb] * 9, itertools.repeat(Mock(side_effect=KeyboardInterrupt)))
+    with monkeypatch.context() as patched:
+        patched.setattr(search, "climb", lambda *given: next(climbs)(*given))
+        stopped = undeadzone(*line.split()[1:], cwd=tmp_path)
+    assert "--resume" in stopped.stderr, stopped
+    printed = walk.run(f"{line} --resume")
+    found = re.search(r"sensor.right +(\S+)", printed)
+    assert found is not None
+    assert float(found[1]) == pytest.approx(fit_width().numbers[0].value, rel=1e-5)
+    assert uz.read(tmp_path / "mine-fit/fitted.toml").sensor.left == 0.2
+    (last,) = commands_in(printed)
+    assert re.search(r"consistent +yes", walk.run(last))
 
 
-def test_a_stopped_search_goes_on(tmp_path: Path) -> None:
-    keep = tmp_path / "fitted.toml.partial"
-    stages = []
-
-    def stop(done: int) -> None:
-        stages.append(done)
-        if len(stages) > 3:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        uz.fit(parse(TEXT), make_log(), "sensor.right", keep=keep, progress=stop)
-    found = uz.fit(parse(TEXT), make_log(), "sensor.right", keep=keep, resume=True, threads=1)
-    assert found.numbers == fit_width().numbers
+@pytest.mark.long("test_the_truth_is_found_and_is_consistent")
+def test_a_log_of_a_motor_leads_to_its_gap(tmp_path: Path) -> None:
+    case = CASES["servo of MuJoCo, torque and motor encoder"]
+    truth = dict(zip(case.free, [0.01, 0.012, 0.05, 0.018, 0.003], strict=True))
+    moved = Case(*case[:3], lambda _: truth, (0.3, 0.2, 0.2), (0.7, 1.9, 3.3), 1600)
+    (log,) = moved.record(np.random.default_rng(0))[1]
+    walk = Walk(tmp_path)
+    log = {"t": 0.005 * np.arange(1600), **log}
+    write_log(tmp_path / "motor.csv", log, "t,torque [N m],motor angle [rad]")
+    found = walk.run("undeadzone identify motor.csv --out out --no-figures", 1)
+    (line,) = commands_in(found)
+    fitted = walk.run(f"{line} --no-figures --json")
+    assert json.loads(fitted)["consistent"]
+    for number in json.loads(fitted)["numbers"][:5]:
+        if number["name"] in truth:
+            assert number["value"] == pytest.approx(truth[number["name"]], rel=0.05)
