@@ -287,10 +287,10 @@ def test_a_user_follows_what_is_printed(tmp_path: Path, monkeypatch: pytest.Monk
 def test_a_log_of_a_motor_leads_to_its_gap(tmp_path: Path) -> None:
     case = CASES["servo of MuJoCo, torque and motor encoder"]
     truth = dict(zip(case.free, [0.01, 0.012, 0.05, 0.018, 0.003], strict=True))
-    moved = Case(*case[:3], lambda _: truth, (0.3, 0.2, 0.2), (0.7, 1.9, 3.3), 1600)
+    moved = Case(*case[:3], lambda _: truth, (0.3, 0.2, 0.2), (0.7, 1.9, 3.3), 800)
     (log,) = moved.record(np.random.default_rng(0))[1]
     walk = Walk(tmp_path)
-    log = {"t": 0.005 * np.arange(1600), **log}
+    log = {"t": 0.005 * np.arange(800), **log}
     write_log(tmp_path / "motor.csv", log, "t,torque [N m],motor angle [rad]")
     found = walk.run("undeadzone identify motor.csv --out out --no-figures", 1)
     (line,) = commands_in(found)
