@@ -269,7 +269,9 @@ def test_a_user_follows_what_is_printed(tmp_path: Path, monkeypatch: pytest.Monk
     write_log(tmp_path / "log.csv", make_log())
     (tmp_path / "mine.toml").write_text(TEXT)
     line = "undeadzone fit mine.toml log.csv --free sensor.right=0..1"
-    climbs = itertools.chain([climb] * 9, itertools.repeat(Mock(side_effect=KeyboardInterrupt)))
+    climbs: Any = itertools.chain(
+        [climb] * 9, itertools.repeat(Mock(side_effect=KeyboardInterrupt))
+    )
     with monkeypatch.context() as patched:
         patched.setattr(search, "climb", lambda *given: next(climbs)(*given))
         stopped = undeadzone(*line.split()[1:], cwd=tmp_path)

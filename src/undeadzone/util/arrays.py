@@ -287,7 +287,7 @@ def rows_since_start(start: Integers, size: int) -> Integers:
 
 def hold_last(rows: Floats) -> Floats:
     """Return rows (N x m) whose missing values are the last ones before them, NaN at first."""
-    last = np.maximum.accumulate(np.isfinite(rows) * np.arange(len(rows))[:, None], axis=0)
+    last = np.maximum.accumulate(np.isfinite(rows) * np.c_[: len(rows)])
     return np.take_along_axis(rows, last, axis=0)
 
 

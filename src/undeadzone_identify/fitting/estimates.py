@@ -337,7 +337,7 @@ def _note_number(problem: FitProblem, found: Intervals, values: Floats, i: int) 
         return f"at the end of its range: {low:.4g} to {high:.4g}" * at_end
     words = f"the log cannot tell it: any value from {low:.4g} to {high:.4g} does"
     row = found.correlations[i] * (np.arange(len(values)) != i)
-    k = np.argmax(np.abs(row))
+    k = int(np.argmax(np.abs(row)))
     if abs(row[k]) > LINKED:
         kinds = [["difference", "sum"], ["ratio", "product"]]
         kind = kinds[int(problem.is_log[[i, k]].all())][int(row[k] < 0)]

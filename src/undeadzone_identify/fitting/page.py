@@ -46,6 +46,8 @@ def build_fit_page(
     pictures = html.encode_pictures(images, CAPTIONS)
     contradicted = "the log contradicts the scenario"
     agrees = "the log does not contradict the scenario"
+    words: Any
+    rows: Any
     words, rows = result.blocks()
     return html.build_page(
         f"Fitted: {result.scenario.title}",
