@@ -13,7 +13,9 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 from benchmarks.identify.fit import CASES, Case, colour, cut
+from scipy.linalg import toeplitz
 from scipy.signal import dlsim
+from scipy.stats import multivariate_normal
 
 import undeadzone as uz
 from commands import undeadzone
@@ -104,23 +106,18 @@ def encode(problem: FitProblem, value: float) -> Floats:
 
 
 def exact_likelihood(text: str, log: dict[str, Floats], spread: Floats) -> float:
-    """The Kalman filter of [x; disturbance], in matrices."""
-    model = build_model(parse(text))
-    A, B, C = model.params
+    """The joint normal density of all readings, from x(0), a disturbance and noise."""
+    A, B, C = build_model(parse(text)).params
     memory = np.exp(-STEP / 0.2)
     F = np.block([[A, B], [np.zeros((1, 2)), np.array([[memory]])]])
-    H = np.hstack([C, [[0.0]]])
-    P = np.diag([*spread**2, 0.02**2])
-    m, total = np.zeros(3), 0.0
-    for y, u in zip(log["y"], log["u"], strict=True):
-        S = (H @ P @ H.T)[0, 0] + 0.01**2
-        e = y - (H @ m)[0]
-        total -= 0.5 * (np.log(2 * np.pi * S) + e * e / S)
-        K = P @ H[0] / S
-        m, P = m + K * e, P - np.outer(K, H[0]) @ P
-        m = F @ m + np.array([*B[:, 0], 0.0]) * u
-        P = F @ P @ F.T + np.diag([0.0, 0.0, 0.02**2 * (1 - memory**2)])
-    return total
+    count = len(log["y"])
+    rows = np.array([[*C[0], 0.0] @ np.linalg.matrix_power(F, k) for k in range(count)])
+    forced, stirred = (
+        toeplitz([0.0, *rows[:-1] @ b], np.zeros(count)) for b in ([*B[:, 0], 0.0], [0.0, 0.0, 1.0])
+    )
+    cov = rows * [*spread**2, 0.02**2] @ rows.T + 0.01**2 * np.eye(count)
+    cov += 0.02**2 * (1 - memory**2) * stirred @ stirred.T
+    return float(multivariate_normal.logpdf(log["y"], forced @ log["u"], cov))
 
 
 def test_without_a_zone_the_likelihood_is_that_of_the_kalman_filter() -> None:
