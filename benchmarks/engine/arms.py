@@ -134,7 +134,7 @@ def whole(fleet: Batch, runs: int = 512) -> list[str]:
     """The ensemble's loop with all that belongs to it, beside bare dynamics."""
     short = fleet._replace(exogenous=fleet.exogenous[:STEPS])
     numbers = np.arange(runs)
-    drawn = fleet.binding.to_lanes(fleet.binding.draw_columns(0, runs, fleet.layout.runs))
+    drawn = fleet.binding.numbers.to_lanes(fleet.binding.draw_columns(0, runs, fleet.layout.runs))
     method = arm_accuracy.method(fleet.problem.scenario)
     label = f"**undeadzone, lanes, {runs} arms: RK4, dead zones, noise, `{method}`, controller**"
     lines = []

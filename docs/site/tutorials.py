@@ -17,6 +17,7 @@ from nbconvert import MarkdownExporter
 NAMES = (
     "own_plant",
     "log_to_widths",
+    "fit_a_pendulum",
     "design_with_proof",
     "your_robot",
     "arm_with_backlash",

@@ -105,6 +105,7 @@ from .simulation.simulate import simulate as simulate
 Check = undeadzone_design.Check
 Ensemble = undeadzone_studies.Ensemble
 Exported = undeadzone_export.Exported
+Fitted = undeadzone_identify.Fitted
 Identified = undeadzone_identify.Identified
 IdentifiedAtRest = undeadzone_identify.IdentifiedAtRest
 IdentifiedMotion = undeadzone_identify.IdentifiedMotion
@@ -121,6 +122,7 @@ decay_limit = undeadzone_design.decay_limit
 design = undeadzone_design.design
 design_on = undeadzone_design.design_on
 export = undeadzone_export.export
+fit = undeadzone_identify.fit
 identify = undeadzone_identify.identify
 replay_run = undeadzone_studies.replay_run
 run_ensemble = undeadzone_studies.run_ensemble

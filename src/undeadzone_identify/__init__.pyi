@@ -1,3 +1,5 @@
+from .fitting.estimates import fit as fit
+from .fitting.result import Fitted as Fitted
 from .pipeline import identify as identify
 from .results.at_rest import IdentifiedAtRest as IdentifiedAtRest
 from .results.lost_motion import IdentifiedMotion as IdentifiedMotion

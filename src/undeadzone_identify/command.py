@@ -137,10 +137,11 @@ def identify(
     from undeadzone.logs.names import require_table
     from undeadzone.util.own_files import require_own_file
     from undeadzone_identify.chain import compensating_lines
+    from undeadzone_identify.fitting.motor import write_motor
     from undeadzone_identify.pipeline import identify as identified
     from undeadzone_identify.results.at_rest import IdentifiedAtRest
     from undeadzone_identify.results.lost_motion import IdentifiedMotion
-    from undeadzone_identify.results.result import WRITTEN
+    from undeadzone_identify.results.result import WRITTEN, Identified
 
     first = logs[0]
     if chain is not None and len(logs) > 1:
@@ -177,6 +178,14 @@ def identify(
     if any("resampled to" in one for one in numbers.get("remarks", ())):
         options |= {"resample": True}  # no command reads the log at another step
     follow = {"next": _next_commands(path, logs, options, driven, late)} if is_written else {}
+    if folder is not None and not is_written and isinstance(answer, Identified):
+        motor = folder / "motor.toml"
+        free = write_motor(answer.answer.case.grid, motor, force)
+        if free is not None:
+            columns = ["--columns", options["columns"]] * bool(options["columns"])
+            words = shell_command("undeadzone", "fit", motor, *logs, *columns, "--free", free)
+            follow = {"next": f"{words}; if the encoder is the motor's: its gap, inertia, friction"}
+            written.append(motor)
     lines = compensating_lines(numbers, first.name) if answer.account.is_certain else {}
     if folder is not None and lines:
         few = shell_command("undeadzone", "export", folder / "identify.json", "--to", "snippet")

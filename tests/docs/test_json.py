@@ -46,6 +46,7 @@ COMMANDS: dict[str, list[list[str]]] = {
     "ensemble": [
         ["ensemble", "examples/ensemble.toml", "--runs", "256", "--resume", *STUDY],
     ],
+    "fit": [["fit", "point.toml", LOG, "--free", "sensor.right", *COMMON]],
     "tune": [["tune", "examples/tune.toml", "--runs", "2", "--budget", "4", *COMMON]],
     "arena": [
         ["arena", "examples/load_cell_limited.toml", "--methods", "kalman", "--seeds", "1",

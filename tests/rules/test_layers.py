@@ -75,7 +75,7 @@ FLOORS = {
     undeadzone_identify: (
         ("models",),
         ("logs",),
-        ("looks", "servo"),
+        ("fitting", "looks", "servo"),
         ("selection",),
         ("results",),
         ("chain", "figures", "pipeline"),

@@ -96,8 +96,8 @@ def test_a_missing_reading_is_left_out_of_the_regression() -> None:
     pv = np.where(ok, loop.pv, 1e6)  # never looked at
     fits = fit_loop(LoopLog(loop.op, pv, ok, loop.sp))
     assert not set(fits.regression.rows) & set(np.flatnonzero(~ok))
-    assert fits.best.density.bic < fits.densities["none"].bic
-    stick = fits.intervals(fits.best)[0].scale_by(float(np.ptp(loop.op)))
+    assert fits.likeliest.density.bic < fits.densities["none"].bic
+    stick = fits.intervals(fits.likeliest)[0].scale_by(float(np.ptp(loop.op)))
     assert holds(stick, loop.stick)
 
 
@@ -231,7 +231,7 @@ def test_a_sound_valve_is_not_named_beside_a_doubt(
 
 
 def test_play_and_stiction_beside_each_other_are_both_named() -> None:
-    found: Any = SimpleNamespace(held_out=SimpleNamespace(error=0.1), without=0.2)
+    found: Any = SimpleNamespace(held_out=SimpleNamespace(error=0.1), error_without=0.2)
     verdict = _verdict_of({"stiction": 0.6, "input_play": 0.39, "none": 0.01}, found)
     assert (verdict.word, len(verdict.cautions)) == ("stiction", 1)
     assert "39 %" in verdict.cautions[0]

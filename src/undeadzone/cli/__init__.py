@@ -34,7 +34,7 @@ from undeadzone.util.installed import list_registered_places, load_object
 BLOCKS = {
     "Start": ("init", "run", "identify", "export"),
     "Go on": ("check", "design", "estimate", "ensemble"),
-    "Special": ("tune", "watch", "arm"),
+    "Special": ("fit", "tune", "watch", "arm"),
 }
 OF_MOST = ("out", "as_json", "no_figures", "untrusted")  # options
 # of malloc.h

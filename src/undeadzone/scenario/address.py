@@ -118,8 +118,13 @@ def with_entry(key: str, present: Any, index: str, value: Any) -> Floats:
     return array
 
 
-def find_option_numbers(scenario: Any) -> dict[str, Number]:
-    """Return every number in the options of a scenario's observer and controller, by address."""
+def find_option_numbers(scenario: Any, tables: Iterable[str] = TUNABLE) -> dict[str, Number]:
+    """Return every number in tables of a scenario, by address.
+
+    Args:
+        scenario: the scenario.
+        tables: names of its tables (default: the options of observer and controller).
+    """
     found: dict[str, Number] = {}
 
     def walk(name: str, value: Any, kind: Any = None) -> None:
@@ -131,15 +136,25 @@ def find_option_numbers(scenario: Any) -> dict[str, Number]:
             for key, each in value.items():
                 walk(f"{name}.{key}", each)
         elif isinstance(value, np.ndarray | list | tuple):
+            if not _are_numbers(value):
+                return
             for index, entry in np.ndenumerate(np.asarray(value, float)):
                 place = f"[{','.join(map(str, index))}]" if index else ""
                 found[name + place] = Number(float(entry), False)
         elif _may_be_number(value, kind):
             found[name] = Number(value, kind is int)
 
-    for table in TUNABLE:
+    for table in tables:
         walk(table, getattr(scenario, table))
     return found
+
+
+def _are_numbers(values: Any) -> bool:
+    """Return whether all entries of a list, or of lists of one length in it, are numbers."""
+    try:
+        return np.asarray(values).dtype.kind in "iuf"
+    except ValueError:  # lists of different lengths
+        return False
 
 
 def _may_be_number(value: Any, kind: Any) -> bool:

@@ -99,17 +99,14 @@ def estimate(
         scenario = read_for_logs(scenario)
     follower = Follower(scenario)
     chosen = parse_columns(columns)
-    if frame_or_path is None:
+    log = frame_or_path
+    if log is None:
         if y is None or u is None:
             raise InputError("estimate: expected a file, a DataFrame, or arrays y and u")
-        step = scenario.simulation.step
-        model = follower.model
-        samples, _ = samples_of_arrays({"t": t, "y": y, "u": u}, model.p, model.m)
-        log = _Log("arrays", place_on_steps(samples, t is not None, step, "arrays"))
+        log = {"t": t, "y": y, "u": u}
     elif t is not None or y is not None or u is not None:
         raise InputError("estimate: expected a log or arrays, found both")
-    else:
-        log = _read_any_log(scenario, follower, frame_or_path, chosen, strict)
+    log = read_any_log(scenario, follower.model, log, chosen, strict)
     regular = log.placed.samples
     if regular.t.size > LARGEST_LOG:
         raise FileError(
@@ -136,7 +133,7 @@ def estimate(
     return Estimation(info, Signals(LOG, signals))
 
 
-class _Log(NamedTuple):
+class ReadLog(NamedTuple):
     """A log as it was read.
 
     Attributes:
@@ -152,17 +149,32 @@ class _Log(NamedTuple):
     faults: Faults | None = None
 
 
-def _read_any_log(
-    scenario: Scenario, follower: Follower, log: Any, chosen: Mapping[str, str], strict: bool
-) -> _Log:
-    """Return a log from a file or a DataFrame."""
-    p, m = follower.model.p, follower.model.m
-    read = read_whole(log, p, m, chosen, strict, LARGEST_RUN, LARGEST_LOG)
+def read_any_log(
+    scenario: Scenario, model: System, log: Any, chosen: Mapping[str, str], strict: bool
+) -> ReadLog:
+    """Return a log of a scenario's plant, on its steps.
+
+    Args:
+        scenario: for its step and units.
+        model: the plant.
+        log: a file, a DataFrame, or a table of arrays t (or None), u and y.
+        chosen: columns that the user names; see `names.parse_columns`.
+        strict: whether a line that cannot be read is an error.
+
+    Raises:
+        FileError: the log cannot be read, or its step is another one.
+        InputError: the arrays are none.
+    """
+    step = scenario.simulation.step
+    if isinstance(log, Mapping):
+        samples, _ = samples_of_arrays(log, model.p, model.m)
+        return ReadLog("arrays", place_on_steps(samples, log["t"] is not None, step, "arrays"))
+    read = read_whole(log, model.p, model.m, chosen, strict, LARGEST_RUN, LARGEST_LOG)
     if read.layout is not None:
         require_units(read.layout, scenario.units, read.source)
     timed = read.layout is not None and read.layout.has_times
-    on_steps = place_on_steps(read.samples, timed, scenario.simulation.step, read.source)
-    return _Log(read.source, on_steps, read.layout, read.faults)
+    on_steps = place_on_steps(read.samples, timed, step, read.source)
+    return ReadLog(read.source, on_steps, read.layout, read.faults)
 
 
 # --- Looking back

@@ -285,6 +285,12 @@ def rows_since_start(start: Integers, size: int) -> Integers:
     return at - start[np.searchsorted(start, at, side="right") - 1]
 
 
+def hold_last(rows: Floats) -> Floats:
+    """Return rows (N x m) whose missing values are the last ones before them, NaN at first."""
+    last = np.maximum.accumulate(np.isfinite(rows) * np.c_[: len(rows)])
+    return np.take_along_axis(rows, last, axis=0)
+
+
 def shift_rows(rows: Floats, samples: int, start: Integers) -> Floats:
     """Return rows of records shifted by a number of samples. The end values of a record are
     held.

@@ -27,7 +27,7 @@ from undeadzone.logs.samples import (
     without_repeats,
 )
 from undeadzone.logs.whole import BINARY, WholeLog, read_whole, samples_of, samples_of_arrays
-from undeadzone.util.arrays import Floats
+from undeadzone.util.arrays import Floats, hold_last
 from undeadzone.util.files import LARGEST_TABLE
 from undeadzone_identify.logs.tables import Arrays, read_long_table, read_parquet
 
@@ -294,8 +294,7 @@ def _hold_inputs(samples: Samples, mended: list[tuple[int, str]]) -> Samples:
     known = np.isfinite(samples.u)
     missing = (~known).any(axis=1).sum()
     mended.append((missing, "inputs are missing, and count as held"))
-    last = np.maximum.accumulate(known * np.arange(len(known))[:, None], axis=0)
-    u = np.take_along_axis(samples.u, last, axis=0)
+    u = hold_last(samples.u)
     begun = (np.isfinite(u) | ~known.any(axis=0)).all(axis=1)
     return samples._replace(u=u).select_rows(begun)
 

@@ -581,7 +581,7 @@ class LoopFits(NamedTuple):
     valves: tuple[ValveFit, ...]
 
     @property
-    def best(self) -> ValveFit:
+    def likeliest(self) -> ValveFit:
         """Return the valve of least BIC."""
         return min(self.valves, key=lambda fit: fit.density.bic)
 

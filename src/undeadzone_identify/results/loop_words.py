@@ -99,7 +99,7 @@ def loop_numbers(case: Case, valve: ValveFindings) -> dict[str, Any]:
                 "period": period if math.isfinite(period) else None,
                 "sensitivity": valve.sensitivity,
                 "shape": valve.shape,
-                "held_out_without": valve.without * case.record_data.y_scale,
+                "held_out_without": valve.error_without * case.record_data.y_scale,
             }
         )
     )

@@ -123,7 +123,7 @@ class ValveFindings:
         return _score(self._case, self._fits, self._acting, self._part)
 
     @cached_property
-    def without(self) -> float:
+    def error_without(self) -> float:
         """Return the rms of the same without the valve, scaled as the readings."""
         return _score(self._case, self._fits, self._fits.log.u, self._part).error
 
@@ -380,7 +380,7 @@ def _verdict_of(odds: dict[str, float], valve: ValveFindings) -> Verdict:
     elif share < LIKELY:
         likely = [MODELS[one] for one, p in odds.items() if p >= UNLIKELY]
         return build_verdict("undecided", f"this record cannot decide {' from '.join(likely)}")
-    if word in VALVE and valve.held_out.error >= valve.without:
+    if word in VALVE and valve.held_out.error >= valve.error_without:
         kept = "but predicts held-out readings no better than u itself"
         return build_verdict("undecided", f"{MODELS[word]} is the likeliest, {kept}")
     if word == "none" and valve.turns < FEW_TURNS:

@@ -16,13 +16,13 @@ from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.exogenous import exogenous as exogenous_inputs
 from undeadzone.simulation.loop import Loop
+from undeadzone.simulation.packed import Lanes
 from undeadzone.simulation.simulate import close_problem
 from undeadzone.util import toml, tree
 from undeadzone.util.arrays import Floats, Integers
 from undeadzone_studies.ensemble import metrics
 from undeadzone_studies.ensemble.binding import (
     Binding,
-    Lanes,
     RunNoise,
     bind_ensemble,
     build_run_noise,
@@ -75,7 +75,9 @@ class Batch(NamedTuple):
             values: of what varies (runs x columns)
             threads: default one per processor
         """
-        return np.hstack([values, self.measure_lanes(runs, self.binding.to_lanes(values), threads)])
+        return np.hstack(
+            [values, self.measure_lanes(runs, self.binding.numbers.to_lanes(values), threads)]
+        )
 
     def measure_lanes(self, runs: Integers, own: Lanes, threads: int | None = None) -> Floats:
         """Return the metrics of lanes (lanes x metrics).
@@ -124,7 +126,8 @@ def prepare_batch(scenario: Scenario, moved: Iterable[int] = ()) -> Batch:
     problem = resolve_scenario(scenario)
     loop = close_problem(problem)
     binding = bind_ensemble(problem, loop)
-    binding = binding._replace(indices=tuple(sorted({*binding.indices, *moved})))
+    indices = tuple(sorted({*binding.numbers.indices, *moved}))
+    binding = binding._replace(numbers=binding.numbers._replace(indices=indices))
     vary = problem.scenario.ensemble or Vary()
     measured = metrics.add_metrics(loop, problem)
     shared = exogenous_inputs(problem, run=None)
@@ -132,16 +135,16 @@ def prepare_batch(scenario: Scenario, moved: Iterable[int] = ()) -> Batch:
     tail = np.zeros(t.size)
     tail[last_samples(t)] = 1.0
     largest = np.abs(problem.reference.output_at(t)).max()
-    params = np.append(binding.params, vary.tolerance * largest)
+    params = np.append(binding.numbers.params, vary.tolerance * largest)
     own = build_run_noise(problem, loop, binding)
     kernel = lanes.build_kernel(
         measured.step,
         measured.rare,
         exogenous=own.entries,
-        params=binding.indices,
+        params=binding.numbers.indices,
         record=[],
         known_exogenous=constant_zero_inputs(shared, own.entries),
-        known_params=constant_params(params, binding.indices),
+        known_params=constant_params(params, binding.numbers.indices),
         fused=True,
     )
     names = (*binding.names_of_columns, *metrics.metric_names(problem.plant, problem.sensor.kind))

@@ -10,62 +10,18 @@ from undeadzone.compile import normal
 from undeadzone.compile.lanes import Source, Supply
 from undeadzone.errors import InputError
 from undeadzone.interfaces import require_graph
-from undeadzone.linalg.hold import zoh_of_each
 from undeadzone.scenario.ensemble_table import Vary
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.signals import noise
 from undeadzone.simulation import exogenous
 from undeadzone.simulation.loop import RUNGE_KUTTA, Loop
+from undeadzone.simulation.packed import BoundNumbers, ResampledPlant, bind_numbers
 from undeadzone.simulation.simulate import close_problem
 from undeadzone.util import tree
 from undeadzone.util.arrays import Floats, Integers, require_number, require_seed
 from undeadzone_studies.ensemble.varied import UncertainNumber, collect_quantities, resolve_entries
 from undeadzone_studies.statistics import sampling
-
-
-class Lanes(NamedTuple):
-    """States, params and exogenous inputs of each of several runs.
-
-    Attributes:
-        states: packed initial states (count x S)
-        params: values of the packed params that the runs have for themselves (count x P)
-    """
-
-    states: Floats
-    params: Floats
-
-
-class ResampledPlant(NamedTuple):
-    """Linear plant that is sampled anew for each run.
-
-    Attributes:
-        start: its first place among the packed params
-        AB: [A, B] (n x (n + m)) in continuous time
-        Ts: sample time [s]
-    """
-
-    start: int
-    AB: Floats
-    Ts: float
-
-    @property
-    def param_slots(self) -> range:
-        """Return the slots of [Ad, Bd] in the packed params, column by column."""
-        return range(self.start, self.start + self.AB.size)
-
-    def discretise_runs(self, own: dict[int, Floats], count: int) -> dict[int, Floats]:
-        """Return [Ad, Bd] of `count` runs by slot, from the entries of [A, B] that vary by
-        run.
-        """
-        rows, columns = self.AB.shape
-        AB = np.empty((rows, columns, count))
-        for i, slot in enumerate(self.param_slots):
-            row = i % rows
-            column = i // rows
-            AB[row, column] = own.get(slot, self.AB[row, column])
-        discretised = zoh_of_each(AB, self.Ts)
-        return {slot: discretised[i % rows, i // rows] for i, slot in enumerate(self.param_slots)}
 
 
 class Binding(NamedTuple):
@@ -77,22 +33,13 @@ class Binding(NamedTuple):
         columns: the numbers drawn for each run
         sampling: how they are drawn
         seed: of the draws
-        state: the nominal initial state, packed
-        params: the nominal params, packed
-        indices: the packed params that differ between runs
-        sampled: the plants that are sampled anew for each run
-        copies: pairs (entry of the packed state, entry of the packed params that it starts from),
-            where that one differs
+        numbers: the same, bound to the packed numbers of the loop
     """
 
     columns: tuple[UncertainNumber, ...]
     sampling: str
     seed: int
-    state: Floats
-    params: Floats
-    indices: tuple[int, ...]
-    sampled: tuple[ResampledPlant, ...]
-    copies: tuple[tuple[int, int], ...]
+    numbers: BoundNumbers
 
     @property
     def names_of_columns(self) -> list[str]:
@@ -119,38 +66,6 @@ class Binding(NamedTuple):
         values = [column.spread.quantile(u[:, i].copy()) for i, column in enumerate(self.columns)]
         return np.stack(values, axis=1)
 
-    def to_lanes(self, values: Floats) -> Lanes:
-        """Return the states and params of runs with these values (count x columns)."""
-        count = len(values)
-        size = self.params.size
-        own: dict[int, Floats] = {}  # values (count) by slot of [params, state]
-        for i, column in enumerate(self.columns):
-            for slot, factor in column.slots:
-                own[slot] = factor * values[:, i]
-        for system in self.sampled:
-            own |= system.discretise_runs(own, count)
-        states = np.repeat(self.state[None], count, axis=0)
-        for entry, source in self.copies:
-            states[:, entry] = own[source]
-        for slot, numbers in own.items():
-            if slot >= size:
-                states[:, slot - size] = numbers
-        params = np.empty((count, len(self.indices)))
-        for k, i in enumerate(self.indices):
-            params[:, k] = own.get(i, self.params[i])
-        return Lanes(states, params)
-
-    def pack_run(self, values: Floats) -> tuple[Floats, Floats]:
-        """Return the initial state and the params, packed, of a run with these values
-        (columns).
-
-        They are the numbers of its lane, for any engine.
-        """
-        lane = self.to_lanes(np.asarray(values, float)[None])
-        params = self.params.copy()
-        params[list(self.indices)] = lane.params[0]
-        return lane.states[0], params
-
 
 def bind_ensemble(problem: Problem, loop: Loop) -> Binding:
     """Return the scenario's [ensemble] bound to the loop of its problem.
@@ -176,14 +91,9 @@ def bind_ensemble(problem: Problem, loop: Loop) -> Binding:
         nominal[list(system.param_slots)] = system.AB.ravel(order="F")
     columns = resolve_entries(vary.entries, collect_quantities(problem, loop, nominal), problem)
     state = tree.pack_tree(loop.state._replace(plant=problem.x0))
-    varied: set[int] = set()
-    for column in columns:
-        varied |= {slot for slot, _ in column.slots if slot < params.size}
-    sampled = tuple(system for system in sampled_plants if varied & set(system.param_slots))
-    varied = varied.union(*(system.param_slots for system in sampled))
-    copies = tuple(pair for pair in initial_copies(problem, loop) if pair[1] in varied)
-    indices = tuple(sorted(varied))
-    return Binding(columns, vary.sampling, seed, state, params, indices, sampled, copies)
+    slots = [column.slots for column in columns]
+    numbers = bind_numbers(slots, state, params, sampled_plants, initial_copies(problem, loop))
+    return Binding(columns, vary.sampling, seed, numbers)
 
 
 def require_bound(scenario: Scenario) -> None:
@@ -304,7 +214,7 @@ def _noise_streams(problem: Problem, loop: Loop, binding: Binding) -> dict[str, 
     for stream, name in ((noise.AFTER, "after"), (noise.BEFORE, "before")):
         for channel in range(problem.plant.p):
             slot = slots[f"scale.{name}[{channel}]"]
-            if binding.params[slot] != 0 or slot in binding.indices:
+            if binding.numbers.params[slot] != 0 or slot in binding.numbers.indices:
                 words[f"{name}[{channel}]"] = noise.counter_word(stream, channel)
     return words
 

@@ -277,7 +277,7 @@ def compute_bands(batch: Batch, runs: int) -> Bands:
     z = outputs[:, :, :p]
     d_hat = outputs[:, :, p:]
     t = batch.exogenous[::every, -2]
-    params = np.array([batch.binding.pack_run(row)[1] for row in values])
+    params = np.array([batch.binding.numbers.pack_lane(row)[1] for row in values])
     varied = dict(zip(batch.binding.names_of_columns, values.T, strict=True))
     nominal = interleave_widths(batch.problem.sensor)
     geared = batch.problem.sensor.kind == "gears"
@@ -301,12 +301,12 @@ def _record_outputs(
         outputs: the chosen entries of the loop's packed outputs
         every: steps between two records
     """
-    own = batch.binding.to_lanes(values)
+    own = batch.binding.numbers.to_lanes(values)
     trails, finals = batch.execute_kernel(
         _record_trail(batch.kernel, every), runs, own, every=every
     )
     instants = batch.exogenous[::every, :-2].copy()
-    params = batch.binding.params.copy()
+    params = batch.binding.numbers.params.copy()
     step = batch.loop.step
     s, w, p = (ca.SX.sym(name, step.size1_in(i)) for i, name in enumerate("swp"))
     show = interpret.build_stateless_step([ca.vertcat(s, w), p], step(s, w, p)[1][outputs])
@@ -314,7 +314,7 @@ def _record_outputs(
     for lane, trail in enumerate(trails):
         states, _, drawn = np.split(trail, [s.numel(), finals.shape[1]], axis=1)
         instants[:, batch.own.entries] = drawn
-        params[list(batch.binding.indices)] = own.params[lane]
+        params[list(batch.binding.numbers.indices)] = own.params[lane]
         recorded[lane] = interpret.map_rows(show, np.hstack([states, instants]), params)
     return recorded
 
@@ -346,7 +346,7 @@ def _record_trail(kernel: lanes.Kernel, every: int) -> lanes.Kernel:
 
 def _problem_of_run(batch: Batch, values: Floats, what: str) -> Problem:
     """Return the problem with the plant, the sensor and the reference scale of one run."""
-    _, packed = batch.binding.pack_run(values)
+    _, packed = batch.binding.numbers.pack_lane(values)
     params: Params = tree.rebuild_tree(batch.loop.params, _unpack_leaves(batch.loop.params, packed))
     problem = batch.problem
     reference = problem.reference

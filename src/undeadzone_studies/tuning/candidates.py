@@ -25,14 +25,14 @@ from undeadzone.scenario.tune_table import Tune
 from undeadzone.simulation.collect import tips
 from undeadzone.simulation.exogenous import exogenous, random_disturbance
 from undeadzone.simulation.loop import Outputs
-from undeadzone.simulation.packed import changed_params, graph, pack_problem
+from undeadzone.simulation.packed import Lanes, changed_params, graph, pack_problem
 from undeadzone.simulation.sample_by_sample import run_sample_by_sample
 from undeadzone.simulation.simulate import close_problem
 from undeadzone.util.arrays import Floats, Integers
 from undeadzone.util.text import suggest_name
 from undeadzone_studies.ensemble import metrics
 from undeadzone_studies.ensemble.batch import Batch, prepare_batch
-from undeadzone_studies.ensemble.binding import Lanes, bind_ensemble
+from undeadzone_studies.ensemble.binding import bind_ensemble
 from undeadzone_studies.ensemble.metrics import EDGES, interleave_widths, width_error
 from undeadzone_studies.statistics.intervals import QUANTILES
 
@@ -116,9 +116,9 @@ class TestRuns(NamedTuple):
         form = graph(candidate)
         binding = self.batch.binding
         if form == self.graph:
-            shared = np.delete(np.arange(binding.params.size), binding.indices)
+            shared = np.delete(np.arange(binding.numbers.params.size), binding.numbers.indices)
             _, params = pack_problem(candidate, self.batch.loop)
-            if np.array_equal(params[shared], binding.params[shared]):
+            if np.array_equal(params[shared], binding.numbers.params[shared]):
                 return None
         return form
 
@@ -129,8 +129,8 @@ class TestRuns(NamedTuple):
         parts = []
         for candidate in candidates:
             state, params = pack_problem(candidate, self.batch.loop)
-            binding = self.batch.binding._replace(state=state, params=params)
-            parts.append(binding.to_lanes(self.values))
+            numbers = self.batch.binding.numbers._replace(state=state, params=params)
+            parts.append(numbers.to_lanes(self.values))
         lanes = Lanes(*map(np.concatenate, zip(*parts, strict=True)))
         return self.batch.measure_lanes(np.tile(self.runs, len(candidates)), lanes, threads)
 

@@ -89,7 +89,7 @@ def test_a_run_is_that_of_the_scenario_with_the_number_written_in(
     other = prepare(resolve_scenario(scene(changed, simulation=simulation)))
     other_loop, other_state, other_exogenous = other
     binding = bind_ensemble(problem, loop)
-    state, params = binding.pack_run(binding.draw_columns(0, 1, 1)[0])
+    state, params = binding.numbers.pack_lane(binding.draw_columns(0, 1, 1)[0])
     if "noise" in address:
         exogenous = other_exogenous  # drawn also where the nominal noise is 0
     varied, _ = interpret.run_interpreted(loop.step, state, exogenous, params)
@@ -99,7 +99,9 @@ def test_a_run_is_that_of_the_scenario_with_the_number_written_in(
     )
     assert np.isfinite(expected).all()
     np.testing.assert_allclose(varied, expected, rtol=1e-11, atol=1e-11)
-    nominal, _ = interpret.run_interpreted(loop.step, binding.state, exogenous, binding.params)
+    nominal, _ = interpret.run_interpreted(
+        loop.step, binding.numbers.state, exogenous, binding.numbers.params
+    )
     assert not np.allclose(varied, nominal, rtol=1e-6, atol=1e-6)
 
 
@@ -109,7 +111,7 @@ def test_the_observers_model_can_vary_alone(simulation: dict[str, Any]) -> None:
     ensemble = {"observer.model.A[1,0]": uniform(-1.5, -1.5)}
     problem = resolve_scenario(scene(ensemble=ensemble, simulation=simulation))
     loop = prepare(problem)[0]
-    _, params = bind_ensemble(problem, loop).pack_run(np.array([-1.5]))
+    _, params = bind_ensemble(problem, loop).numbers.pack_lane(np.array([-1.5]))
     model = {"A": [[0.0, 1.0], [-1.5, -2.0]]}
     varied = resolve_scenario(scene(model=model, simulation=simulation)).model.params
     expected = loop.params._replace(observer=loop.params.observer._replace(model=varied))
@@ -123,10 +125,10 @@ def test_the_belief_of_a_filter_starts_where_the_run_says(method: str) -> None:
         "observer": {"method": method, "right": [0.0, 2.0], "noise": 0.1},
     }
     binding = bound({"observer.mean[2]": uniform(0.3, 0.3)}, **changes)
-    state, _ = binding.pack_run(np.array([0.3]))
+    state, _ = binding.numbers.pack_lane(np.array([0.3]))
     assert state[2 + 2] == 0.3
     levels = {"kalman": 1, "censored": 3}[method]
-    assert np.count_nonzero(state != binding.state) == levels
+    assert np.count_nonzero(state != binding.numbers.state) == levels
 
 
 CENSORED = {"right": [0.0, 2.0], "noise": 0.1, "bias": 1.0, "tolerance": 0.1, "disturbance": 0.1}
@@ -183,7 +185,7 @@ def test_without_an_index_each_entry_has_its_own_draw() -> None:
     assert len(np.unique(values)) == values.size
     names = tree.number_addresses(prepare(resolve_scenario(scene(**TWO)))[0].params)
     for row in values:
-        params = dict(zip(names, binding.pack_run(row)[1], strict=True))
+        params = dict(zip(names, binding.numbers.pack_lane(row)[1], strict=True))
         assert [params[name] for name in right] == row[:2].tolist()
         assert params["sensor.left[0]"] == params["sensor.left[1]"] == row[2]
 
@@ -198,7 +200,7 @@ def test_a_mass_divides_an_equation(simulation: dict[str, Any]) -> None:
         B = [[0.0], [0.5]]
         """)
     heavy = resolve_scenario(scene(plant=plant, model=MODEL, simulation=simulation))
-    _, params = binding.pack_run(np.array([0.5]))
+    _, params = binding.numbers.pack_lane(np.array([0.5]))
     expected = tree.pack_tree(prepare(heavy)[0].params)
     np.testing.assert_allclose(params, expected, rtol=1e-13, atol=1e-16)
 
@@ -209,7 +211,9 @@ def test_factors_leave_entries_that_are_zero_alone() -> None:
         f"plant.A[{index}] (relative)" for index in ("1,0", "0,1", "1,1")
     ]
     values = binding.draw_columns(0, 4, 4)
-    np.testing.assert_array_equal(binding.to_lanes(values).params, values * [-1.0, 1.0, -2.0])
+    np.testing.assert_array_equal(
+        binding.numbers.to_lanes(values).params, values * [-1.0, 1.0, -2.0]
+    )
 
 
 @pytest.mark.parametrize(
@@ -247,9 +251,13 @@ def test_sizes_that_a_signal_is_proportional_to(signal: Any, sizes_of_two: list[
 def test_nothing_varies_in_an_empty_table() -> None:
     """Only the noise does."""
     binding = bound({}, {"runs": 5})
-    lanes = binding.to_lanes(binding.draw_columns(0, 5, 5))
-    assert (binding.names_of_columns, binding.indices, lanes.params.shape) == ([], (), (5, 0))
-    assert np.array_equal(lanes.states, np.tile(binding.state, (5, 1)))
+    lanes = binding.numbers.to_lanes(binding.draw_columns(0, 5, 5))
+    assert (binding.names_of_columns, binding.numbers.indices, lanes.params.shape) == (
+        [],
+        (),
+        (5, 0),
+    )
+    assert np.array_equal(lanes.states, np.tile(binding.numbers.state, (5, 1)))
 
 
 # --- distributions ---
@@ -321,11 +329,11 @@ def test_blocks_do_not_matter_to_the_last_bit(sampling: str, first: int, count: 
     count = min(count, runs - first)
     values = binding.draw_columns(first, count, runs)
     assert np.array_equal(values, binding.draw_columns(0, runs, runs)[first : first + count])
-    lanes = binding.to_lanes(values)
+    lanes = binding.numbers.to_lanes(values)
     for k in (0, count // 2, count - 1):
-        state, params = binding.pack_run(values[k])
+        state, params = binding.numbers.pack_lane(values[k])
         assert np.array_equal(state, lanes.states[k])
-        assert np.array_equal(params[list(binding.indices)], lanes.params[k])
+        assert np.array_equal(params[list(binding.numbers.indices)], lanes.params[k])
 
 
 # --- the hold of many plants ---
@@ -444,7 +452,7 @@ def test_only_undeadzone_errors_come_out_of_any_table(
         scenario = convert(table(simulation=AT_100_HZ) | {"ensemble": entries | reserved})
         binding = bind_ensemble(NOMINAL._replace(scenario=scenario), prepare(NOMINAL)[0])
         with np.errstate(all="ignore"):
-            binding.to_lanes(binding.draw_columns(0, 3, 3))
+            binding.numbers.to_lanes(binding.draw_columns(0, 3, 3))
 
 
 NOMINAL = resolve_scenario(scene(simulation=AT_100_HZ))

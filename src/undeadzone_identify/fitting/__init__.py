@@ -1,0 +1,1 @@
+"""Maximum likelihood estimates of any numbers of a scenario, from logs."""

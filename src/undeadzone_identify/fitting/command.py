@@ -1,0 +1,102 @@
+"""undeadzone fit SCENARIO.toml LOG ..."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+import click
+
+import undeadzone as uz
+from undeadzone.cli.common import (
+    READ,
+    build_origin,
+    columns_option,
+    flag_option,
+    force_option,
+    shell_command,
+    strict_option,
+    value_option,
+)
+from undeadzone.cli.output import Output, add_scenario_options, files_line, next_line, partial_file
+from undeadzone.util.progress import terminal_progress as progress
+
+
+@click.command(
+    epilog="Example: undeadzone fit pendulum.toml log.csv --free plant.mass,sensor.right=0..0.5"
+)
+@value_option("--free", "ADDRESS[=LO..HI],...", "Numbers to fit, with their ranges.", required=True)
+@value_option(
+    "--x0",
+    None,
+    "Whether x(0) is fitted too, or known from the scenario.",
+    type=click.Choice(["free", "known"]),
+    default="free",
+)
+@value_option("--seed", "N", "Seed of the starts of the search.", type=int, default=1)
+@columns_option
+@strict_option
+@flag_option("--resume", "Continue a search that was stopped, from DIR/fitted.toml.partial.")
+@force_option
+@add_scenario_options
+@click.argument("logs", nargs=-1, required=True, type=READ, metavar="LOG ...")
+def fit(
+    scenario: Path,
+    logs: tuple[Path, ...],
+    free: str,
+    x0: Literal["free", "known"],
+    seed: int,
+    columns: str | None,
+    strict: bool,
+    resume: bool,
+    force: bool,
+    confine: Path | None,
+    output: Output,
+) -> int:
+    """Estimate numbers of a scenario from logs of a real plant.
+
+    A number is named by its address: plant.mass of formulas, plant.A[1,0], sensor.right,
+    actuator.left, sensor.noise, disturbance.rms, plant.arm.gears.half[0], plant.delay=0..5. Without
+    an index an address stands for all entries. [plant], [sensor], [actuator] and [disturbance]
+    describe what made the log, [observer] is not used.
+
+    Prints each number with its 95 % interval, and whether the log contradicts the scenario. Silent
+    readings count: z is inside the zone. Writes fitted.toml, the scenario with these numbers, and a
+    figure and report.html to DIR (default: NAME-fit). With --no-figures and no --out it writes
+    nothing. Stages of the search are kept in DIR: after Ctrl-C, kill or a crash --resume goes on.
+
+    Exit code 1: the log contradicts the scenario, or determines no number.
+    """
+    from undeadzone.scenario.reader import read_for_logs
+    from undeadzone.util.own_files import require_own_file
+
+    folder = output.choose_folder(f"{scenario.stem}-fit")
+    if folder is not None:
+        require_own_file(folder / "fitted.toml", force)
+    fitted = read_for_logs(scenario, confine)
+    keep = partial_file(folder, "fitted.toml", resume)
+    with progress("fitting", None) as advance:
+        result = uz.fit(
+            fitted,
+            list(logs),
+            free,
+            columns=columns,
+            strict=strict,
+            x0=x0,
+            seed=seed,
+            keep=keep,
+            resume=resume,
+            progress=advance,
+        )
+    written = [] if folder is None else [result.save(folder / "fitted.toml")]
+    if keep is not None:
+        keep.unlink(missing_ok=True)
+    if folder is not None and output.figures:
+        from undeadzone_identify.fitting.page import write_fit
+
+        written += write_fit(result, folder, build_origin(scenario, seed))
+    last = files_line(written)
+    if written:
+        last |= next_line(shell_command("undeadzone", "estimate", written[0], logs[0]))
+    output.print_result(result.summary, result.blocks, written, last)
+    return 0 if result.consistent and any(each.shown for each in result.numbers) else 1
