@@ -580,10 +580,14 @@ def fill_gaps(samples: Regular, steps: Floats, step: float) -> Regular:
 
 
 def usual_step(intervals: Floats) -> float | None:
-    """Return the lower median of intervals [s], as gaps only lengthen them; None if there are
-    none.
+    """Return the mean of the intervals about their lower median [s]; None if there are none.
+
+    Gaps only lengthen intervals, and the rounding of times lets those of one step differ.
     """
-    return float(np.quantile(intervals, 0.5, method="lower")) if intervals.size else None
+    if not intervals.size:
+        return None
+    usual = np.quantile(intervals, 0.5, method="lower")
+    return float(np.mean(intervals[np.abs(intervals - usual) <= usual / 4]))
 
 
 def require_step(usual: float | None, step: float, tolerance: float, source: str) -> None:
