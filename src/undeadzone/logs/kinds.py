@@ -104,6 +104,9 @@ _TABLE: Final = tuple(
             "drive",
             14.0,
         ),
+        (r"^q( \d+)?$", "position", 0.0),  # a joint's coordinate, or a flow that is set
+        (r"^[flpt]c?v \d", "drive", 14.0),  # tags of ISA-5.1: valves, and transmitters
+        (r"^[flpt]i?t \d", "", -12.0),
         (r"^dec( raw|$)", "position", -9.0),
         (r"^ra( raw|$)", "position", -8.5),
         (
@@ -132,7 +135,7 @@ _TABLE: Final = tuple(
         (r"\bconc\b|concentration|\bpp[mb]\b", "", REFERENCE),
         (r"\bmot(or)?\b|\btheta m\b", "position", 6.0),
         (
-            r"\bpos|position|angle|winkel|encoder|\benc\b|theta|\bphi\b|^q( \d+)?$|distance|height|"
+            r"\bpos|position|angle|winkel|encoder|\benc\b|theta|\bphi\b|distance|height|"
             r"tilt|lage\b|stellung|auslenk|pitch|roll\b|yaw|ticks|^obs\w* state|"
             r"\[(deg|rad|mrad|°|mm|cm|m|in|um|µm|px|ticks|counts|arcsec|arcmin)\]",
             "position",
