@@ -14,13 +14,14 @@ from undeadzone.util.arrays import Floats
 
 # Length of a unit of time [s]. A time that counts samples has no length of its own.
 SECONDS: Final = {
-    **dict.fromkeys(("", "s", "sec", "secs", "seconds", "sekunden", "secondes"), 1.0),
+    **dict.fromkeys(("", "s", "sec", "secs", "second", "seconds", "sekunden", "secondes"), 1.0),
     **dict.fromkeys(("ms", "msec", "millis", "milliseconds"), 1e-3),
     **dict.fromkeys(("us", "µs", "μs", "usec", "micros", "microseconds"), 1e-6),
     **dict.fromkeys(("ns", "nsec", "nanos", "nanoseconds"), 1e-9),
     **dict.fromkeys(("min", "mins", "minute", "minutes"), 60.0),
     **dict.fromkeys(("h", "hr", "hours"), 3600.0),
 }
+OF_TIME: Final = ("s", "sec", "second", "seconds")  # units that show a time by themselves
 COUNTS: Final = ("sample", "samples", "step", "steps", "index", "row", "frame")
 # Names of times, best first: alone, with a unit, and with words that say of what.
 _TIMES: Final = tuple(
@@ -37,6 +38,7 @@ _TIMES: Final = tuple(
         ),
     )
 )
+VAGUE: Final = len(_TIMES) - 1  # rank from which a time must run as times do
 # A unit at the end of a name: `motor_deg`, `force_N`. Letters that often mean something else are
 # none.
 _WITH_UNIT: Final = re.compile(
@@ -213,7 +215,8 @@ def _rows_of(title: Title) -> list[tuple[re.Pattern[str], str, float]]:
 def time_rank(title: Title) -> int:
     """Return the rank of a name among the names of times, 0 the best; -1 for any other name."""
     words = " ".join(_WORDS.findall(title.name)).lower()
-    return next((k for k, name in enumerate(_TIMES) if name.search(words)), -1)
+    by_unit = len(_TIMES) if title.unit.lower() in OF_TIME else -1
+    return next((k for k, name in enumerate(_TIMES) if name.search(words)), by_unit)
 
 
 def increases_evenly(values: Floats) -> bool:

@@ -20,6 +20,7 @@ from undeadzone.logs.kinds import (
     SECONDS,
     TABLE,
     Title,
+    VAGUE,
     add_unit,
     increases_evenly,
     is_regular_time,
@@ -325,8 +326,9 @@ class _Header(NamedTuple):
         ranks = np.array(list(map(time_rank, self.titles)))
         best = np.flatnonzero((ranks >= 0) & (ranks == ranks[ranks >= 0].min(initial=99)))
         if self.values is not None:
-            rising = np.mean(np.diff(self.values, axis=0) >= 0, axis=0) > 0.9
-            best = best[rising[best]] if rising[best].any() else best[:1]
+            change = np.diff(self.values[:, best], axis=0)
+            runs = np.maximum(np.mean(change >= 0, axis=0), np.mean(change <= 0, axis=0)) > 0.9
+            best = best[runs] if runs.any() else best[:1][ranks[best[:1]] < VAGUE]
             unknown = [k for k, one in enumerate(self.titles) if not (rank_of(one) or one.unit)]
             if not best.size and len(self.titles) > 2:
                 best = np.array([k for k in unknown if is_regular_time(self.values[:, k])], int)
