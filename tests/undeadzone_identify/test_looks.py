@@ -270,7 +270,7 @@ def test_logs_without_rest_have_no_map() -> None:
     assert map_of_rate(np.arange(2000.0), u, y) is None
     assert rows_at_rest(None, u, np.ones(2000)) is None
     assert rows_at_rest(None, np.ones(2000), y) is None
-    assert map_at_rest(None, u[:5], u[:5]) is None
+    assert map_at_rest(None, u[:4], u[:4]) is None
     assert map_at_rest(None, u, np.full(2000, np.nan)) is None
     assert longest_stillness(None, u, np.full(2000, np.nan)) == 0
 

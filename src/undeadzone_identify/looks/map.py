@@ -241,8 +241,9 @@ def _flat_parts(levels: Levels, legs: list[Levels]) -> list[FlatPart]:
     runs.sort(key=lambda run: run[0] - run[1])
     short = [(0, 2), (n - 2, n)]
     parts: list[FlatPart] = []
-    for run in [*runs[:CANDIDATES], *short]:
-        part = _fit_part(levels, run, legs)
+    tries = [(run, FARTHER) for run in [*runs[:CANDIDATES], *short]]
+    for run, more in [*tries, *[(run, 1) for run in runs[:1]]]:  # what lies farther may be bent
+        part = None if parts and more == 1 else _fit_part(levels, run, legs, more)
         if part is not None:
             low, high = part.ends
             if all(high < one.ends[0] or low > one.ends[1] for one in parts):
@@ -263,7 +264,8 @@ def _hysteresis(u: Floats, y: Floats) -> list[FlatPart]:
     starts, stops = float(u[~moves].max()), float(u[moves].min())
     between = (u >= stops) & (u <= starts)
     changes = np.append(False, np.diff(moves))
-    if between.sum() < LEVELS or changes[between].mean() > RARELY:
+    met = min(np.sum(moves[between]), np.sum(~moves[between]))
+    if met < LEVELS or changes[between].mean() > RARELY:
         return []
     line = np.polynomial.Polynomial.fit(u[moves], y[moves], 1)
     if np.var((y - line(u))[moves]) > (1 - EXPLAINED) * np.var(y):
@@ -272,11 +274,19 @@ def _hysteresis(u: Floats, y: Floats) -> list[FlatPart]:
     return [FlatPart("low end", float(np.median(y[~moves])), None, edge)]
 
 
-def _fit_part(levels: Levels, run: tuple[int, int], legs: list[Levels]) -> FlatPart | None:
+def _fit_part(
+    levels: Levels, run: tuple[int, int], legs: list[Levels], more: int
+) -> FlatPart | None:
     """Return the flat part that a run of neighbours begins; None if it is not flat.
 
     Its edges are found by the outer half of the run to begin with, as the other half may belong to
     the line beyond the other edge.
+
+    Args:
+        levels: of the map.
+        run: first and end of the neighbours.
+        legs: levels of each sweep.
+        more: moving levels that count for an edge, for each level at rest.
     """
     x, v, w = levels
     n = x.size
@@ -285,7 +295,7 @@ def _fit_part(levels: Levels, run: tuple[int, int], legs: list[Levels]) -> FlatP
     views = {way: levels.face(way) for way in (-1, 1)}
     for share in (0.5, 0.0):
         runs = {-1: (n - end, n - first), 1: (first, end)}
-        sides = {way: _fit_outwards(views[way], *runs[way], share) for way in views}
+        sides = {way: _fit_outwards(views[way], *runs[way], share, more) for way in views}
         left, right = sides.values()
         low = x[0] if left is None else -left.edge.value
         high = x[-1] if right is None else right.edge.value
@@ -316,12 +326,12 @@ def _fit_part(levels: Levels, run: tuple[int, int], legs: list[Levels]) -> FlatP
     return FlatPart("band" if before and after else end_kind, level, before, after)
 
 
-def _fit_outwards(levels: Levels, first: int, end: int, share: float) -> Side | None:
+def _fit_outwards(levels: Levels, first: int, end: int, share: float, more: int) -> Side | None:
     """Return the fit of the edge behind a run, of whose span a share is left out ahead.
 
     The fewer rows are at rest, the fewer moving ones count.
     """
-    last = end + NEAREST + (FARTHER * (end - first) if end - first > 2 else 0)
+    last = end + NEAREST + (more * (end - first) if end - first > 2 else 0)
     x = levels.x[first:end]
     first += int(np.searchsorted(x, x[0] + share * (x[-1] - x[0])))
     return fit_side(levels.cut(slice(first, last)), end - first)
@@ -405,7 +415,8 @@ def _bound(nodes: Floats, levels: Levels, noise: float) -> float:
     widths = np.maximum(4 * np.diff(x), max(HIDES * noise, LEAST) / np.maximum(slope, 1e-9))
     bent = max(float(np.std(v - np.polyval(np.polyfit(x, v, 1), x))), KNOWN)
     ends = max(x[END] - x[0], x[-1] - x[-1 - END])  # flat ends of fewer levels are not looked for
-    return float(np.clip(HIDES * bent, ends, max(ends, np.quantile(widths[moving], 0.95))))
+    widest = min(max(ends, float(np.quantile(widths[moving], 0.95))), 1.0)
+    return float(np.clip(HIDES * bent, ends, widest))
 
 
 # --- Rates

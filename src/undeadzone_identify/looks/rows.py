@@ -13,7 +13,7 @@ from undeadzone.util.arrays import Floats, Integers
 from undeadzone_identify.logs.grid import find_quantum
 from undeadzone_identify.models.motion import white_noise_rms
 
-LEVELS = 6  # least number of different commands
+LEVELS = 5  # least number of different commands: those of level, edge, slope and bend, and one
 HOLD = 6  # samples in a row at one command, from which it is held
 SLOW = 0.03  # of the reading's range: its median spread at one command, in a slow sweep
 SETTLED = 0.004  # of the reading's spread, by which the last quarter of a hold may still move
