@@ -68,9 +68,9 @@ _TABLE: Final = tuple(
         (r"^(command|cmd)$", "goal", 18.0),
         (r"^(reading|measured|measurement|istwert|mesure)$", "", -18.0),
         (
-            r"battery|supply|mass\b|\bsnr\b|delta|\bdt\b|^stat(e|us) \d|moving|\bpin\b|\bbus\b"
+            r"battery|supply|counter\b|mass\b|\bsnr\b|delta|\bdt\b|^stat(e|us) \d|moving|\bpin\b|\bbus\b"
             r"|\bvcc\b|\berror\b|\bwanted time\b|\bindex\b|\bid\b|^(n|no|nr)$",
-            "other",
+            "aside",
             0.0,
         ),
         (r"\bsp\b", "sp", REFERENCE),
@@ -118,7 +118,7 @@ _TABLE: Final = tuple(
             -8.1,
         ),
         (
-            r"accel|beschl|thrust|flow|level|pressure|\btemp|durchfl|druck|stand\b|niveau|débit|pression|"
+            r"accel|beschl|thrust|flow|level|pressure|\bpres\b|\btemp|durchfl|druck|stand\b|niveau|débit|pression|"
             r"volume|power|leistung|weight|gewicht|poids",
             "",
             -8.0,
@@ -189,7 +189,8 @@ def split_words(name: str) -> str:
 def kind_of(name: str, unit: str = "") -> str:
     """Return the kind of quantity in a column, of the kinds in the table, or "other".
 
-    The kinds are goal, position, speed, torque, drive, op, pv, sp and force.
+    The kinds are goal, position, speed, torque, drive, op, pv, sp, force, and aside of what is
+    recorded beside input and reading.
 
     Args:
         name: of the column.
