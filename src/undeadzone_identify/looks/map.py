@@ -241,8 +241,10 @@ def _flat_parts(levels: Levels, legs: list[Levels]) -> list[FlatPart]:
     runs.sort(key=lambda run: run[0] - run[1])
     short = [(0, 2), (n - 2, n)]
     parts: list[FlatPart] = []
-    tries = [(run, FARTHER) for run in [*runs[:CANDIDATES], *short]]
-    for run, more in [*tries, *[(run, 1) for run in runs[:1]]]:  # what lies farther may be bent
+    exact = max(find_runs(v, 0.0, 3), key=lambda run: run[1] - run[0], default=short[0])
+    tries = [(run, FARTHER) for run in [*runs[:CANDIDATES], exact, *short]]
+    nearer = [(run, 1) for run in [exact, *runs[:1]]]  # what lies farther may be bent
+    for run, more in dict.fromkeys(tries + nearer):
         part = None if parts and more == 1 else _fit_part(levels, run, legs, more)
         if part is not None:
             low, high = part.ends
@@ -350,8 +352,11 @@ def _is_flat(levels: Levels, inside: Flags, fits: list[Side], residual: Floats) 
     noise = max(float(np.sqrt(np.sum(residual[near] ** 2) / free)), KNOWN)
     leans = n > 2 and abs(np.polyfit(x[inside], v[inside], 1, w=w[inside])[0]) > FLAT * slope
     explains = min(side.share for side in fits) > EXPLAINED
-    if leans or not explains or hidden < max(HIDES * noise, LEAST):
+    is_exact = n > 2 and np.ptp(v[inside]) == 0 and hidden > HIDES * find_quantum(v)
+    if leans or not (explains or is_exact) or hidden < max(HIDES * noise, LEAST):
         return False
+    if is_exact:  # no curve rests, and rounding hides less
+        return True
     x, v, w = levels.cut(near)
     numbers = 1 + sum(side.numbers for side in fits)
     own = price(float(np.mean((residual[near] * w) ** 2)), x.size, numbers)

@@ -141,6 +141,8 @@ def choose_account(
     is_seen = seen is not None and bool(seen.effects)
     is_seen &= seen is not None and (seen.grade == MEASURED or fitted.grade in (OPEN, BOUNDED))
     is_flat = named & {*FLAT} and knows_the_end() and not _contradicts(fitted, seen)
+    edges = fitted.effects.get("output loss", {}).items()
+    is_flat = is_flat and all(one.low > 0 for name, one in edges if name in EDGES)
     if seen is not None and is_seen and not is_flat:
         others = {key: one for key, one in fitted.effects.items() if key not in seen.effects}
         return seen._replace(others=others | fitted.others)
