@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from itertools import chain
 
+import numpy as np
+
 from undeadzone_identify.logs.log import Log
 from undeadzone_identify.looks.first import Looks
-from undeadzone_identify.looks.map import FlatPart, RestMap
+from undeadzone_identify.looks.map import APART, FlatPart, RestMap
 from undeadzone_identify.looks.pushes import FrictionLevel
 from undeadzone_identify.looks.rests import FreePlay
 from undeadzone_identify.looks.valley import Valley
@@ -146,6 +149,8 @@ def choose_account(
     if seen is not None and is_seen and not is_flat:
         others = {key: one for key, one in fitted.effects.items() if key not in seen.effects}
         return seen._replace(others=others | fitted.others)
+    if looks.at_rest is not None and fitted.grade == INDICATED and _moves(fitted, looks.at_rest):
+        fitted = fitted._replace(grade=OPEN, effects={}, others={})
     if seen is not None and fitted.grade == OPEN and seen.grade == BOUNDED:
         return seen
     still = {INPUT: looks.stillness}
@@ -166,3 +171,16 @@ def _contradicts(fitted: Account, seen: Account | None) -> bool:
         return False
     low, high = edges["lower"], edges["upper"]
     return own.high < high.low - low.high or own.low > high.high - low.low
+
+
+def _moves(fitted: Account, at_rest: RestMap) -> bool:
+    """Return whether the map at rest moves where a band of the input, by its fit, moves nothing."""
+    band = fitted.effects.get("input loss", {})
+    low, high = (
+        (-band["left"].value if "left" in band else -math.inf),
+        (band["right"].value if "right" in band else math.inf),
+    )
+    inside = (at_rest.x > low) & (at_rest.x < high)
+    return (
+        bool(band) and bool(inside.any()) and np.ptp(at_rest.y[inside]) > APART * np.ptp(at_rest.y)
+    )

@@ -217,6 +217,12 @@ class Compared(NamedTuple):
         """Return whether another model simulates held-out data about as well."""
         return self.deviations_before(other) < APART and SHOWS * other.rms < self.rms
 
+    def is_shape_of(self, other: Compared) -> bool:
+        """Return whether it is a curve where another model has a zone with a single side."""
+        ends = [EFFECT_OF[one.word].split()[0] for one in (self, other)]
+        is_curve = EFFECT_OF[self.word].endswith("shape") and ends[0] == ends[1]
+        return is_curve and len({*SIDES} & other.numbers.keys()) == 1
+
     def compare_to(self, line: Compared, test: Flags, scale: float) -> Buys:
         """Return the held-out errors of both, in units of the log."""
         size = scale * math.sqrt(test.size / max(int(test.sum()), 1))
@@ -306,7 +312,7 @@ def _account_of_fits(answer: Answer, units: tuple[str, str]) -> Account:
         return _bound(answer, units, line, test)
     best = positive[0]
     close = [one for one in positive if best.is_hardly_before(one)]
-    first = next((one for one in close if one.numbers), best)
+    first = next((one for one in close if one.numbers and not best.is_shape_of(one)), best)
     others: dict[str, Numbers] = {}
     for one in close:
         effect = EFFECT_OF[one.word]
