@@ -68,8 +68,8 @@ _TABLE: Final = tuple(
         (r"^(command|cmd)$", "goal", 18.0),
         (r"^(reading|measured|measurement|istwert|mesure)$", "", -18.0),
         (
-            r"battery|supply|counter\b|mass\b|\bsnr\b|delta|\bdt\b|^stat(e|us) \d|moving|\bpin\b|\bbus\b"
-            r"|\bvcc\b|\berror\b|\bwanted time\b|\bindex\b|\bid\b|^(n|no|nr)$",
+            r"battery|supply|counter\b|mass\b|\bsnr\b|delta|\bdt\b|^stat(e|us) \d|moving|\bpin\b"
+            r"|\bbus\b|\bvcc\b|\berror\b|\bwanted time\b|\bindex\b|\bid\b|^(n|no|nr)$",
             "aside",
             0.0,
         ),
@@ -223,12 +223,15 @@ def time_rank(title: Title) -> int:
 def increases_evenly(values: Floats) -> bool:
     """Return whether values increase from 0 or later by about equal steps, as times and indices do.
 
+    So do those of a log with the newest first.
+
     Args:
         values: of a column (N).
     """
     values = values[np.isfinite(values)]
     between = np.diff(values)
-    is_rising = between.size > 1 and values[0] >= 0 and np.mean(between > 0) > 0.98
+    between *= np.sign(between.sum())
+    is_rising = between.size > 1 and values.min() >= 0 and np.mean(between > 0) > 0.98
     return bool(
         is_rising and np.quantile(between, 0.9, method="higher") <= 1.5 * np.median(between)
     )

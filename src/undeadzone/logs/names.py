@@ -350,13 +350,16 @@ class _Header(NamedTuple):
         ranks = self.ranks(y + u)
         used = [*y, *u, *time]
         free = np.array([k not in used and time_rank(t) < 0 for k, t in enumerate(self.titles)])
+        read = free
         if self.is_open and self.values is not None:
-            both = zip(self.values.T, self.values[::-1].T, strict=True)  # or the newest first
-            counts = np.array([any(map(increases_evenly, one)) for one in both]) & (ranks == 0)
+            counts = np.array(list(map(increases_evenly, self.values.T))) & (ranks == 0)
             aside = np.array(self.kinds) == "aside"
-            for out in (np.ptp(np.nan_to_num(self.values), axis=0) == 0, counts, aside):
+            x = np.nan_to_num(self.values)
+            for out in (np.ptp(x, axis=0) == 0, counts, aside):
                 fewer = free & (~out | (np.abs(ranks) >= EXACT))
                 free = fewer if fewer.sum() + len(y + u) > 1 else free
+            flags = ((x == x.min(axis=0)) | (x == x.max(axis=0))).all(axis=0) & (len(x) > 2 * PAST)
+            read = free & ~flags if (free & ~flags).any() else free
         shown, fits = self.behaviour(bool(time))
         exact = np.abs(ranks) >= EXACT
         shown = np.where(np.logical_or.outer(exact, exact), 1.0, shown)
@@ -364,7 +367,7 @@ class _Header(NamedTuple):
         scores = np.round(names + self.likeness() + fits, 6)  # copies are equal
         every = np.arange(ranks.size)
         rows = np.isin(every, u[:1]) if u else free
-        columns = np.isin(every, y[:1]) if y else free & self.vary()
+        columns = np.isin(every, y[:1]) if y else read
         scores[~(rows[:, None] & columns) | np.eye(every.size, dtype=bool)] = -np.inf
         i, j = map(int, np.unravel_index(np.argmax(scores), scores.shape))
         best = scores[i, j]
@@ -384,13 +387,6 @@ class _Header(NamedTuple):
             if scores.max() > -np.inf
         }
         return y or self.group("y", j, p), u or self.group("u", i, m), pair
-
-    def vary(self) -> Flags:
-        """Return which columns may be readings: those of more than two values, if there are any."""
-        if self.values is None or not self.is_open or len(self.values) < 2 * PAST:
-            return np.ones(len(self.titles), bool)
-        few = np.array([np.unique(x[np.isfinite(x)]).size < 3 for x in self.values.T])
-        return few if few.all() else ~few
 
     def ranks(self, given: list[int]) -> Floats:
         """Return the rank of each column (K), by its name and by the names of its neighbours."""

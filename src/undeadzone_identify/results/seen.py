@@ -176,11 +176,7 @@ def _contradicts(fitted: Account, seen: Account | None) -> bool:
 def _moves(fitted: Account, at_rest: RestMap) -> bool:
     """Return whether the map at rest moves where a band of the input, by its fit, moves nothing."""
     band = fitted.effects.get("input loss", {})
-    low, high = (
-        (-band["left"].value if "left" in band else -math.inf),
-        (band["right"].value if "right" in band else math.inf),
-    )
-    inside = (at_rest.x > low) & (at_rest.x < high)
-    return (
-        bool(band) and bool(inside.any()) and np.ptp(at_rest.y[inside]) > APART * np.ptp(at_rest.y)
-    )
+    low, high = (band[side].value if side in band else math.inf for side in EDGES)
+    inside = (at_rest.x > -low) & (at_rest.x < high)
+    is_met = len(band) > 0 and inside.any()
+    return bool(is_met and np.ptp(at_rest.y[inside]) > APART * np.ptp(at_rest.y))
