@@ -429,7 +429,7 @@ class _Header(NamedTuple):
             sums = np.abs(_scaled(x[1:]).T @ _scaled(np.diff(self.values, axis=0))) / len(x)
             adds: Flags = np.asarray(sums > SUM)
             derived |= adds | adds.T | np.any(adds, axis=0, keepdims=True).T
-            shown = np.maximum.reduce([shown, at_all, gains])
+            shown = np.maximum.reduce([shown, at_all, at_all.T / 2, gains])  # slopes show what adds
             fits = shown * (1 + gains) * (1 - gains.max(axis=0)[:, None])
         fits = np.where(derived, 0.0, fits * (1 + np.subtract.outer(even, even)))
         return shown, fits + FIRST * np.triu(np.ones_like(fits))
