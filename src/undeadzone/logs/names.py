@@ -300,8 +300,8 @@ class _Header(NamedTuple):
     def printed_name(self, k: int) -> str:
         """Return the name of a column in the form of an option, else its number (from 1)."""
         name = self.titles[k].name
-        is_plain = _PLAIN.fullmatch(name) and not name.isdigit()
-        return name if is_plain and len(self.find_equal_names(name)) == 1 else str(k + 1)
+        is_plain = _PLAIN.fullmatch(name) and len(self.find_equal_names(name)) == 1
+        return name if is_plain else str(k + 1)
 
     def find_reference(self, used: Sequence[int], y: int) -> list[int]:
         """Return the column of the reference; an empty list without one."""

@@ -41,6 +41,7 @@ CURVES = range(3, 7)  # degrees of the smooth curves that may explain a flat par
 NEAREST, FARTHER = 5, 4  # moving levels that count for an edge, and more for each level at rest
 UNVISITED = 0.2  # of the commands' range, from which a gap widens an edge
 APART = 0.05  # of the range: the largest noise of a candidate, and a leap from rest
+UNSURE = 0.5  # of the commands' range, from which an edge is none
 FOLDED = 0.03  # of the range, by which a reading must come back
 TURN = 0.3  # of the commands' range, from which the way back is a sweep of its own
 STAIRS = 2  # bands, from which they are steps of the reading and no effect
@@ -87,6 +88,11 @@ class FlatPart(NamedTuple):
         """Return where the part begins and ends; infinite where the map ends inside."""
         left, right = self.left, self.right
         return left.interval.value if left else -np.inf, right.interval.value if right else np.inf
+
+    @property
+    def widest(self) -> float:
+        """Return the width of the widest interval of an edge."""
+        return max(2 * edge.interval.half_width for edge in self[2:] if edge)
 
     def place(self, base: Floats, height: Floats) -> FlatPart:
         """Return the part in units of the log, from their origin."""
@@ -246,7 +252,7 @@ def _flat_parts(levels: Levels, legs: list[Levels]) -> list[FlatPart]:
     nearer = [(run, 1) for run in [exact, *runs[:1]]]  # what lies farther may be bent
     for run, more in dict.fromkeys(tries + nearer):
         part = None if parts and more == 1 else _fit_part(levels, run, legs, more)
-        if part is not None:
+        if part is not None and part.widest < UNSURE:
             low, high = part.ends
             if all(high < one.ends[0] or low > one.ends[1] for one in parts):
                 parts.append(part)
