@@ -137,8 +137,11 @@ def _settled_rows(u: Floats, y: Floats, came: Floats, cut: Integers, levels: int
 def _sweep_rows(u: Floats, y: Floats, came: Floats) -> Rows | None:
     """Return all samples if the readings at one command differ little, whenever they were taken.
 
-    The way up may lie beside the way down.
+    The way up may lie beside the way down. A single way between two long stays is a step.
     """
+    at_ends = np.abs(u - (u.min() + u.max()) / 2) > (0.5 - SLOW) * np.ptp(u)
+    if at_ends.mean() > 0.5 and not turns(u, float(np.ptp(u)) / 2).size:
+        return None
     order = np.argsort(u, kind="stable")
     ways = [order[came[order] >= 0], order[came[order] < 0]]
     for how, some in (("sweep", [order]), ("ways", ways)):
