@@ -90,7 +90,7 @@ class FlatPart(NamedTuple):
         return left.interval.value if left else -np.inf, right.interval.value if right else np.inf
 
     @property
-    def widest(self) -> float:
+    def widest_interval(self) -> float:
         """Return the width of the widest interval of an edge."""
         return max(2 * edge.interval.half_width for edge in self[2:] if edge)
 
@@ -252,7 +252,7 @@ def _flat_parts(levels: Levels, legs: list[Levels]) -> list[FlatPart]:
     nearer = [(run, 1) for run in [exact, *runs[:1]]]  # what lies farther may be bent
     for run, more in dict.fromkeys(tries + nearer):
         part = None if parts and more == 1 else _fit_part(levels, run, legs, more)
-        if part is not None and part.widest < UNSURE:
+        if part is not None and part.widest_interval < UNSURE:
             low, high = part.ends
             if all(high < one.ends[0] or low > one.ends[1] for one in parts):
                 parts.append(part)

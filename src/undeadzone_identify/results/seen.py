@@ -149,7 +149,11 @@ def choose_account(
     if seen is not None and is_seen and not is_flat:
         others = {key: one for key, one in fitted.effects.items() if key not in seen.effects}
         return seen._replace(others=others | fitted.others)
-    if looks.at_rest is not None and fitted.grade == INDICATED and _moves(fitted, looks.at_rest):
+    if (
+        looks.at_rest is not None
+        and fitted.grade == INDICATED
+        and _moves_in_band(fitted, looks.at_rest)
+    ):
         fitted = fitted._replace(grade=OPEN, effects={}, others={})
     if seen is not None and fitted.grade == OPEN and seen.grade == BOUNDED:
         return seen
@@ -173,7 +177,7 @@ def _contradicts(fitted: Account, seen: Account | None) -> bool:
     return own.high < high.low - low.high or own.low > high.high - low.low
 
 
-def _moves(fitted: Account, at_rest: RestMap) -> bool:
+def _moves_in_band(fitted: Account, at_rest: RestMap) -> bool:
     """Return whether the map at rest moves where a band of the input, by its fit, moves nothing."""
     band = fitted.effects.get("input loss", {})
     low, high = (band[side].value if side in band else math.inf for side in EDGES)

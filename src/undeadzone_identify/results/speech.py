@@ -217,7 +217,7 @@ class Compared(NamedTuple):
         """Return whether another model simulates held-out data about as well."""
         return self.deviations_before(other) < APART and SHOWS * other.rms < self.rms
 
-    def is_shape_of(self, other: Compared) -> bool:
+    def is_curve_for_zone(self, other: Compared) -> bool:
         """Return whether it is a curve where another model has a zone with a single side."""
         ends = [EFFECT_OF[one.word].split()[0] for one in (self, other)]
         is_curve = EFFECT_OF[self.word].endswith("shape") and ends[0] == ends[1]
@@ -312,7 +312,7 @@ def _account_of_fits(answer: Answer, units: tuple[str, str]) -> Account:
         return _bound(answer, units, line, test)
     best = positive[0]
     close = [one for one in positive if best.is_hardly_before(one)]
-    first = next((one for one in close if one.numbers and not best.is_shape_of(one)), best)
+    first = next((one for one in close if one.numbers and not best.is_curve_for_zone(one)), best)
     others: dict[str, Numbers] = {}
     for one in close:
         effect = EFFECT_OF[one.word]
