@@ -37,6 +37,7 @@ FLAT = (  # effects of a name that a flat part of the map shows as well
     "friction",
 )
 EDGES = {"left": "lower", "right": "upper"}
+UNMET = Interval(math.inf, math.inf, math.inf)  # an edge that no fit has
 INPUT_LOSS = {"loss", "input threshold"}  # effects of a map that shows a band of the input
 
 
@@ -180,7 +181,7 @@ def _contradicts(fitted: Account, seen: Account | None) -> bool:
 def _moves_in_band(fitted: Account, at_rest: RestMap) -> bool:
     """Return whether the map at rest moves where a band of the input, by its fit, moves nothing."""
     band = fitted.effects.get("input loss", {})
-    low, high = (band[side].value if side in band else math.inf for side in EDGES)
+    low, high = (band.get(side, UNMET).value for side in EDGES)
     inside = (at_rest.x > -low) & (at_rest.x < high)
     is_met = len(band) > 0 and inside.any()
     return bool(is_met and np.ptp(at_rest.y[inside]) > APART * np.ptp(at_rest.y))
