@@ -22,7 +22,7 @@ RNG = np.random.default_rng(5)
 SIZE = 200
 HELD = np.repeat(RNG.integers(-9, 10, SIZE // 10), 10).astype(float)  # a command
 FOLLOWS = np.convolve(HELD, [0, 0.4, 0.3, 0.2, 0.1])[:SIZE] + 0.05 * RNG.standard_normal(SIZE)
-# Columns by a letter: time, command, reading, other noise, constant, count, drift, flag, count down.
+# Columns by a letter: time, command, reading, noise, constant, count, drift, flag, count down.
 COLUMNS = {
     "t": 0.02 * np.arange(SIZE),
     "m": 20.0 * np.arange(SIZE),

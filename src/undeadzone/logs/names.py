@@ -418,7 +418,8 @@ class _Header(NamedTuple):
             has_times: whether there are times; without them a table of rests has no past.
         """
         if self.values is None or not self.is_open:
-            return np.ones((2, len(self.titles), len(self.titles)))
+            alike = np.ones((len(self.titles), len(self.titles)))
+            return alike, alike
         x = _scaled(self.values)
         even = np.mean(np.abs(np.diff(x, 2, axis=0)) <= EVEN * np.ptp(x, axis=0), axis=0)
         shown = fits = np.abs(x.T @ x) / len(x)
