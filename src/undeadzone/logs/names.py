@@ -426,7 +426,6 @@ class _Header(NamedTuple):
         derived: Flags = np.asarray(fits > COPY)
         if len(x) >= (2 * PAST if has_times else TABLE):
             at_all, gains = _explained(x)
-            gains = np.maximum(gains - gains.T, 0.0)  # two sensors of one quantity help each other
             sums = np.abs(_scaled(x[1:]).T @ _scaled(np.diff(self.values, axis=0))) / len(x)
             adds: Flags = np.asarray(sums > SUM)
             derived |= adds | adds.T | np.any(adds, axis=0, keepdims=True).T
