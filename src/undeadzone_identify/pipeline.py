@@ -51,7 +51,7 @@ from undeadzone_identify.models.zone_fit import (
     refit_busiest_part,
     refit_longest_record,
 )
-from undeadzone_identify.results.account import MEASURED
+from undeadzone_identify.results.account import MEASURED, OPEN, Account
 from undeadzone_identify.results.assemble import to_answer
 from undeadzone_identify.results.at_rest import IdentifiedAtRest
 from undeadzone_identify.results.lost_motion import IdentifiedMotion
@@ -120,6 +120,7 @@ from undeadzone_identify.selection.valve import is_named_loop
 from undeadzone_identify.servo.gap import ServoGap
 
 Found = Identified | IdentifiedOutputs | IdentifiedMotion | IdentifiedAtRest
+TABLE = "rows of a table"
 INTEGRATES = (
     "a torque or current moves a position, by their names, and no plant that settles explains it:"
     " taken to integrate, as with --integrators 1"
@@ -325,7 +326,9 @@ def _identify_logs(
         (one,) = answers
         spoken = choose_account(one.account, seen, looks, lambda: knows_the_end(one.answer))
         return dataclasses.replace(one, spoken=spoken)
-    if seen is not None and seen.effects:
+    if seen is None and is_one and is_plain and not logs[0].has_clock:  # a table needs no plant
+        seen = Account(OPEN, {}, TABLE, (logs[0].input_unit, logs[0].output_units[0]))
+    if seen is not None:
         return IdentifiedAtRest(logs[0], looks, seen.with_doubts(f"no plant was fitted: {failure}"))
     if motion is None or not motion.are_positions:
         raise failure

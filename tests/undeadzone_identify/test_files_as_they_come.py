@@ -17,12 +17,13 @@ from undeadzone.logs.kinds import kind_of, split_unit
 from undeadzone_identify.logs.grid import to_grid
 from undeadzone_identify.logs.log import read_log
 from undeadzone_identify.logs.prepare import select_readings
+from undeadzone_identify.pipeline import identify
 
 RNG = np.random.default_rng(5)
 SIZE = 200
 HELD = np.repeat(RNG.integers(-9, 10, SIZE // 10), 10).astype(float)  # a command
 FOLLOWS = np.convolve(HELD, [0, 0.4, 0.3, 0.2, 0.1])[:SIZE] + 0.05 * RNG.standard_normal(SIZE)
-# Columns by a letter: time, command, reading, other noise, constant, count, drift.
+# Columns by a letter: time, command, reading, noise, constant, count, drift, flag, count down.
 COLUMNS = {
     "t": 0.02 * np.arange(SIZE),
     "m": 20.0 * np.arange(SIZE),
@@ -35,6 +36,8 @@ COLUMNS = {
     "-": 2.0 * HELD + 0.3 * RNG.standard_normal(SIZE),
     "i": 0.02 * np.cumsum(FOLLOWS),
     "v": 1.5 + 0.1 * FOLLOWS,
+    "f": 1.0 * (FOLLOWS > 0),
+    "N": SIZE - np.arange(SIZE),
     "k": np.cumsum(20.0 + (RNG.random(SIZE) < 0.1)),
 }
 SHAPES = tomllib.loads(Path(__file__).with_name("titles.toml").read_text(encoding="utf-8"))["rows"]
@@ -69,7 +72,7 @@ def test_columns(header: str, does: str, u: str, y: str, kinds: str, tmp_path: P
 
 
 @pytest.mark.parametrize("factor", [0.5, 2.0])
-@pytest.mark.parametrize("name", ["EVEN", "FIRST", "PAST", "RIDGE"])
+@pytest.mark.parametrize("name", ["EVEN", "FIRST", "PAST", "RIDGE", "FULL"])
 def test_constants_at_half_and_double_choose_the_same(
     name: str, factor: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -100,6 +103,8 @@ AT_REST = "".join(f"{0.02 * k:g},{k},41.7\n" for k in range(20))
                                 for k, name in ((1, "X.cmd"), (2, "X.pos")))], "X.pos", "u=X.cmd"),
         (["t,cmd,speed\ns,%,rpm\n", *(f"{t:g},{u:g},{y:g}\n" for t, u, y in ROWS)],
          "speed", "u=cmd"),
+        (["x-axis,1,2\nsecond,Volt,Volt\n", *(f"{t:g},{u:g},{y:g}\n" for t, u, y in ROWS)],
+         "2", "t=x-axis,y=2,u=1"),
         (["t,u,speed\n", AT_REST, *(f"{0.4 + t:g},{u:g},{y:g}\n" for t, u, y in ROWS)],
          "speed", "20 readings of 41.7 ahead of the first change are stale"),
         (["Log 2, begun\n" * 40, "t,u,y\n", *(f"{t:g},{u:g},{y:g}\n" for t, u, y in ROWS)],
@@ -115,6 +120,14 @@ def test_other_tables(lines: list[str], outputs: str, words: str, tmp_path: Path
     assert np.allclose(log.u[:, 0], HELD, atol=1e-4)
     assert np.allclose(log.y[:, 0], FOLLOWS, atol=1e-3)
     assert np.allclose(np.diff(log.t), 0.02, atol=1e-6)
+
+
+def test_a_table_without_an_answer_has_a_reason(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("a,b\n" + "".join(f"{k % 3},{k % 3 + 0.1 * k}\n" for k in range(12)))
+    answer = identify(path)
+    assert answer.verdict == "unclear"
+    assert "too few" in answer.account.doubts[-1]
 
 
 def test_columns_of_lists_and_dates_in_parquet(tmp_path: Path) -> None:

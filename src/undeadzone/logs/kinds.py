@@ -14,13 +14,14 @@ from undeadzone.util.arrays import Floats
 
 # Length of a unit of time [s]. A time that counts samples has no length of its own.
 SECONDS: Final = {
-    **dict.fromkeys(("", "s", "sec", "secs", "seconds", "sekunden", "secondes"), 1.0),
+    **dict.fromkeys(("", "s", "sec", "secs", "second", "seconds", "sekunden", "secondes"), 1.0),
     **dict.fromkeys(("ms", "msec", "millis", "milliseconds"), 1e-3),
     **dict.fromkeys(("us", "µs", "μs", "usec", "micros", "microseconds"), 1e-6),
     **dict.fromkeys(("ns", "nsec", "nanos", "nanoseconds"), 1e-9),
     **dict.fromkeys(("min", "mins", "minute", "minutes"), 60.0),
     **dict.fromkeys(("h", "hr", "hours"), 3600.0),
 }
+OF_TIME: Final = ("s", "sec", "second", "seconds")  # units that show a time by themselves
 COUNTS: Final = ("sample", "samples", "step", "steps", "index", "row", "frame")
 # Names of times, best first: alone, with a unit, and with words that say of what.
 _TIMES: Final = tuple(
@@ -37,6 +38,7 @@ _TIMES: Final = tuple(
         ),
     )
 )
+VAGUE: Final = len(_TIMES) - 1  # rank from which a time must run as times do
 # A unit at the end of a name: `motor_deg`, `force_N`. Letters that often mean something else are
 # none.
 _WITH_UNIT: Final = re.compile(
@@ -66,9 +68,9 @@ _TABLE: Final = tuple(
         (r"^(command|cmd)$", "goal", 18.0),
         (r"^(reading|measured|measurement|istwert|mesure)$", "", -18.0),
         (
-            r"battery|supply|mass\b|\bsnr\b|delta|\bdt\b|^stat(e|us) \d|moving|\bpin\b|\bbus\b"
-            r"|\bvcc\b|\berror\b|\bwanted time\b|\bindex\b|\bid\b|^(n|no|nr)$",
-            "other",
+            r"battery|supply|counter\b|mass\b|\bsnr\b|delta|\bdt\b|^stat(e|us) \d|moving|\bpin\b"
+            r"|\bbus\b|\bvcc\b|\berror\b|\bwanted time\b|\bindex\b|\bid\b|^(n|no|nr)$",
+            "aside",
             0.0,
         ),
         (r"\bsp\b", "sp", REFERENCE),
@@ -104,6 +106,9 @@ _TABLE: Final = tuple(
             "drive",
             14.0,
         ),
+        (r"^q( \d+)?$", "position", 0.0),  # a joint's coordinate, or a flow that is set
+        (r"^[flpt]c?v \d", "drive", 14.0),  # tags of ISA-5.1: valves, and transmitters
+        (r"^[flpt]i?t \d", "", -12.0),
         (r"^dec( raw|$)", "position", -9.0),
         (r"^ra( raw|$)", "position", -8.5),
         (
@@ -113,7 +118,7 @@ _TABLE: Final = tuple(
             -8.1,
         ),
         (
-            r"accel|beschl|thrust|flow|level|pressure|\btemp|durchfl|druck|stand\b|niveau|débit|pression|"
+            r"accel|beschl|thrust|flow|level|pressure|\bpres\b|\btemp|durchfl|druck|stand\b|niveau|débit|pression|"
             r"volume|power|leistung|weight|gewicht|poids",
             "",
             -8.0,
@@ -132,7 +137,7 @@ _TABLE: Final = tuple(
         (r"\bconc\b|concentration|\bpp[mb]\b", "", REFERENCE),
         (r"\bmot(or)?\b|\btheta m\b", "position", 6.0),
         (
-            r"\bpos|position|angle|winkel|encoder|\benc\b|theta|\bphi\b|^q( \d+)?$|distance|height|"
+            r"\bpos|position|angle|winkel|encoder|\benc\b|theta|\bphi\b|distance|height|"
             r"tilt|lage\b|stellung|auslenk|pitch|roll\b|yaw|ticks|^obs\w* state|"
             r"\[(deg|rad|mrad|°|mm|cm|m|in|um|µm|px|ticks|counts|arcsec|arcmin)\]",
             "position",
@@ -184,7 +189,8 @@ def split_words(name: str) -> str:
 def kind_of(name: str, unit: str = "") -> str:
     """Return the kind of quantity in a column, of the kinds in the table, or "other".
 
-    The kinds are goal, position, speed, torque, drive, op, pv, sp and force.
+    The kinds are goal, position, speed, torque, drive, op, pv, sp, force, and aside of what is
+    recorded beside input and reading.
 
     Args:
         name: of the column.
@@ -210,18 +216,22 @@ def _rows_of(title: Title) -> list[tuple[re.Pattern[str], str, float]]:
 def time_rank(title: Title) -> int:
     """Return the rank of a name among the names of times, 0 the best; -1 for any other name."""
     words = " ".join(_WORDS.findall(title.name)).lower()
-    return next((k for k, name in enumerate(_TIMES) if name.search(words)), -1)
+    by_unit = len(_TIMES) if title.unit.lower() in OF_TIME else -1
+    return next((k for k, name in enumerate(_TIMES) if name.search(words)), by_unit)
 
 
 def increases_evenly(values: Floats) -> bool:
     """Return whether values increase from 0 or later by about equal steps, as times and indices do.
+
+    So do those of a log with the newest first.
 
     Args:
         values: of a column (N).
     """
     values = values[np.isfinite(values)]
     between = np.diff(values)
-    is_rising = between.size > 1 and values[0] >= 0 and np.mean(between > 0) > 0.98
+    between *= np.sign(between.sum())
+    is_rising = between.size > 1 and values.min() >= 0 and np.mean(between > 0) > 0.98
     return bool(
         is_rising and np.quantile(between, 0.9, method="higher") <= 1.5 * np.median(between)
     )

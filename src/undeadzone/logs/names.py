@@ -19,6 +19,7 @@ from undeadzone.logs.kinds import (
     REFERENCE,
     SECONDS,
     TABLE,
+    VAGUE,
     Title,
     add_unit,
     increases_evenly,
@@ -35,7 +36,7 @@ DATES: Final = ("date", "datum", "fecha", "day")  # beside a column of times of 
 # Pairs of an input and a reading that are met more often than others, and by how much [rank].
 PAIRS: Final = {("goal", "position"): 0.3, ("drive", "speed"): 0.2, ("position", "force"): 13.0}
 EVEN: Final = 1e-3  # of the range, up to which a column rests or runs evenly
-LEAST: Final = 0.3  # below which names count half: less than a tenth of a variance is explained
+FULL: Final = 0.5  # correlation from which names count in full, below as much less
 FIRST: Final = 0.05  # what an input gains that stands ahead of its reading
 COPY: Final = 1 - 1e-9  # correlation of a column with its copy
 SUM: Final = 0.999  # and of its changes with what it adds up
@@ -299,8 +300,8 @@ class _Header(NamedTuple):
     def printed_name(self, k: int) -> str:
         """Return the name of a column in the form of an option, else its number (from 1)."""
         name = self.titles[k].name
-        is_plain = _PLAIN.fullmatch(name) and not name.isdigit()
-        return name if is_plain and len(self.find_equal_names(name)) == 1 else str(k + 1)
+        is_plain = _PLAIN.fullmatch(name) and len(self.find_equal_names(name)) == 1
+        return name if is_plain else str(k + 1)
 
     def find_reference(self, used: Sequence[int], y: int) -> list[int]:
         """Return the column of the reference; an empty list without one."""
@@ -325,8 +326,9 @@ class _Header(NamedTuple):
         ranks = np.array(list(map(time_rank, self.titles)))
         best = np.flatnonzero((ranks >= 0) & (ranks == ranks[ranks >= 0].min(initial=99)))
         if self.values is not None:
-            rising = np.mean(np.diff(self.values, axis=0) >= 0, axis=0) > 0.9
-            best = best[rising[best]] if rising[best].any() else best[:1]
+            change = np.diff(self.values[:, best], axis=0)
+            runs = np.maximum(np.mean(change >= 0, axis=0), np.mean(change <= 0, axis=0)) > 0.9
+            best = best[runs] if runs.any() else best[:1][ranks[best[:1]] < VAGUE]
             unknown = [k for k, one in enumerate(self.titles) if not (rank_of(one) or one.unit)]
             if not best.size and len(self.titles) > 2:
                 best = np.array([k for k in unknown if is_regular_time(self.values[:, k])], int)
@@ -348,19 +350,24 @@ class _Header(NamedTuple):
         ranks = self.ranks(y + u)
         used = [*y, *u, *time]
         free = np.array([k not in used and time_rank(t) < 0 for k, t in enumerate(self.titles)])
+        read = free
         if self.is_open and self.values is not None:
             counts = np.array(list(map(increases_evenly, self.values.T))) & (ranks == 0)
-            for out in (np.ptp(np.nan_to_num(self.values), axis=0) == 0, counts):
+            aside = np.array(self.kinds) == "aside"
+            x = np.nan_to_num(self.values)
+            for out in (np.ptp(x, axis=0) == 0, counts, aside):
                 fewer = free & (~out | (np.abs(ranks) >= EXACT))
                 free = fewer if fewer.sum() + len(y + u) > 1 else free
-        fits = self.behaviour(bool(time))
+            flags = ((x == x.min(axis=0)) | (x == x.max(axis=0))).all(axis=0) & (len(x) > 2 * PAST)
+            read = free & ~flags if (free & ~flags).any() else free
+        shown, fits = self.behaviour(bool(time))
         exact = np.abs(ranks) >= EXACT
-        weak = (fits < LEAST) & ~np.logical_or.outer(exact, exact)
-        names = np.subtract.outer(ranks, ranks) * np.where(weak, 0.5, 1.0)
+        shown = np.where(np.logical_or.outer(exact, exact), 1.0, shown)
+        names = np.subtract.outer(ranks, ranks) * np.minimum(shown / FULL, 1.0)
         scores = np.round(names + self.likeness() + fits, 6)  # copies are equal
         every = np.arange(ranks.size)
         rows = np.isin(every, u[:1]) if u else free
-        columns = np.isin(every, y[:1]) if y else free
+        columns = np.isin(every, y[:1]) if y else read
         scores[~(rows[:, None] & columns) | np.eye(every.size, dtype=bool)] = -np.inf
         i, j = map(int, np.unravel_index(np.argmax(scores), scores.shape))
         best = scores[i, j]
@@ -401,8 +408,8 @@ class _Header(NamedTuple):
         pairs = [[PAIRS.get((one, other), 0.0) for other in kinds] for one in kinds]
         return np.array(common) + np.array(pairs)
 
-    def behaviour(self, has_times: bool) -> Floats:
-        """Return how well what the columns do fits an input (row) and a reading (K x K).
+    def behaviour(self, has_times: bool) -> tuple[Floats, Floats]:
+        """Return how much an input (row) explains of a reading, and how well the pair fits (K x K).
 
         An input explains its reading, at once or by its past, and moves by itself: it rests or
         runs evenly. Nothing is caused by its copy, or by what adds it up.
@@ -411,20 +418,21 @@ class _Header(NamedTuple):
             has_times: whether there are times; without them a table of rests has no past.
         """
         if self.values is None or not self.is_open:
-            return np.ones((len(self.titles), len(self.titles)))
+            alike = np.ones((len(self.titles), len(self.titles)))
+            return alike, alike
         x = _scaled(self.values)
         even = np.mean(np.abs(np.diff(x, 2, axis=0)) <= EVEN * np.ptp(x, axis=0), axis=0)
-        fits = np.abs(x.T @ x) / len(x)
+        shown = fits = np.abs(x.T @ x) / len(x)
         derived: Flags = np.asarray(fits > COPY)
         if len(x) >= (2 * PAST if has_times else TABLE):
             at_all, gains = _explained(x)
             sums = np.abs(_scaled(x[1:]).T @ _scaled(np.diff(self.values, axis=0))) / len(x)
             adds: Flags = np.asarray(sums > SUM)
             derived |= adds | adds.T | np.any(adds, axis=0, keepdims=True).T
-            fits = np.maximum.reduce([fits, at_all, gains]) * (1 + gains)
-            fits *= 1 - gains.max(axis=0)[:, None]
+            shown = np.maximum.reduce([shown, at_all, at_all.T / 2, gains])  # slopes show what adds
+            fits = shown * (1 + gains) * (1 - gains.max(axis=0)[:, None])
         fits = np.where(derived, 0.0, fits * (1 + np.subtract.outer(even, even)))
-        return fits + FIRST * np.triu(np.ones_like(fits))
+        return shown, fits + FIRST * np.triu(np.ones_like(fits))
 
     def columns_named(self, signal: str, count: int | None) -> list[int]:
         """Return the columns that the user names for y or u. Raises InputError if one lacks."""

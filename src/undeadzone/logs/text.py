@@ -219,22 +219,24 @@ def dialect_of(lines: Sequence[str]) -> Dialect:
     """
     separator = _separator(lines)
     first = split_cells(lines[0], separator)
-    if not any(first) or _count_numbers(first):
+    units = _units_below(lines, separator)
+    if not units and (not any(first) or _count_numbers(first)):
         return Dialect(separator, len(first), None, 0)
-    heads = 1
     titles = list(map(split_unit, first))
-    for line in lines[1:2]:
-        units = split_cells(line, separator)
-        is_one = any(units) and len(units) == len(first) and not _count_numbers(units)
-        if is_one and all(map(_UNIT.fullmatch, units)):
-            heads = 2
-            titles = [
-                Title(title.name, title.unit or unit.strip("[]() "))
-                for title, unit in zip(titles, units, strict=True)
-            ]
+    for k, unit in enumerate(units):
+        titles[k] = Title(titles[k].name, titles[k].unit or unit.strip("[]() "))
+    heads = 2 if units else 1
     if titles[-1].name == "":
         titles.pop()
     return Dialect(separator, len(titles), tuple(titles), heads)
+
+
+def _units_below(lines: Sequence[str], separator: str) -> list[str]:
+    """Return the units in the line below the first, which names their columns; [] without."""
+    first, units = (split_cells(line, separator) for line in (lines[0], "".join(lines[1:2])))
+    is_one = any(units) and len(units) == len(first) and not _count_numbers(units)
+    is_named = any(first) and _count_numbers(first) < len(first)
+    return units if is_one and is_named and all(map(_UNIT.fullmatch, units)) else []
 
 
 def _count_numbers(cells: Sequence[str]) -> int:
@@ -321,7 +323,7 @@ def lines_ahead(lines: Sequence[str]) -> int | None:
         count = _count_numbers(cells)
         if k == 0 and count == len(named):
             return 0
-        if count or len({*named}) < max(2, len(named)):
+        if len({*named}) < max(2, len(named)) or (count and not _units_below(lines[k:], separator)):
             continue
         rows = map(Dialect(separator, len(cells), None, 0).cells, lines[k + 1 :])
         alike = [row for row in rows if len(row) == len(cells) and _count_numbers(row)]

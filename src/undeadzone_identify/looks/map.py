@@ -40,6 +40,7 @@ CURVES = range(3, 7)  # degrees of the smooth curves that may explain a flat par
 NEAREST, FARTHER = 5, 4  # moving levels that count for an edge, and more for each level at rest
 UNVISITED = 0.2  # of the commands' range, from which a gap widens an edge
 APART = 0.05  # of the range: the largest noise of a candidate, and a leap from rest
+UNSURE = 0.5  # of the commands' range, from which an edge is none
 FOLDED = 0.03  # of the range, by which a reading must come back
 TURN = 0.3  # of the commands' range, from which the way back is a sweep of its own
 STAIRS = 2  # bands, from which they are steps of the reading and no effect
@@ -84,6 +85,11 @@ class FlatPart(NamedTuple):
         """Return where the part begins and ends; infinite where the map ends inside."""
         left, right = self.left, self.right
         return left.interval.value if left else -np.inf, right.interval.value if right else np.inf
+
+    @property
+    def widest_interval(self) -> float:
+        """Return the width of the widest interval of an edge."""
+        return max(2 * edge.interval.half_width for edge in self[2:] if edge)
 
     def place(self, base: Floats, height: Floats) -> FlatPart:
         """Return the part in units of the log, from their origin."""
@@ -224,9 +230,12 @@ def _flat_parts(levels: Levels, legs: list[Levels]) -> list[FlatPart]:
     runs.sort(key=lambda run: x[run[0]] - x[run[1] - 1])
     short = [(0, 2), (n - 2, n)]
     parts: list[FlatPart] = []
-    for run in [*runs[:CANDIDATES], *short]:
-        part = _fit_part(levels, run, legs)
-        if part is not None:
+    exact = max(find_runs(x, v, 0.0, 3), key=lambda run: run[1] - run[0], default=short[0])
+    tries = [(run, FARTHER) for run in [*runs[:CANDIDATES], exact, *short]]
+    nearer = [(run, 1) for run in [exact, *runs[:1]]]  # what lies farther may be bent
+    for run, more in dict.fromkeys(tries + nearer):
+        part = None if parts and more == 1 else _fit_part(levels, run, legs, more)
+        if part is not None and part.widest_interval < UNSURE:
             low, high = part.ends
             if all(high < one.ends[0] or low > one.ends[1] for one in parts):
                 parts.append(part)
@@ -246,7 +255,8 @@ def _hysteresis(u: Floats, y: Floats) -> list[FlatPart]:
     starts, stops = float(u[~moves].max()), float(u[moves].min())
     between = (u >= stops) & (u <= starts)
     changes = np.append(False, np.diff(moves))
-    if between.sum() < LEVELS or changes[between].mean() > RARELY:
+    met = min(np.sum(moves[between]), np.sum(~moves[between]))
+    if met < LEVELS or changes[between].mean() > RARELY:
         return []
     line = np.polynomial.Polynomial.fit(u[moves], y[moves], 1)
     if np.var((y - line(u))[moves]) > (1 - EXPLAINED) * np.var(y):
@@ -255,11 +265,19 @@ def _hysteresis(u: Floats, y: Floats) -> list[FlatPart]:
     return [FlatPart("low end", float(np.median(y[~moves])), None, edge)]
 
 
-def _fit_part(levels: Levels, run: tuple[int, int], legs: list[Levels]) -> FlatPart | None:
+def _fit_part(
+    levels: Levels, run: tuple[int, int], legs: list[Levels], more: int
+) -> FlatPart | None:
     """Return the flat part that a run of neighbours begins; None if it is not flat.
 
     Its edges are found by the outer half of the run to begin with, as the other half may belong to
     the line beyond the other edge.
+
+    Args:
+        levels: of the map.
+        run: first and end of the neighbours.
+        legs: levels of each sweep.
+        more: moving levels that count for an edge, for each level at rest.
     """
     x, v, w = levels
     n = x.size
@@ -268,7 +286,7 @@ def _fit_part(levels: Levels, run: tuple[int, int], legs: list[Levels]) -> FlatP
     views = {way: levels.face(way) for way in (-1, 1)}
     for share in (0.5, 0.0):
         runs = {-1: (n - end, n - first), 1: (first, end)}
-        sides = {way: _fit_outwards(views[way], *runs[way], share) for way in views}
+        sides = {way: _fit_outwards(views[way], *runs[way], share, more) for way in views}
         left, right = sides.values()
         low = x[0] if left is None else -left.edge.value
         high = x[-1] if right is None else right.edge.value
@@ -299,12 +317,12 @@ def _fit_part(levels: Levels, run: tuple[int, int], legs: list[Levels]) -> FlatP
     return FlatPart("band" if before and after else end_kind, level, before, after)
 
 
-def _fit_outwards(levels: Levels, first: int, end: int, share: float) -> Side | None:
+def _fit_outwards(levels: Levels, first: int, end: int, share: float, more: int) -> Side | None:
     """Return the fit of the edge behind a run, of whose span a share is left out ahead.
 
     The fewer rows are at rest, the fewer moving ones count.
     """
-    last = end + NEAREST + FARTHER * (end - first)
+    last = end + NEAREST + more * (end - first)
     x = levels.x[first:end]
     first += int(np.searchsorted(x, x[0] + share * (x[-1] - x[0])))
     return fit_side(levels.cut(slice(first, last)), end - first)
@@ -324,8 +342,11 @@ def _is_flat(levels: Levels, inside: Flags, fits: list[Side], residual: Floats) 
     noise = max(float(np.sqrt(np.sum(residual[near] ** 2) / free)), rounded, KNOWN)
     leans = n > 2 and abs(np.polyfit(x[inside], v[inside], 1, w=w[inside])[0]) > FLAT * slope
     explains = min(side.share for side in fits) > EXPLAINED
-    if leans or not explains or hidden < max(HIDES * noise, LEAST):
+    is_exact = n > 2 and np.ptp(v[inside]) == 0 and hidden > HIDES * find_quantum(v)
+    if leans or not (explains or is_exact) or hidden < max(HIDES * noise, LEAST):
         return False
+    if is_exact:  # no curve rests, and rounding hides less
+        return True
     x, v, w = levels.cut(near)
     numbers = 1 + sum(side.numbers for side in fits)
     own = price(float(np.mean((residual[near] * w) ** 2)), x.size, numbers)
@@ -389,4 +410,5 @@ def _bound(nodes: Floats, levels: Levels, noise: float) -> float:
     widths = np.maximum(4 * np.diff(x), max(HIDES * noise, LEAST) / np.maximum(slope, 1e-9))
     bent = max(float(np.std(v - np.polyval(np.polyfit(x, v, 1), x))), KNOWN)
     ends = max(x[END] - x[0], x[-1] - x[-1 - END])  # flat ends of fewer levels are not looked for
-    return float(np.clip(HIDES * bent, ends, max(ends, np.quantile(widths[moving], 0.95))))
+    widest = min(max(ends, float(np.quantile(widths[moving], 0.95))), 1.0)
+    return float(np.clip(HIDES * bent, ends, widest))

@@ -13,7 +13,7 @@ from undeadzone.util.arrays import Flags, Floats, Integers
 from undeadzone_identify.logs.grid import find_quantum
 from undeadzone_identify.models.motion import white_noise_rms
 
-LEVELS = 6  # least number of different commands
+LEVELS = 5  # least number of different commands: those of level, edge, slope and bend, and one
 HOLD = 6  # samples in a row at one command, from which it is held
 SLOW = 0.03  # of the reading's range: its median spread at one command, in a slow sweep
 SETTLED = 0.004  # of the reading's spread, by which the last quarter of a hold may still move
@@ -138,8 +138,11 @@ def _settled_rows(u: Floats, y: Floats, came: Floats, cut: Integers, levels: int
 def _sweep_rows(u: Floats, y: Floats, came: Floats) -> Rows | None:
     """Return all samples if the readings at one command differ little, whenever they were taken.
 
-    The way up may lie beside the way down.
+    The way up may lie beside the way down. A single way between two long stays is a step.
     """
+    at_ends = np.abs(u - (u.min() + u.max()) / 2) > (0.5 - SLOW) * np.ptp(u)
+    if at_ends.mean() > 0.5 and not turns(u, float(np.ptp(u)) / 2).size:
+        return None
     u, rests = _follow_steps(u, y)
     u, y, came = u[rests], y[rests], came[rests]
     order = np.argsort(u, kind="stable")

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from itertools import chain
 
+import numpy as np
+
 from undeadzone_identify.logs.log import Log
 from undeadzone_identify.looks.first import Looks
-from undeadzone_identify.looks.map import FlatPart, RestMap
+from undeadzone_identify.looks.map import APART, FlatPart, RestMap
 from undeadzone_identify.looks.pushes import FrictionLevel
 from undeadzone_identify.looks.rests import FreePlay
 from undeadzone_identify.looks.valley import Valley
@@ -34,6 +37,7 @@ FLAT = (  # effects of a name that a flat part of the map shows as well
     "friction",
 )
 EDGES = {"left": "lower", "right": "upper"}
+UNMET = Interval(math.inf, math.inf, math.inf)  # an edge that no fit has
 INPUT_LOSS = {"loss", "input threshold"}  # effects of a map that shows a band of the input
 
 
@@ -141,9 +145,17 @@ def choose_account(
     is_seen = seen is not None and bool(seen.effects)
     is_seen &= seen is not None and (seen.grade == MEASURED or fitted.grade in (OPEN, BOUNDED))
     is_flat = named & {*FLAT} and knows_the_end() and not _contradicts(fitted, seen)
+    edges = fitted.effects.get("output loss", {}).items()
+    is_flat = is_flat and all(one.low > 0 for name, one in edges if name in EDGES)
     if seen is not None and is_seen and not is_flat:
         others = {key: one for key, one in fitted.effects.items() if key not in seen.effects}
         return seen._replace(others=others | fitted.others)
+    if (
+        looks.at_rest is not None
+        and fitted.grade == INDICATED
+        and _moves_in_band(fitted, looks.at_rest)
+    ):
+        fitted = fitted._replace(grade=OPEN, effects={}, others={})
     if seen is not None and fitted.grade == OPEN and seen.grade == BOUNDED:
         return seen
     still = {INPUT: looks.stillness}
@@ -164,3 +176,12 @@ def _contradicts(fitted: Account, seen: Account | None) -> bool:
         return False
     low, high = edges["lower"], edges["upper"]
     return own.high < high.low - low.high or own.low > high.high - low.low
+
+
+def _moves_in_band(fitted: Account, at_rest: RestMap) -> bool:
+    """Return whether the map at rest moves where a band of the input, by its fit, moves nothing."""
+    band = fitted.effects.get("input loss", {})
+    low, high = (band.get(side, UNMET).value for side in EDGES)
+    inside = (at_rest.x > -low) & (at_rest.x < high)
+    is_met = len(band) > 0 and inside.any()
+    return bool(is_met and np.ptp(at_rest.y[inside]) > APART * np.ptp(at_rest.y))

@@ -86,6 +86,7 @@ SIZES = ("width", "gap", "level")
 OTHERS = 2  # effects that are printed beside the first
 LOSS = "output loss"
 CLOSE = 1.05  # of the rms, up to which a zone of the input simulates as well as one of the sensor
+LAST, MOVES = 20, 0.1  # samples of a hold, and share of the largest reading, that show motion
 EXPLAINED = 0.5  # share of the held-out readings, from which a straight plant bounds an effect
 
 
@@ -217,6 +218,12 @@ class Compared(NamedTuple):
         """Return whether another model simulates held-out data about as well."""
         return self.deviations_before(other) < APART and SHOWS * other.rms < self.rms
 
+    def is_curve_for_zone(self, other: Compared) -> bool:
+        """Return whether it is a curve where another model has a zone with a single side."""
+        ends = [EFFECT_OF[one.word].split()[0] for one in (self, other)]
+        is_curve = EFFECT_OF[self.word].endswith("shape") and ends[0] == ends[1]
+        return is_curve and len({*SIDES} & other.numbers.keys()) == 1
+
     def compare_to(self, line: Compared, test: Flags, scale: float) -> Buys:
         """Return the held-out errors of both, in units of the log."""
         size = scale * math.sqrt(test.size / max(int(test.sum()), 1))
@@ -298,7 +305,7 @@ def _account_of_fits(answer: Answer, units: tuple[str, str]) -> Account:
     for word in EFFECT_OF:
         there = None if word in answer.found.denied else _compare(answer, word)
         if there is not None and _is_comparable(there[0], line):
-            rows.append(there[0])
+            rows += [there[0]] * (not _moves_below_friction(answer, there[0]))
     worth = [one for one in rows if one.compare_to(line, test, answer.scale).is_worth]
     rows = sorted(worth, key=lambda one: one.rms)
     positive = [one for one in rows if one.is_positive]
@@ -306,7 +313,7 @@ def _account_of_fits(answer: Answer, units: tuple[str, str]) -> Account:
         return _bound(answer, units, line, test)
     best = positive[0]
     close = [one for one in positive if best.is_hardly_before(one)]
-    first = next((one for one in close if one.numbers), best)
+    first = next((one for one in close if one.numbers and not best.is_curve_for_zone(one)), best)
     others: dict[str, Numbers] = {}
     for one in close:
         effect = EFFECT_OF[one.word]
@@ -315,6 +322,15 @@ def _account_of_fits(answer: Answer, units: tuple[str, str]) -> Account:
     buys = first.compare_to(line, test, answer.scale)
     effects = {EFFECT_OF[first.word]: first.numbers}
     return Account(INDICATED, effects, DYNAMICS, units, buys, others, tuple(answer.reasons))
+
+
+def _moves_below_friction(answer: Answer, one: Compared) -> bool:
+    """Return whether holds of commands below a friction's level end in motion, twice or more."""
+    u, y = answer.case.grid.u[:, 0], answer.case.grid.y
+    cut = np.flatnonzero(np.diff(u, append=np.nan))
+    held = cut[np.diff(cut, prepend=-1) > LAST]
+    level = one.numbers["level"].value if "level" in one.numbers else 0.0
+    return int(np.sum((np.abs(u[held]) < level) & (np.abs(y[held]) > MOVES * np.abs(y).max()))) > 1
 
 
 def _is_comparable(one: Compared, line: Compared) -> bool:

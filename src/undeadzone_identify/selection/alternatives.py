@@ -890,7 +890,7 @@ def without_needless(case: Case, found: Findings) -> Findings:
         found: with a word of a model that holds a smaller one.
     """
     word = found.verdict.word
-    larger = fit_of(case, found, word)
+    larger = None if word in found.denied else fit_of(case, found, word)
     if larger is None:
         return found
     held_out = case.options.held_out
