@@ -359,6 +359,7 @@ class _Header(NamedTuple):
                 fewer = free & (~out | (np.abs(ranks) >= EXACT))
                 free = fewer if fewer.sum() + len(y + u) > 1 else free
             flags = ((x == x.min(axis=0)) | (x == x.max(axis=0))).all(axis=0) & (len(x) > 2 * PAST)
+            flags &= np.abs(ranks) < EXACT
             read = free & ~flags if (free & ~flags).any() else free
         shown, fits = self.behaviour(bool(time))
         exact = np.abs(ranks) >= EXACT
