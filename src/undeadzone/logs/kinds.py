@@ -60,9 +60,9 @@ _TABLE: Final = tuple(
         (
             r"^(op|co|mv|controller output|stellgr(ö|oe)(ß|ss)e)$|\w op$|\bpid\b.*\bout\b",
             "op",
-            19.0,
+            EXACT,
         ),
-        (r"\bpv\b|^process (value|variable)$", "pv", -19.0),
+        (r"\bpv\b|^process (value|variable)$", "pv", -EXACT),
         (r"^u \w+$", "", 17.0),
         (r"^y \w+$", "", -17.0),
         (r"^(command|cmd)$", "goal", 18.0),
