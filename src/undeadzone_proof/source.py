@@ -7,7 +7,7 @@ adds the bound of its rounding to nearest.
 from __future__ import annotations
 
 import re
-from fractions import Fraction as F
+from fractions import Fraction
 from typing import Any, NamedTuple
 
 TOKEN = re.compile(r"\s*(\d[\d.]*(?:e[+-]?\d+)?f?|[A-Za-z_]\w*(?:->\w+\[\d+\])?|&&|\|\||\S)")
@@ -33,10 +33,10 @@ class Form(NamedTuple):
     `clipped`: the sum was moved towards an interval that has the true width.
     """
 
-    terms: dict[str, F]
-    error: F
-    low: F
-    high: F
+    terms: dict[str, Fraction]
+    error: Fraction
+    low: Fraction
+    high: Fraction
     clipped: bool = False
 
 
@@ -64,15 +64,17 @@ class Code:
         words = TOKEN.findall(" ".join(map(" ".join, self.bodies.values())))
         self.constants = [self.literal(word) for word in words if word[0].isdigit()]
 
-    def literal(self, text: str) -> F:
+    def literal(self, text: str) -> Fraction:
         """Return the number nearest to a literal, as a compiler takes it."""
         require(text.endswith("f") == bool(self.suffix), f"source: {text} has the format")
-        x = F(text.removesuffix("f"))
+        x = Fraction(text.removesuffix("f"))
         e = x.numerator.bit_length() - x.denominator.bit_length()
-        unit = F(2) ** max(e - (x < F(2) ** e) + 1 - self.bits, -self.least)
+        unit = Fraction(2) ** max(e - (x < Fraction(2) ** e) + 1 - self.bits, -self.least)
         return round(x / unit) * unit
 
-    def run(self, name: str, memory: dict[str, Any], ranges: dict[str, list[F]], wide: F) -> None:
+    def run(
+        self, name: str, memory: dict[str, Any], ranges: dict[str, list[Fraction]], wide: Fraction
+    ) -> None:
         """Run a function on a memory of forms.
 
         Args:
@@ -139,7 +141,7 @@ class Code:
             return Form({key: -x for key, x in a.terms.items()}, a.error, -a.high, -a.low)
         if word[:1].isdigit():
             x = self.literal(word)
-            return Form({"": x} if x else {}, F(0), x, x)
+            return Form({"": x} if x else {}, Fraction(0), x, x)
         require(word in self.memory, f"source: {word} is known")
         return self.memory[word]
 
@@ -155,7 +157,7 @@ class Code:
         require(a is not None and b is not None, "source: a missing reading is not used")
         require(not a.clipped and not b.clipped, "source: no arithmetic behind a clip")
         if sign in "+-":
-            factor = F(1 if sign == "+" else -1)
+            factor = Fraction(1 if sign == "+" else -1)
             names = dict.fromkeys([*a.terms, *b.terms])
             terms = {key: a.terms.get(key, 0) + factor * b.terms.get(key, 0) for key in names}
             exact = a.low == a.high == 0 or b.low == b.high == 0
@@ -166,7 +168,7 @@ class Code:
         terms = {key: factor * x for key, x in other.terms.items() if factor}
         return self.round(terms, abs(factor) * other.error, factor == 0)
 
-    def round(self, terms: dict[str, F], error: F, exact: bool) -> Form:
+    def round(self, terms: dict[str, Fraction], error: Fraction, exact: bool) -> Form:
         """Return the form of a result that is rounded to nearest, unless it is exact."""
         low, high = -error, error
         for name, x in terms.items():
@@ -174,5 +176,5 @@ class Code:
             low, high = low + min(ends), high + max(ends)
         size = max(-low, high)
         require(size < 1 << 120, "rounding: no overflow")
-        wrong = F(0) if exact else size / (1 << self.bits) + F(1, 1 << self.least)
+        wrong = Fraction(0) if exact else size / (1 << self.bits) + Fraction(1, 1 << self.least)
         return Form(terms, error + wrong, low - wrong, high + wrong)
