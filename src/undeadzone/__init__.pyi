@@ -122,6 +122,7 @@ design = undeadzone_design.design
 design_on = undeadzone_design.design_on
 export = undeadzone_export.export
 identify = undeadzone_identify.identify
+prove = undeadzone_export.prove
 replay_run = undeadzone_studies.replay_run
 run_ensemble = undeadzone_studies.run_ensemble
 sweep = undeadzone_studies.sweep
