@@ -1,7 +1,7 @@
 """Proofs about an exported observer, as files that `python -m undeadzone_proof` checks.
 
-A search in floating point proposes V and the sets; docs/proof.md has the theorem. What is written
-was checked: the checker has the last word.
+A search in floating point proposes V and the sets; docs/proof.md has the theorem. The checker
+decides, so that only what it accepts is written.
 """
 
 from __future__ import annotations
@@ -11,63 +11,67 @@ import json
 import os
 from collections.abc import Iterator
 from fractions import Fraction
-from functools import partial
-from typing import Any, Final, NamedTuple, cast
+from typing import Any, Final
 
 import numpy as np
-from scipy.linalg import eigh
+from scipy.linalg import block_diag, eigh
 
-from undeadzone.analysis.certificate.passivity import certify
+from undeadzone.analysis.certificate.passivity import Certificate, certify
 from undeadzone.analysis.dissipation import optimise_storage
-from undeadzone.analysis.error_dynamics import balance_dynamics
+from undeadzone.analysis.error_dynamics import balance_dynamics, largest_growth_rate
 from undeadzone.errors import InputError, ProofError
 from undeadzone.linalg.matrices import symmetric_part
-from undeadzone.observers.adaptive.adaptation_laws import Gradient
+from undeadzone.observers.certified import Certified
 from undeadzone.scenario.problem import Problem, constant_gains, resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.exogenous import random_disturbance
 from undeadzone.simulation.simulate import simulate
 from undeadzone.util.arrays import Floats
 from undeadzone.util.files import write_text
-from undeadzone_export import exported_step
 from undeadzone_export.code import build_code
+from undeadzone_export.exported_step import build_step
 from undeadzone_export.source import Labels, Source, build_source
-from undeadzone_proof import (
-    WIDTHS,
-    Gaps,
-    begin_step,
-    compare_plant,
-    dual,
-    list_names,
-    measure_steps,
-    state,
-    verify,
-)
-from undeadzone_proof.source import Code as ProvedCode
-from undeadzone_proof.source import Refused
+from undeadzone_proof import compare_step, list_sides, state, verify
+from undeadzone_proof.exact import Refused, dual, require
+from undeadzone_proof.source import Code
 
 FILE: Final = "proof.json"
-ROOM: Final = 1 + 1e-6  # by which proposed numbers are larger than needed
-DECAYS: Final = (0.2, 0.4, 0.6, 0.8, 0.95)  # shares of the fastest one, that are tried
-FALLS: Final = ((0.05, 0.3), (0.2, 0.3), (0.5, 0.3), (0.2, 0.05), (0.05, 0.05))
-SIGMAS: Final = 4.0  # of a random disturbance, that its bound spans
+ROOM: Final = 1 + 1e-6  # by which proposed numbers exceed those that are needed
+DECAYS: Final = (0.2, 0.4, 0.6, 0.8, 0.95)  # shares of the fastest decay of V, that are tried
+FALLS: Final = ((0.05, 0.3), (0.2, 0.3), (0.5, 0.3))  # shares of decay and margin, of candidates
 FAIR: Final = 1.25  # of the smallest set of any widths, that the chosen one may have
 PASSES: Final = 3  # of a set's rounding, which grows with the set
+SIGMAS: Final = 4.0  # of a random disturbance, that its bound spans
 RANGE: Final = 2.0  # of states and inputs, in multiples of the largest along the run
+NEEDS: Final = {
+    "a certified observer of one output, with a gradient law": lambda problem: (
+        isinstance(problem.scenario.observer, Certified)
+        and problem.observer.traits.constant
+        and problem.model.p == 1
+    ),
+    "a linear plant with the states of its model": lambda problem: (
+        problem.plant.linear.A.shape == problem.model.linear.A.shape and not problem.plant.nonlinear
+    ),
+    "observer.width_max, a bound of the widths": lambda problem: (
+        problem.model.Ts is None or problem.scenario.observer.width_max is not None
+    ),
+    "a sensor without noise_before": lambda problem: not problem.sensor.noise_before.any(),
+    "an actuator without a zone": lambda problem: problem.actuator is None,
+}
 
 
 def prove(scenario: Scenario, file: str | os.PathLike[str] = FILE) -> str:
     """Write a proof about a scenario's certified observer.
 
-    In continuous time V never rises. In sampled time the error stays in sets, whatever the C in
-    double rounds. The file then contains that C, too.
+    In continuous time V falls. In sampled time the error stays in sets, whatever the C in double
+    rounds; the file then contains that C.
 
     Args:
         scenario: a scenario whose observer is `certified`.
         file: path of the proof, which `python -m undeadzone_proof` checks.
 
     Returns:
-        What is proved, in a sentence.
+        What is proved, in words.
 
     Raises:
         InputError: the scenario is beyond the theorem, with the reason.
@@ -78,63 +82,36 @@ def prove(scenario: Scenario, file: str | os.PathLike[str] = FILE) -> str:
     if problem.model.Ts is None:
         proof = _propose_continuous(problem)
     else:
-        printed = build_code(exported_step.build_step(problem), single=False)
+        printed = build_code(build_step(problem), single=False)
         text = build_source(printed, Labels("observer", scenario.title, "observer"))
         proof = propose_sampled(problem, text, single=False)
     write_text(proof_text(proof), file)
     return str(proof["statement"])
 
 
-def require_theorem(problem: Problem) -> tuple[Floats, Floats]:
-    """Return (L (n), gamma) of a scenario within the theorem [1/s].
-
-    Raises:
-        InputError: beyond it, with the reason.
-    """
-    options: Any = problem.scenario.observer
-    model, plant, sensor = problem.model, problem.plant, problem.sensor
-    gains = constant_gains(problem.observer, model)
-    if options.__struct_config__.tag != "certified" or gains is None:
-        raise InputError('proof: holds for observer.method = "certified" with constant gains')
-    sampled = model.Ts is not None
-    reasons = {
-        "one output": model.p != 1,
-        "a linear plant with as many states as its model": plant.nonlinear
-        or plant.linear.A.shape != model.linear.A.shape,
-        "observer.adaptation = gradient": not isinstance(options.adaptation, Gradient),
-        "observer.silence = false": sampled and options.silence,
-        "observer.width_max, a bound of the widths": sampled and options.width_max is None,
-        'sensor.kind = "deadzone", without range, play and noise_before': sensor.kind != "deadzone"
-        or sensor.moves
-        or sensor.limits is not None
-        or sensor.noise_before.any(),
-        "neither delay, actuator nor operating point": plant.delay
-        or problem.actuator is not None
-        or problem.levels is not None,
-        "gamma above 0": not gains[1].all(),
-    }
-    missing = [need for need, lacks in reasons.items() if lacks]
-    if missing:
-        raise InputError(f"proof: needs {missing[0]}")
-    return gains[0][:, 0], gains[1]
+def _certify(problem: Problem) -> Certificate:
+    """Return the certificate of a scenario within the theorem. Raises InputError, ProofError."""
+    for need, holds in NEEDS.items():
+        if not holds(problem):
+            raise InputError(f"proof: needs {need}")
+    gains = constant_gains(problem.observer, problem.model)
+    assert gains is not None
+    found = certify(problem.model.linear, *gains, problem.model.Ts)
+    if not found.certified:
+        raise ProofError(f"proof: {found.reason}")
+    return found
 
 
 def _propose_continuous(problem: Problem) -> dict[str, Any]:
-    """Return a checked proof that V never rises in continuous time. Raises ProofError."""
-    L, gamma = require_theorem(problem)
+    """Return a checked proof that V falls in continuous time. Raises InputError, ProofError."""
+    found = _certify(problem)
     A, B, C = problem.plant.continuous
-    found = certify(problem.plant.continuous, L[:, None], gamma)
-    if not found.certified:
-        raise ProofError(f"proof: {found.reason}")
-    P, W = found.P / found.W, 1.0
-    fall, cross = -A.T @ P - P @ A, P @ L - W * C[0]
-    margin = 1 - cross @ np.linalg.solve(fall, cross) / (2 * W)
-    content = {
-        "plant": {"A": A, "B": B, "C": C},
-        "L": L,
-        "storage": {"P": P, "W": W, "margin": margin / ROOM},
-    }
-    return _finish(_to_exact(content))
+    L = found.dynamics.L[:, 0]
+    P = found.P / found.W
+    cross = P @ L - C[0]
+    margin = 1 - cross @ np.linalg.solve(-A.T @ P - P @ A, cross) / 2
+    content = {"plant": {"A": A, "B": B, "C": C}, "gains": {"L": L}}
+    return _finish(content | {"storage": {"P": P, "W": 1.0, "margin": margin / ROOM}})
 
 
 def propose_sampled(problem: Problem, text: Source, single: bool) -> dict[str, Any]:
@@ -149,52 +126,48 @@ def propose_sampled(problem: Problem, text: Source, single: bool) -> dict[str, A
         InputError: the scenario is beyond the theorem.
         ProofError: the gains have no proof.
     """
-    L, gamma = require_theorem(problem)
-    plant, Ts = problem.plant.continuous, problem.model.Ts
-    assert Ts is not None
-    kind = "float" if single else "double"
-    code = ProvedCode(text.code, text.header, text.prefix, kind)
+    found = _certify(problem)
+    sensor, n = problem.sensor, problem.plant.n
+    threshold, widest = sensor.threshold[0], np.ravel(problem.scenario.observer.width_max)[0]
+    bounds, disturbance = _ranges_of_run(problem)
+    own = {"name": text.prefix, "format": "float" if single else "double"}
     content = {
-        "source": {"name": text.prefix, "format": kind, "texts": [text.code, text.header]},
-        "plant": plant._asdict() | {"Ts": Ts},
-        "sensor": _sensor_numbers(problem),
-        "bounds": _ranges_of_run(problem),
+        "source": own | {"texts": [text.code, text.header]},
+        "plant": problem.plant.continuous._asdict() | {"Ts": problem.model.Ts},
+        "sensor": {"slope": sensor.slope[0], "threshold": threshold, "width_max": widest},
+        "bounds": bounds,
+        "storage": {"P": np.eye(n)},
     }
     proof = _to_exact(content)
-    disturbance, noise = proof["bounds"].pop("disturbance"), proof["sensor"].pop("noise")
-    proof["gains"] = _read_gains(proof, code)
-    proof |= {"constants": code.constants, "operations": code.bodies["step"]}
-    proof["storage"] = _choose_storage(problem, L, gamma, proof, noise, disturbance)
-    gaps = compare_plant(proof)
-    quiet = [Fraction(0)] * len(disturbance)
-    proof["sets"] = [
-        _propose_set(proof, code, gaps, name, wide, *outside)
-        for name, wide, *outside in (
-            ("any widths", True, noise, disturbance),
-            ("known widths", False, noise, disturbance),
-            ("rounding alone", False, Fraction(0), quiet),
+    try:
+        code = Code([text.code, text.header], *own.values(), proof["sensor"]["width_max"])
+        proof |= {"constants": code.constants, "operations": code.bodies["step"]}
+        noise = threshold * bool(sensor.noise[0] or sensor.quantum[0])
+        quiet = np.zeros(len(disturbance))
+        outside = [(noise, disturbance), (noise, disturbance), (0.0, quiet)]
+        names = ("any widths", "known widths", "rounding alone")
+        sets = [
+            {"name": name, "noise": noise, "disturbance": push, "width": widest, "V": 0.0}
+            for name, (noise, push) in zip(names, outside, strict=True)
+        ]
+        proof["sets"] = _to_exact(sets)
+        right, silent = (
+            compare_step(
+                proof, code, proof["sets"][0], *list_sides(proof, code, proof["sets"][0])[k]
+            )
+            for k in (0, 2)
         )
-    ]
+        proof["gains"] = {"L": [row[-2] for row in right[0][:-1]], "gamma": 1 - right[0][-1][-2]}
+        proof["storage"] = _choose_storage(found, proof, right, silent)
+        for one in proof["sets"]:
+            _fit_set(proof, code, one)
+    except Refused as step:
+        raise ProofError(f"proof: {step}") from None
     return _finish(proof)
 
 
-def _sensor_numbers(problem: Problem) -> dict[str, Any]:
-    """Return slope, threshold, the bound of its error and that of the widths, of the sensor.
-
-    Noise is bounded by the threshold, which the observer takes for silence.
-    """
-    sensor, options = problem.sensor, problem.scenario.observer
-    is_noisy = sensor.noise[0] > 0 or sensor.quantum[0] > 0
-    return {
-        "slope": sensor.slope[0],
-        "threshold": sensor.threshold[0],
-        "noise": sensor.threshold[0] * is_noisy,
-        "width_max": np.ravel(options.width_max)[0],  # type: ignore[attr-defined]
-    }
-
-
-def _ranges_of_run(problem: Problem) -> dict[str, Any]:
-    """Return bounds of states, inputs and disturbance: what the scenario's own run needs, twice."""
+def _ranges_of_run(problem: Problem) -> tuple[dict[str, list[Fraction]], Floats]:
+    """Return bounds of states and inputs, twice those of the run, and of the disturbances."""
     run = simulate(problem.scenario, check_step=False)
     random = random_disturbance(problem)
     if random is not None:
@@ -203,143 +176,71 @@ def _ranges_of_run(problem: Problem) -> dict[str, Any]:
         push = np.abs(problem.disturbance.output_at(run.t)).max(axis=0)
     else:
         push = np.zeros(problem.plant.m)
-    sizes = {"x": RANGE * np.abs(run.x), "u": RANGE * np.abs(run.u), "disturbance": push[None]}
-    return {
-        name: [_round_up(size, 2) for size in sizes.max(axis=0)] for name, sizes in sizes.items()
-    }
+    sizes = {name: RANGE * np.abs(each).max(axis=0) for name, each in (("x", run.x), ("u", run.u))}
+    return {name: [_round_up(x, 2) for x in size] for name, size in sizes.items()}, push
 
 
-def _read_gains(proof: dict[str, Any], code: ProvedCode) -> dict[str, Any]:
-    """Return the numbers of a step that its C computes with."""
-    quiet = [Fraction(0)] * len(proof["bounds"]["x"])
-    threshold = proof["sensor"]["threshold"]
-    found = []
-    for ends in ([Fraction(0)] * 2, [threshold + 1, threshold + 2]):
-        memory, ranges = begin_step(proof, quiet, ends)
-        code.run("step", memory, ranges, proof["sensor"]["width_max"])
-        found.append(memory)
-    silent, right = found
-    (x, u), width = list_names(proof), WIDTHS[1]
-    g = 1 - right[width].terms[width]
-    return {
-        "M": [[silent[row].terms.get(name, Fraction(0)) for name in x] for row in x],
-        "H": [[silent[row].terms.get(name, Fraction(0)) for name in u] for row in x],
-        "l": [right[row].terms.get(width, Fraction(0)) for row in x],
-        "c": [right[width].terms.get(name, Fraction(0)) / g for name in x],
-        "g": g,
-        "reading": -right[width].terms["in->y[0]"] / g,
-    }
-
-
-class _Storage(NamedTuple):
-    """Candidate of V, with the bounds that follow from it in floating point.
-
-    Attributes:
-        content: its entries in the file.
-        any, known: radii of the sets of any and of known widths, roughly.
-    """
-
-    content: dict[str, Any]
-    any: float
-    known: float
-
-
-def _choose_storage(
-    problem: Problem,
-    L: Floats,
-    gamma: Floats,
-    proof: dict[str, Any],
-    noise: Fraction,
-    disturbance: list[Fraction],
-) -> dict[str, Any]:
-    """Return the V with a small set of known widths whose set of any widths is among the smallest.
-
-    Raises ProofError.
-    """
-    found = [
-        one
-        for P in _search_storages(problem, L, gamma)
-        for share in DECAYS
-        if (one := _measure_storage(proof, P, share, noise, disturbance)) is not None
-    ]
-    if not found:
-        raise ProofError("proof: no V for the numbers of the C, their margin is too small for it")
-    bar = FAIR * min(one.any for one in found)
-    best = min((one for one in found if one.any <= bar), key=lambda one: one.known)
-    return cast(dict[str, Any], _to_exact(best.content))
-
-
-def _search_storages(problem: Problem, L: Floats, gamma: Floats) -> Iterator[Floats]:
-    """Iterate over P of V with W = 1: the certificate's, and those of least C P^-1 C'.
-
-    Raises ProofError if the gains have no certificate.
-    """
-    Ts = problem.model.Ts
+def _search_storages(found: Certificate) -> Iterator[Floats]:
+    """Iterate over P of V with W = 1: the certificate's, and those of least C P^-1 C'."""
+    Ts = found.dynamics.Ts
     assert Ts is not None
-    found = certify(problem.model.linear, L[:, None], gamma, Ts)
-    if not found.certified:
-        raise ProofError(f"proof: {found.reason}")
     yield found.P / found.W / Ts
-    errors = found.dynamics
-    scaling = balance_dynamics(errors)
-    scaled = scaling.scale_dynamics(errors)
-    n = len(L)
-    M = problem.model.linear.A
-    P = found.P
-    fastest = eigh(P - M.T @ P @ M, P, eigvals_only=True)[0] / (2 * Ts) * scaling.time
+    scaling = balance_dynamics(found.dynamics)
+    errors = scaling.scale_dynamics(found.dynamics)
+    fastest = -largest_growth_rate(errors.A[0], errors.Ts)
     for decay, slack in FALLS:
-        family = partial(
-            scaled.extend_inequality,
-            E=np.zeros((n, 0)),
-            terms=[(1, 1, np.array([[2 * slack * found.margin]]))],
-            decay=decay * fastest,
+        terms = [(1, 1, np.array([[2 * slack * found.margin]]))]
+        inequality = errors.extend_inequality(
+            np.ones(1), np.zeros((len(errors.L), 0)), terms, decay * fastest
         )
         solution = optimise_storage(
-            lambda q, family=family: family(np.ones(1)),
-            np.array([-1.0]),
+            lambda q, inequality=inequality: inequality,
+            -np.ones(1),
             np.zeros(1),
-            lambda P, q: [P - q[0] * scaled.C.T @ scaled.C],
+            lambda P, q: [P - q[0] * errors.C.T @ errors.C],
         )
         if solution is not None:
             unit = scaling.unscale_weights(np.ones(1))[0] * Ts
             yield symmetric_part(scaling.unscale_storage(solution.P) / unit)
 
 
-def _measure_storage(
-    proof: dict[str, Any], P: Floats, share: float, noise: Fraction, disturbance: list[Fraction]
-) -> _Storage | None:
-    """Return a candidate of V with a share of its fastest decay, or None if V does not fall."""
-    gains = {key: np.array(value, float) for key, value in proof["gains"].items()}
-    M, l, c, g, reading = (gains[key] for key in ("M", "l", "c", "g", "reading"))
-    n = len(P)
-    whole = np.block([[P, np.zeros((n, 1))], [np.zeros((1, n)), 1 / g]])
-    loop = np.block([[M - np.outer(l, c), l[:, None]], [g * c, 1 - g]])
-    try:
-        decay = share * min(
-            eigh(P - M.T @ P @ M, P, eigvals_only=True)[0],
-            eigh(whole - loop.T @ whole @ loop, whole, eigvals_only=True)[0],
-        )
-    except np.linalg.LinAlgError:
-        return None
-    push = reading * np.append(l, -g)
-    cross = loop.T @ whole @ push
-    fall = (1 - decay) * whole - loop.T @ whole @ loop
-    loud = push @ whole @ push + cross @ np.linalg.solve(fall, cross)
-    own = M.T @ P @ l - c
-    margin = (2 - g - l @ P @ l - own @ np.linalg.solve(P - M.T @ P @ M, own)) / 2
-    if not min(decay, margin) > 0:
-        return None
-    B = np.array(proof["plant"]["B"], float)
-    x = np.array(proof["bounds"]["x"], float)
-    pushes = np.sqrt(np.einsum("ij,ik,kj->j", B, P, B)) * np.array(disturbance, float)
-    step = float(proof["plant"]["Ts"]) * pushes.sum()
-    step += 2.0 ** -(24 if proof["source"]["format"] == "float" else 53) * np.sqrt(x @ abs(P) @ x)
-    K = _absorbing(decay, loud, step, float(noise))
-    seen = np.sqrt(c @ np.linalg.solve(P, c))
-    wide = 2 * float(proof["sensor"]["width_max"]) ** 2 / g
-    numbers = {"margin": margin / ROOM, "decay": decay, "noise": loud * ROOM}
-    storage = {"P": P, "W": 1.0} | {key: float(value) for key, value in numbers.items()}
-    return _Storage(storage, seen * np.sqrt(K**2 + wide), seen * K * (1 + seen**2 / g))
+def _choose_storage(
+    found: Certificate, proof: dict[str, Any], right: Any, silent: Any
+) -> dict[str, Any]:
+    """Return V with a small set of known widths, whose set of any widths is among the smallest.
+
+    Args:
+        found: the certificate of the gains.
+        proof: its sets and gains.
+        right, silent: `compare_step` on the right side and in silence.
+
+    Raises:
+        Refused: V falls for no candidate, by the numbers of the C.
+    """
+    E, M = (np.array(step[0], float)[:, :-1] for step in (right, silent))
+    b, box = np.array(right[0], float)[:, -1], np.array(right[1], float)
+    one = proof["sets"][0]
+    c, g = E[-1, :-1] / float(proof["gains"]["gamma"]), float(proof["gains"]["gamma"])
+    trials = []
+    for P in _search_storages(found):
+        whole = block_diag(P, 1 / g)
+        falls = [(P - M.T @ P @ M, P), (whole - E.T @ whole @ E, whole)]
+        fastest = min(eigh(*pair, eigvals_only=True)[0] for pair in falls)
+        if not fastest > 0:
+            continue
+        h = np.sqrt(c @ np.linalg.solve(P, c))
+        push = np.sqrt(box @ np.abs(whole) @ box)
+        for decay in fastest * np.array(DECAYS):
+            cross = E.T @ whole @ b
+            loud = b @ whole @ b + cross @ np.linalg.solve(falls[1][0] - decay * whole, cross)
+            K = _absorbing(decay, loud, push, float(one["noise"]))
+            wide = h * np.hypot(K, np.sqrt(2 / g) * float(one["width"]))
+            storage = {"P": P, "R": 1 / g, "decay": decay, "noise": loud * ROOM}
+            trials.append((wide, h * K * (1 + h**2 / g), storage))
+    require(trials, "V falls, by the numbers of the C")
+    fair = FAIR * min(wide for wide, *_ in trials)
+    _, _, storage = min((one for one in trials if one[0] <= fair), key=lambda one: one[1])
+    return dict(_to_exact(storage))
 
 
 def _absorbing(decay: float, loud: float, push: float, noise: float) -> float:
@@ -348,52 +249,38 @@ def _absorbing(decay: float, loud: float, push: float, noise: float) -> float:
     return float((push + np.sqrt(rest)) / decay)
 
 
-def _propose_set(
-    proof: dict[str, Any],
-    code: ProvedCode,
-    gaps: Gaps,
-    name: str,
-    wide: bool,
-    noise: Fraction,
-    disturbance: list[Fraction],
-) -> dict[str, Any]:
-    """Return a set of errors that no step leaves.
+def _fit_set(proof: dict[str, Any], code: Code, one: dict[str, Any]) -> None:
+    """Set the numbers of a set of errors that no step leaves: of any widths, or the least one.
 
     Args:
         proof: its plant, gains and V.
         code: the C.
-        gaps: between both.
-        name: of the set.
-        wide: whether it has any widths, or those that follow from the states.
-        noise: bound of a reading's error.
-        disturbance: bounds of the disturbances at the inputs.
+        one: the set's name and the bounds of what comes from outside.
     """
-    storage, g = proof["storage"], float(proof["gains"]["g"])
-    decay, loud = float(storage["decay"]), float(storage["noise"])
-    widest = proof["sensor"]["width_max"]
-    h = np.sqrt(float(dual(storage["P"], proof["gains"]["c"])) / g)
-    one = {"name": name, "noise": noise, "disturbance": disturbance, "width": widest}
-    one["V"] = 2 * widest**2 / proof["gains"]["g"] if wide else Fraction(0)
-    for _ in range(PASSES):
-        measured = measure_steps(proof, code, gaps, one)
-        K = ROOM * max(
-            _absorbing(decay, loud, float(push), float(noise) * abs(side))
-            for side, push, _ in measured
-        )
-        V = K**2 + 2 * float(widest) ** 2 / g
-        if not wide:
-            wrong = max(float(wrong) for *_, wrong in measured)
-            d = (wrong / g + float(proof["gains"]["reading"] * noise)) / np.sqrt(g)
-            own = ROOM * max(np.roots([1 - g * h**2, -2 * g * h * d, -g * d**2 - K**2]))
-            rest = ROOM * np.hypot(h * own + d, K)
-            w = ROOM * (h * rest + d)
-            V = rest**2 + w**2
-            one |= {"K1": Fraction(own), "width": Fraction(w * np.sqrt(g))}
-        one |= {"K": Fraction(K), "V": Fraction(V * ROOM)}
+    storage, any_widths = proof["storage"], one is proof["sets"][0]
+    P, R, decay, loud = (np.array(each, float) for each in storage.values())
+    noise, g = float(one["noise"]), float(proof["gains"]["gamma"])
     (C,) = proof["plant"]["C"]
-    return one | {
-        "radius": Fraction(_round_up(np.sqrt(float(one["V"] * dual(storage["P"], C))), 4))
-    }
+    room = 2 * R * float(code.widest) ** 2
+    one["V"] = Fraction(float(room * any_widths))
+    for _ in range(PASSES):
+        K = wrong = 0.0
+        for side, ends in list_sides(proof, code, one):
+            E, box = compare_step(proof, code, one, side, ends)
+            whole = np.abs(block_diag(P, R) if side else P)
+            size = np.array(box, float)
+            K = max(K, _absorbing(decay, loud, np.sqrt(size @ whole @ size), noise) * ROOM)
+            if side:
+                wrong = max(wrong, np.sqrt(R) * (size[-1] + abs(float(E[-1][-1])) * noise) / g)
+                c = np.array(E[-1][:-2], float) / g
+        h = np.sqrt(R * (c @ np.linalg.solve(P, c)))
+        own = ROOM * np.roots([1 - g * h**2, -2 * g * h * wrong, -g * wrong**2 - K**2]).max()
+        rest = ROOM * np.hypot(h * own + wrong, K)
+        w = (ROOM * (h * rest + wrong)) ** 2
+        least = {"K1": own, "width": np.sqrt(w / R), "V": (rest**2 + w) * ROOM}
+        numbers = {"V": (K**2 + room) * ROOM} if any_widths else least
+        one |= _to_exact(numbers | {"K": K})
+    one["radius"] = _round_up(ROOM * np.sqrt(float(one["V"] * dual(storage["P"], C))), 4)
 
 
 def _round_up(number: float, digits: int) -> Fraction:
@@ -408,17 +295,18 @@ def _to_exact(value: Any) -> Any:
         return {key: _to_exact(each) for key, each in value.items()}
     if isinstance(value, list | np.ndarray):
         return [_to_exact(each) for each in value]
-    return Fraction(value) if isinstance(value, float) else value
+    return Fraction(float(value)) if isinstance(value, float | np.floating) else value
 
 
-def _finish(proof: dict[str, Any]) -> dict[str, Any]:
+def _finish(content: dict[str, Any]) -> dict[str, Any]:
     """Return a proof with its statement, checked. Raises ProofError."""
+    proof = _to_exact(content)
     proof["statement"] = state(proof)
     try:
         verify(proof)
     except Refused as step:
-        raise ProofError(f"proof: {step} (fails for the numbers that were found)") from None
-    return proof
+        raise ProofError(f"proof: {step}, not by the numbers that were found") from None
+    return dict(proof)
 
 
 def proof_text(proof: dict[str, Any]) -> str:
