@@ -11,6 +11,7 @@ import json
 import os
 from collections.abc import Iterator
 from fractions import Fraction
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -19,6 +20,7 @@ from scipy.linalg import block_diag, eigh
 from undeadzone.analysis.certificate.passivity import Certificate, certify
 from undeadzone.analysis.dissipation import optimise_storage
 from undeadzone.analysis.error_dynamics import balance_dynamics, largest_growth_rate
+from undeadzone.compile.simplify import round_to_type
 from undeadzone.errors import InputError, ProofError
 from undeadzone.linalg.matrices import symmetric_part
 from undeadzone.observers.certified import Certified
@@ -40,7 +42,7 @@ ROOM: Final = 1 + 1e-6  # by which proposed numbers exceed those that are needed
 DECAYS: Final = (0.2, 0.4, 0.6, 0.8, 0.95)  # shares of the fastest decay of V, that are tried
 FALLS: Final = ((0.05, 0.3), (0.2, 0.3), (0.5, 0.3))  # shares of decay and margin, of candidates
 FAIR: Final = 1.25  # of the smallest set of any widths, that the chosen one may have
-PASSES: Final = 3  # of a set's rounding, which grows with the set
+PASSES: Final = 8  # of a set's rounding, which grows with the set, at most
 SIGMAS: Final = 4.0  # of a random disturbance, that its bound spans
 RANGE: Final = 2.0  # of states and inputs, in multiples of the largest along the run
 NEEDS: Final = {
@@ -128,7 +130,9 @@ def propose_sampled(problem: Problem, text: Source, single: bool) -> dict[str, A
     """
     found = _certify(problem)
     sensor, n = problem.sensor, problem.plant.n
-    threshold, widest = sensor.threshold[0], np.ravel(problem.scenario.observer.width_max)[0]
+    rounded = partial(round_to_type, real="float32" if single else "float64")
+    threshold = rounded(sensor.threshold[0])
+    widest = rounded(np.ravel(problem.scenario.observer.width_max)[0])
     bounds, disturbance = _ranges_of_run(problem)
     own = {"name": text.prefix, "format": "float" if single else "double"}
     content = {
@@ -143,8 +147,9 @@ def propose_sampled(problem: Problem, text: Source, single: bool) -> dict[str, A
         code = Code([text.code, text.header], *own.values(), proof["sensor"]["width_max"])
         proof |= {"constants": code.constants, "operations": code.bodies["step"]}
         noise = threshold * bool(sensor.noise[0] or sensor.quantum[0])
-        quiet = np.zeros(len(disturbance))
-        outside = [(noise, disturbance), (noise, disturbance), (0.0, quiet)]
+        largest = np.abs(problem.plant.linear.C[0]) @ np.array(bounds["x"], float)
+        least = min(threshold, ROOM * sensor.slope[0] * largest / 2**code.bits)
+        outside = [(noise, disturbance), (noise, disturbance), (least, 0 * disturbance)]
         names = ("any widths", "known widths", "rounding alone")
         sets = [
             {"name": name, "noise": noise, "disturbance": push, "width": widest, "V": 0.0}
@@ -159,8 +164,7 @@ def propose_sampled(problem: Problem, text: Source, single: bool) -> dict[str, A
         )
         proof["gains"] = {"L": [row[-2] for row in right[0][:-1]], "gamma": 1 - right[0][-1][-2]}
         proof["storage"] = _choose_storage(found, proof, right, silent)
-        for one in proof["sets"]:
-            _fit_set(proof, code, one)
+        proof["sets"] = [one for one in proof["sets"] if _fit_set(proof, code, one)]
     except Refused as step:
         raise ProofError(f"proof: {step}") from None
     return _finish(proof)
@@ -225,7 +229,7 @@ def _choose_storage(
     for P in _search_storages(found):
         whole = block_diag(P, 1 / g)
         falls = [(P - M.T @ P @ M, P), (whole - E.T @ whole @ E, whole)]
-        fastest = min(eigh(*pair, eigvals_only=True)[0] for pair in falls)
+        fastest = min(map(_least_ratio, *zip(*falls, strict=True)))
         if not fastest > 0:
             continue
         h = np.sqrt(c @ np.linalg.solve(P, c))
@@ -243,14 +247,24 @@ def _choose_storage(
     return dict(_to_exact(storage))
 
 
+def _least_ratio(X: Floats, Y: Floats) -> float:
+    """Return the largest t with X >= t Y, or NaN if Y is not positive definite."""
+    try:
+        return float(eigh(X, Y, eigvals_only=True)[0])
+    except np.linalg.LinAlgError:
+        return np.nan
+
+
 def _absorbing(decay: float, loud: float, push: float, noise: float) -> float:
     """Return the least K with sqrt((1 - decay) K^2 + loud noise^2) + push <= K."""
     rest = push**2 * (1 - decay) + decay * loud * noise**2
     return float((push + np.sqrt(rest)) / decay)
 
 
-def _fit_set(proof: dict[str, Any], code: Code, one: dict[str, Any]) -> None:
-    """Set the numbers of a set of errors that no step leaves: of any widths, or the least one.
+def _fit_set(proof: dict[str, Any], code: Code, one: dict[str, Any]) -> bool:
+    """Set the numbers of a set that no step leaves: of any widths, or the least one.
+
+    Returns whether it exists, and has no widths that the C cannot have.
 
     Args:
         proof: its plant, gains and V.
@@ -260,10 +274,11 @@ def _fit_set(proof: dict[str, Any], code: Code, one: dict[str, Any]) -> None:
     storage, any_widths = proof["storage"], one is proof["sets"][0]
     P, R, decay, loud = (np.array(each, float) for each in storage.values())
     noise, g = float(one["noise"]), float(proof["gains"]["gamma"])
-    (C,) = proof["plant"]["C"]
+    reach = ROOM * float(dual(storage["P"], proof["plant"]["C"][0]))  # of |z - z^|^2 / V
     room = 2 * R * float(code.widest) ** 2
-    one["V"] = Fraction(float(room * any_widths))
+    guess = float(room * any_widths) * 1.01
     for _ in range(PASSES):
+        one["V"] = Fraction(guess)
         K = wrong = 0.0
         for side, ends in list_sides(proof, code, one):
             E, box = compare_step(proof, code, one, side, ends)
@@ -276,11 +291,15 @@ def _fit_set(proof: dict[str, Any], code: Code, one: dict[str, Any]) -> None:
         h = np.sqrt(R * (c @ np.linalg.solve(P, c)))
         own = ROOM * np.roots([1 - g * h**2, -2 * g * h * wrong, -g * wrong**2 - K**2]).max()
         rest = ROOM * np.hypot(h * own + wrong, K)
-        w = (ROOM * (h * rest + wrong)) ** 2
-        least = {"K1": own, "width": np.sqrt(w / R), "V": (rest**2 + w) * ROOM}
-        numbers = {"V": (K**2 + room) * ROOM} if any_widths else least
-        one |= _to_exact(numbers | {"K": K})
-    one["radius"] = _round_up(ROOM * np.sqrt(float(one["V"] * dual(storage["P"], C))), 4)
+        width = _round_up(ROOM * (h * rest + wrong) / np.sqrt(R), 4)
+        V = K**2 + room if any_widths else rest**2 + R * float(width) ** 2
+        if guess >= V * ROOM and (any_widths or width < code.widest):
+            least = {} if any_widths else {"K1": own, "width": width}
+            one |= _to_exact(least | {"K": K, "V": V * ROOM})
+            one["radius"] = _round_up(ROOM * np.sqrt(V * reach), 4)
+            return True
+        guess = 1.01 * V
+    return False
 
 
 def _round_up(number: float, digits: int) -> Fraction:

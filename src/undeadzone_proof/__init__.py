@@ -89,8 +89,10 @@ def compare_step(
     code.ranges |= {key.replace("in->u", "state->held"): [nan, nan] for key in u}
     names = [*x, *[WIDTHS.get(side, "")] * has]
     rows, box = run_step(code, names, [*names, "in->y[0]", *u])
-    Phi, Psi, lost = hold(A, B, Ts)
-    _, most, more = hold(*([[abs(x) for x in row] for row in Y] for Y in (A, B)), Ts)
+    if not code.held:  # once for all sets and sides
+        sizes = ([[abs(x) for x in row] for row in Y] for Y in (A, B))
+        code.held += [*hold(A, B, Ts), *hold(*sizes, Ts)]
+    Phi, Psi, lost, _, most, more = code.held
     true = [[*row, *[ZERO] * has, *given] for row, given in zip(Phi, Psi, strict=True)]
     true += [[Fraction(key == WIDTHS.get(side)) for key in names + u]] * has
     seen = [proof["sensor"]["slope"] * y for y in [*C, *[Fraction(-side)] * has]]
@@ -179,28 +181,36 @@ def check_continuous(proof: Any) -> None:
     require_positive(fall, "inequality: V falls")
 
 
+def show(value: Any) -> str:
+    """Return a part of the file in decimals, a fraction where these are not exact."""
+    if isinstance(value, dict):
+        return ", ".join(f"{key} = {show(each)}" for key, each in value.items())
+    if isinstance(value, list):
+        return f"[{', '.join(map(show, value))}]"
+    short = repr(float(value))
+    return short if value in (float(value), Fraction(short)) else str(value)
+
+
 def state(proof: Any) -> str:
     """Return what is proved, in words."""
-
-    def show(*numbers: Fraction) -> str:
-        """Return numbers in decimals."""
-        return ", ".join(f"{float(x):.4g}" for x in numbers)
-
+    plant = f"x' = A x + B u, z = C x with {show(proof['plant'])}"
     if "source" not in proof:
+        storage = proof["storage"]
         return (
-            "V = x~'P x~ + W |d~|^2 / gamma falls for every sequence of sides and every gamma > 0: "
-            f"by more than {show(2 * proof['storage']['margin'] * proof['storage']['W'])} e^2"
+            f"{plant}: for every sequence of sides and every gamma > 0 the observer with "
+            f"{show(proof['gains'])} has a V that falls faster than {show(storage['margin'])} "
+            f"times 2 W e^2, W = {show(storage['W'])}."
         )
     source, bounds = proof["source"], proof["bounds"]
     sets = [
-        f"{one['name']}, |z - z^| <= {show(one['radius'])} (|d - d^| <= {show(one['width'])}, "
-        f"readings wrong by {show(one['noise'])}, disturbance {show(*one['disturbance'])})"
+        f"{one['name']}: |z - z^| <= {show(one['radius'])}, |d - d^| <= {show(one['width'])} "
+        f"(readings wrong by {show(one['noise'])}, disturbances of {show(one['disturbance'])})"
         for one in proof["sets"]
     ]
     return (
-        f"{source['name']}.c in {source['format']}: while |x| <= {show(*bounds['x'])} and |u| <= "
-        f"{show(*bounds['u'])}, no sequence of sides, missing readings and roundings moves the "
-        f"error out of a set: {'; '.join(sets)}"
+        f"{source['name']}.c in {source['format']} beside {plant}, {show(proof['sensor'])}: while "
+        f"|x| <= {show(bounds['x'])} and |u| <= {show(bounds['u'])}, no sequence of sides, missing "
+        f"readings and roundings moves the error out of a set. {'; '.join(sets)}."
     )
 
 

@@ -76,7 +76,7 @@ class Code:
         Raises Refused unless they have an observer in a format, and nothing else.
         """
         self.bits, self.least, self.suffix = FORMATS[kind]
-        self.ranges, self.widest = {"": [ONE, ONE]}, widest
+        self.ranges, self.widest, self.held = {"": [ONE, ONE]}, widest, list[Any]()
         text, header = (re.sub(r"/\*.*?\*/", "", each, flags=re.DOTALL) for each in texts)
         macros = re.findall(r"#\s*define\s+(\w+)", header)
         require(all(each.startswith(name.upper()) for each in macros), "source: no foreign macros")
@@ -92,6 +92,7 @@ class Code:
         words = TOKEN.findall(" ".join(map(" ".join, self.bodies.values())))
         self.numbers = {word: self.make_number(word) for word, *_ in words if word}
         self.constants = [self.numbers[word].low for word, *_ in words if word]
+        self.steps = {key: list(map(self.translate, body)) for key, body in self.bodies.items()}
 
     def make_number(self, text: str) -> Form:
         """Return the number nearest to a literal, as a compiler takes it."""
@@ -129,22 +130,23 @@ class Code:
         low, high = (nearer(each, end.low) for each in (moved.low, moved.high))
         return Clipped(self, moved.terms, moved.error, low, high)
 
+    def translate(self, line: str) -> tuple[str, Any]:
+        """Return what a statement assigns and the code of its value, or the function it calls."""
+        call = re.fullmatch(r"\w+_(estimate|advance)\(state, in(, out)?\)", line)
+        made = re.fullmatch(r"(?:const (?:bool|float|double) )?(\w+(?:->\w+\[\d+\])?) = (.*)", line)
+        if call or line == "(void)in":
+            return call[1] if call else "", None
+        require(made and not re.search("<[^()]*<", line), f"source: {line} is understood")
+        words = TOKEN.findall(made[2])
+        parts = [PYTHON[sign] if sign else f"m[{number or word!r}]" for number, word, sign in words]
+        return made[1], compile(f"pick({''.join(parts)})", line, "eval")
+
     def run(self, name: str, memory: dict[str, Any]) -> None:
         """Run a function on forms by their names in the C, in which its results go."""
-        for line in self.bodies[name]:
-            call = re.fullmatch(r"\w+_(estimate|advance)\(state, in(, out)?\)", line)
-            made = re.fullmatch(
-                r"(?:const (?:bool|float|double) )?(\w+(?:->\w+\[\d+\])?) = (.*)", line
-            )
-            require(call or made or line == "(void)in", f"source: {line} is understood")
-            if call:
-                self.run(call[1], memory)
-            elif made:
-                words = TOKEN.findall(made[2])
-                require(not re.search("<[^()]*<", made[2]), "source: comparisons stand alone")
-                parts = [
-                    PYTHON[sign] if sign else f"m[{number or word!r}]"
-                    for number, word, sign in words
-                ]
-                names = {"__builtins__": {}, "m": memory | self.numbers, "pick": self.pick}
-                memory[made[1]] = eval(f"pick({''.join(parts)})", names)
+        memory |= self.numbers
+        for target, value in self.steps[name]:
+            if value is not None:
+                words = {"__builtins__": {}, "m": memory, "pick": self.pick}
+                memory[target] = eval(value, words)
+            elif target:
+                self.run(target, memory)
