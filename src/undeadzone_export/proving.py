@@ -33,8 +33,15 @@ from undeadzone.util.files import write_text
 from undeadzone_export.code import build_code
 from undeadzone_export.exported_step import build_step
 from undeadzone_export.source import Labels, Source, build_source
-from undeadzone_proof import compare_step, list_sides, state, verify
-from undeadzone_proof.exact import Refused, dual, require
+from undeadzone_proof import (
+    compare_step,
+    list_sides,
+    reach_states,
+    state,
+    verify,
+    weigh_disturbance,
+)
+from undeadzone_proof.exact import ZERO, Refused, dual, hold, require
 from undeadzone_proof.source import Code
 
 FILE: Final = "proof.json"
@@ -152,19 +159,18 @@ def propose_sampled(problem: Problem, text: Source, single: bool) -> dict[str, A
         outside = [(noise, disturbance), (noise, disturbance), (least, 0 * disturbance)]
         names = ("any widths", "known widths", "rounding alone")
         sets = [
-            {"name": name, "noise": noise, "disturbance": push, "width": widest, "V": 0.0}
+            {"name": name, "noise": noise, "disturbance": push, "width": widest}
             for name, (noise, push) in zip(names, outside, strict=True)
         ]
         proof["sets"] = _to_exact(sets)
-        right, silent = (
-            compare_step(
-                proof, code, proof["sets"][0], *list_sides(proof, code, proof["sets"][0])[k]
-            )
-            for k in (0, 2)
+        held = hold(*(proof["plant"][key] for key in ("A", "B", "Ts")))
+        right, silent, *_ = (
+            compare_step(proof, code, held, [ZERO] * n, *side)
+            for side in list_sides(proof, code, proof["sets"][0]["noise"])[:2]
         )
         proof["gains"] = {"L": [row[-2] for row in right[0][:-1]], "gamma": 1 - right[0][-1][-2]}
-        proof["storage"] = _choose_storage(found, proof, right, silent)
-        proof["sets"] = [one for one in proof["sets"] if _fit_set(proof, code, one)]
+        proof["storage"] = _choose_storage(found, proof, held, right, silent)
+        proof["sets"] = [one for one in proof["sets"] if _fit_set(proof, code, held, one)]
     except Refused as step:
         raise ProofError(f"proof: {step}") from None
     return _finish(proof)
@@ -209,13 +215,14 @@ def _search_storages(found: Certificate) -> Iterator[Floats]:
 
 
 def _choose_storage(
-    found: Certificate, proof: dict[str, Any], right: Any, silent: Any
+    found: Certificate, proof: dict[str, Any], held: Any, right: Any, silent: Any
 ) -> dict[str, Any]:
     """Return V with a small set of known widths, whose set of any widths is among the smallest.
 
     Args:
         found: the certificate of the gains.
         proof: its sets and gains.
+        held: `hold` of the plant.
         right, silent: `compare_step` on the right side and in silence.
 
     Raises:
@@ -224,6 +231,7 @@ def _choose_storage(
     E, M = (np.array(step[0], float)[:, :-1] for step in (right, silent))
     b, box = np.array(right[0], float)[:, -1], np.array(right[1], float)
     one = proof["sets"][0]
+    pushes = np.array(held[1], float) @ np.array(one["disturbance"], float)  # of each term
     c, g = E[-1, :-1] / float(proof["gains"]["gamma"]), float(proof["gains"]["gamma"])
     trials = []
     for P in _search_storages(found):
@@ -234,6 +242,7 @@ def _choose_storage(
             continue
         h = np.sqrt(c @ np.linalg.solve(P, c))
         push = np.sqrt(box @ np.abs(whole) @ box)
+        push += np.sqrt(np.einsum("ki,ij,kj->k", pushes, P, pushes)).sum()
         for decay in fastest * np.array(DECAYS):
             cross = E.T @ whole @ b
             loud = b @ whole @ b + cross @ np.linalg.solve(falls[1][0] - decay * whole, cross)
@@ -261,7 +270,7 @@ def _absorbing(decay: float, loud: float, push: float, noise: float) -> float:
     return float((push + np.sqrt(rest)) / decay)
 
 
-def _fit_set(proof: dict[str, Any], code: Code, one: dict[str, Any]) -> bool:
+def _fit_set(proof: dict[str, Any], code: Code, held: Any, one: dict[str, Any]) -> bool:
     """Set the numbers of a set that no step leaves: of any widths, or the least one.
 
     Returns whether it exists, and has no widths that the C cannot have.
@@ -269,22 +278,25 @@ def _fit_set(proof: dict[str, Any], code: Code, one: dict[str, Any]) -> bool:
     Args:
         proof: its plant, gains and V.
         code: the C.
+        held: `hold` of the plant.
         one: the set's name and the bounds of what comes from outside.
     """
     storage, any_widths = proof["storage"], one is proof["sets"][0]
     P, R, decay, loud = (np.array(each, float) for each in storage.values())
     noise, g = float(one["noise"]), float(proof["gains"]["gamma"])
-    reach = ROOM * float(dual(storage["P"], proof["plant"]["C"][0]))  # of |z - z^|^2 / V
+    seen = ROOM * float(dual(storage["P"], proof["plant"]["C"][0]))  # |z - z^|^2 / V, at most
+    push = float(weigh_disturbance(storage["P"], held, one["disturbance"]))
     room = 2 * R * float(code.widest) ** 2
     guess = float(room * any_widths) * 1.01
     for _ in range(PASSES):
-        one["V"] = Fraction(guess)
+        reach = reach_states(storage["P"], Fraction(guess))
         K = wrong = 0.0
-        for side, ends in list_sides(proof, code, one):
-            E, box = compare_step(proof, code, one, side, ends)
+        for side, ends in list_sides(proof, code, one["noise"])[:2]:  # the left mirrors the right
+            E, box = compare_step(proof, code, held, reach, side, ends)
             whole = np.abs(block_diag(P, R) if side else P)
             size = np.array(box, float)
-            K = max(K, _absorbing(decay, loud, np.sqrt(size @ whole @ size), noise) * ROOM)
+            step = push + np.sqrt(size @ whole @ size)
+            K = max(K, _absorbing(decay, loud, step, noise) * ROOM)
             if side:
                 wrong = max(wrong, np.sqrt(R) * (size[-1] + abs(float(E[-1][-1])) * noise) / g)
                 c = np.array(E[-1][:-2], float) / g
@@ -296,7 +308,7 @@ def _fit_set(proof: dict[str, Any], code: Code, one: dict[str, Any]) -> bool:
         if guess >= V * ROOM and (any_widths or width < code.widest):
             least = {} if any_widths else {"K1": own, "width": width}
             one |= _to_exact(least | {"K": K, "V": V * ROOM})
-            one["radius"] = _round_up(ROOM * np.sqrt(V * reach), 4)
+            one["radius"] = _round_up(ROOM * np.sqrt(V * seen), 4)
             return True
         guess = 1.01 * V
     return False

@@ -10,6 +10,7 @@ import json
 import re
 import sys
 from fractions import Fraction
+from functools import reduce
 from math import nan
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,7 @@ from undeadzone_proof.exact import (
     dual,
     hold,
     mix,
+    norm,
     require,
     require_positive,
     root,
@@ -39,7 +41,9 @@ def weigh(row: list[Fraction], sizes: list[Fraction]) -> Fraction:
     return sum(map(Fraction.__mul__, map(abs, row), sizes), ZERO)
 
 
-def run_step(code: Code, names: list[str], inputs: list[str]) -> tuple[Matrix, list[Fraction]]:
+def run_step(
+    code: Code, ranges: dict[str, list[Any]], names: list[str], inputs: list[str]
+) -> tuple[Matrix, list[Fraction]]:
     """Return the factors of some results of a step in its inputs, and bounds of their rounding.
 
     As a whole and in halves a step has the same factors. Widths stay in their range, and one that
@@ -47,9 +51,7 @@ def run_step(code: Code, names: list[str], inputs: list[str]) -> tuple[Matrix, l
     """
     largest, rows = [ZERO] * len(names), list[Matrix]()
     for functions in (["step"], ["estimate", "advance"]):
-        memory: Any = {
-            key: Form(code, {key: ONE}, ZERO, *ends) for key, ends in code.ranges.items()
-        }
+        memory: Any = {key: Form(code, {key: ONE}, ZERO, *ends) for key, ends in ranges.items()}
         before = dict(memory)
         for function in functions:
             code.run(function, memory)
@@ -67,50 +69,55 @@ def run_step(code: Code, names: list[str], inputs: list[str]) -> tuple[Matrix, l
 
 
 def compare_step(
-    proof: Any, code: Code, one: Any, side: int, ends: list[Any]
+    proof: Any, code: Code, held: Any, reach: list[Fraction], side: int, ends: list[Any]
 ) -> tuple[Matrix, list[Fraction]]:
     """Return what a step makes of the error and of a reading's error, and bounds of all else.
 
+    Disturbances are not in these bounds.
+
     Args:
-        proof: plant, sensor, bounds and storage.
+        proof: plant, sensor and bounds.
         code: the C.
-        one: the set in which the error is.
+        held: `hold` of the plant.
+        reach: how far each estimate may be from its state.
         side: 1 right, -1 left, 0 neither. A row for each state, and for the width of a side.
         ends: least and largest reading, NaN for a missing one.
     """
-    A, B, (C,), Ts = (proof["plant"][key] for key in ("A", "B", "C", "Ts"))
-    X, U, n, has = proof["bounds"]["x"], proof["bounds"]["u"], len(A), abs(side)
-    units = [[Fraction(i == k) for i in range(n)] for k in range(n)]
-    reach = [root(one["V"] * dual(proof["storage"]["P"], unit)) for unit in units]
-    x, u = [f"state->x[{k}]" for k in range(n)], [f"in->u[{k}]" for k in range(len(U))]
+    (C,), (Phi, parts, lost) = proof["plant"]["C"], held
+    X, U, has = proof["bounds"]["x"], proof["bounds"]["u"], abs(side)
+    x, u = [f"state->x[{k}]" for k in range(len(X))], [f"in->u[{k}]" for k in range(len(U))]
     sizes = zip(x + u, [*map(Fraction.__add__, X, reach), *U], strict=True)
-    code.ranges |= {key: [-size, size] for key, size in sizes} | {"in->y[0]": ends}
-    code.ranges |= {key: [ZERO, code.widest] for key in WIDTHS.values()}
-    code.ranges |= {key.replace("in->u", "state->held"): [nan, nan] for key in u}
+    ranges = {key: [-size, size] for key, size in sizes} | {"in->y[0]": ends}
+    ranges |= {key: [ZERO, code.widest] for key in WIDTHS.values()}
+    ranges |= {key.replace("in->u", "state->held"): [nan, nan] for key in u}
     names = [*x, *[WIDTHS.get(side, "")] * has]
-    rows, box = run_step(code, names, [*names, "in->y[0]", *u])
-    if not code.held:  # once for all sets and sides
-        sizes = ([[abs(x) for x in row] for row in Y] for Y in (A, B))
-        code.held += [*hold(A, B, Ts), *hold(*sizes, Ts)]
-    Phi, Psi, lost, _, most, more = code.held
+    rows, box = run_step(code, ranges, names, [*names, "in->y[0]", *u])
+    Psi = reduce(lambda total, part: mix(total, part, 1, 1), parts)
     true = [[*row, *[ZERO] * has, *given] for row, given in zip(Phi, Psi, strict=True)]
     true += [[Fraction(key == WIDTHS.get(side)) for key in names + u]] * has
     seen = [proof["sensor"]["slope"] * y for y in [*C, *[Fraction(-side)] * has]]
     E = []
     for k, row in enumerate(rows):
-        own, y, given = row[: n + has], row[n + has], row[n + has + 1 :]
+        own, y, given = row[: len(names)], row[len(names)], row[len(names) + 1 :]
         known = [a + y * b for a, b in zip(own, seen, strict=True)] + given
         box[k] += weigh(mix([true[k]], [known])[0], [*X, *[code.widest] * has, *U])
+        box[k] += lost * sum([*X, *U])
         E.append([*own, -y])
-    for k, row in enumerate(most):
-        box[k] += weigh(row, one["disturbance"])
-        box[k] += (lost + more) * sum([*X, *U, *one["disturbance"]])
     return E, box
 
 
-def check_step(proof: Any, code: Code, one: Any, side: int, ends: list[Any]) -> None:
-    """Check that a step on a side does not lead out of a set. Arguments as of `compare_step`."""
-    E, box = compare_step(proof, code, one, side, ends)
+def check_step(
+    proof: Any, code: Code, one: Any, side: int, E: Matrix, box: list[Fraction], push: Fraction
+) -> None:
+    """Check that a step on a side does not lead out of a set.
+
+    Args:
+        proof, code: as of `compare_step`.
+        one: the set.
+        side: of the step.
+        E, box: result of `compare_step`.
+        push: bound of what disturbances add, in the norm of V.
+    """
     own = {"L": [row[-2] for row in E[:-1]], "gamma": 1 - E[-1][-2]}
     require(side < 1 or own == proof["gains"], "gains: those of the C")
     P, R, decay, loud = (proof["storage"][key] for key in ("P", "R", "decay", "noise"))
@@ -119,7 +126,7 @@ def check_step(proof: Any, code: Code, one: Any, side: int, ends: list[Any]) -> 
     whole = border(P, zeros, R) if side else P
     room = border(mix(whole, whole, 1 - decay, 0), zeros + [ZERO] * abs(side), loud)
     require_positive(mix(room, times(turn(E), whole, E)), "decay: V falls, but for noise")
-    push = root(times([box], [[abs(x) for x in row] for row in whole], turn([box]))[0][0])
+    push += norm([[abs(x) for x in row] for row in whole], box)
     rest = (1 - decay) * K**2 + loud * noise**2
     require(push <= K and rest <= (K - push) ** 2, "set: K absorbs what a step adds")
     w = R * D**2
@@ -137,14 +144,29 @@ def check_step(proof: Any, code: Code, one: Any, side: int, ends: list[Any]) -> 
         require(g * h * root(w) <= (1 - g) * (V - w) / rest, "set: widths follow slowly")
 
 
-def list_sides(proof: Any, code: Code, one: Any) -> list[tuple[int, list[Any]]]:
+def list_sides(proof: Any, code: Code, noise: Fraction) -> list[tuple[int, list[Any]]]:
     """Return each side with its least and largest reading, and a missing reading."""
     sensor, (C,) = proof["sensor"], proof["plant"]["C"]
     threshold = sensor["threshold"]
     above = threshold + max(threshold / (1 << code.bits), Fraction(1, 1 << code.least))
-    top = max(above, sensor["slope"] * weigh(C, proof["bounds"]["x"]) + one["noise"])
-    sides = [(1, [above, top]), (-1, [-top, -above])]
-    return [*sides, (0, [-threshold, threshold]), (0, [nan, nan])]
+    top = max(above, sensor["slope"] * weigh(C, proof["bounds"]["x"]) + noise)
+    sides = [(1, [above, top]), (0, [-threshold, threshold]), (0, [nan, nan])]
+    return [*sides, (-1, [-top, -above])]
+
+
+def reach_states(P: Matrix, V: Fraction) -> list[Fraction]:
+    """Return how far each estimate may be from its state where x~'P x~ <= V."""
+    n = len(P)
+    units = [[Fraction(i == k) for i in range(n)] for k in range(n)]
+    return [root(V * dual(P, unit)) for unit in units]
+
+
+def weigh_disturbance(P: Matrix, held: Any, bounds: list[Fraction]) -> Fraction:
+    """Return a bound of what disturbances add in a sample, in the norm of P, however they vary."""
+    columns = [turn(part) for part in held[1]]
+    sizes = [sum(norm(P, part[j]) for part in columns) for j in range(len(bounds))]
+    rest = held[2] * norm([[abs(x) for x in row] for row in P], [ONE] * len(P))
+    return weigh([size + rest for size in sizes], bounds)
 
 
 def check_code(proof: Any, texts: list[str]) -> None:
@@ -157,16 +179,20 @@ def check_code(proof: Any, texts: list[str]) -> None:
     code.run("init", start)
     ends = [start[key].low for key in WIDTHS.values()]
     require(min(ends) >= 0 and max(ends) <= widest, "source: widths begin in their range")
-    require_positive(storage["P"], "storage: P > 0")
+    P, (C,) = storage["P"], proof["plant"]["C"]
+    require_positive(P, "storage: P > 0")
     require(storage["R"] > 0 and 0 < storage["decay"] < 1, "storage: signs")
+    held = hold(*(proof["plant"][key] for key in ("A", "B", "Ts")))
     for one in proof["sets"]:
         bounds = [one["noise"], *one["disturbance"], *proof["bounds"]["x"], *proof["bounds"]["u"]]
         require(min(bounds) >= 0 and min(one["V"], one["K"], one["width"]) > 0, "set: signs")
         require(one["noise"] <= proof["sensor"]["threshold"], "set: noise shows no side")
-        for side, between in list_sides(proof, code, one):
-            check_step(proof, code, one, side, between)
-        (C,) = proof["plant"]["C"]
-        inside = one["V"] * dual(storage["P"], C) <= one["radius"] ** 2 and one["radius"] > 0
+        push = weigh_disturbance(P, held, one["disturbance"])
+        reach = reach_states(P, one["V"])
+        for side, between in list_sides(proof, code, one["noise"]):
+            step = compare_step(proof, code, held, reach, side, between)
+            check_step(proof, code, one, side, *step, push)
+        inside = one["V"] * dual(P, C) <= one["radius"] ** 2 and one["radius"] > 0
         require(inside, "set: its radius contains V")
 
 

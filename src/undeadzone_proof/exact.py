@@ -70,22 +70,29 @@ def dual(P: Matrix, c: list[Fraction]) -> Fraction:
     return -pivots(border(P, c, ZERO))[-1]
 
 
-def hold(A: Matrix, B: Matrix, Ts: Fraction) -> tuple[Matrix, Matrix, Fraction]:
-    """Return e^(A Ts), the integral of e^(A s) B over a sample, and a bound of their errors.
+def norm(P: Matrix, x: list[Fraction]) -> Fraction:
+    """Return an upper bound of the root of x'P x, close to it."""
+    return root(times([x], P, turn([x]))[0][0])
 
-    Terms are cut at 2^-200. Behind the last one each is at most half of the one before.
+
+def hold(A: Matrix, B: Matrix, Ts: Fraction) -> tuple[Matrix, list[Matrix], Fraction]:
+    """Return e^(A Ts), terms of the integral of e^(A s) B over a sample, and a bound on errors.
+
+    The bound is that of an entry of e^(A Ts), and of the sum of entries of the terms with any
+    factors in [-1, 1]. Terms are cut at 2^-200. Behind the last one each is at most half of the one
+    before.
     """
     n, size, k = len(A), max(sum(map(abs, row)) for row in A) * Ts, 0
     require(size < 99, "hold: a sample is short enough for a series")
     term = [[Fraction(i == j) for j in range(n)] for i in range(n)]
-    total, part = mix(term, term), mix(term, term)
-    bound, cut, error = ONE, ZERO, ZERO  # largest rows: of the term, its cuts, the sum's cuts
+    total, parts = mix(term, term), list[Matrix]()
+    bound, cut, error = ONE, ZERO, ZERO  # largest rows: of the term, its cuts, all cuts before
     while bound > Fraction(1, 1 << 150) or 2 * size > k + 1:
-        total, part = mix(total, term, 1, 1), mix(part, term, 1, Ts / (k + 1))
-        k, error, bound = k + 1, error + cut, bound * size / (k + 1)
+        total, error = mix(total, term, 1, 1), error + cut
+        parts.append(times(mix(term, term, Ts / (k + 1), 0), B))
+        k, bound = k + 1, bound * size / (k + 1)
         cut = cut * size / k + Fraction(n, 1 << 200)
-        term = [
-            [Fraction(int(x * Ts / k * (1 << 200)), 1 << 200) for x in r] for r in times(term, A)
-        ]
+        rows = times(term, A)
+        term = [[Fraction(int(x * Ts / k * (1 << 200)), 1 << 200) for x in row] for row in rows]
     largest = max(abs(x) for row in B for x in row)
-    return total, times(part, B), (error + cut + 2 * bound) * max(ONE, n * Ts * largest)
+    return total, parts, (error + cut + 2 * bound) * max(ONE, n * Ts * largest)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
 
-from undeadzone_proof.exact import ONE, ZERO, require
+from undeadzone_proof.exact import ZERO, require
 
 TOKEN = re.compile(r"(\d[\d.]*(?:e[+-]?\d+)?f?)|([a-z]\w*(?:->\w+\[\d+\])?)|(&&|\|\||\S)")
 PYTHON = dict(zip(["(", "?", ":", "&&", "||", *")<+-*/"], ["pick(", *",,&|)<+-*/"], strict=True))
@@ -35,15 +35,13 @@ class Form(Clipped):
         names = self.terms | other.terms
         terms = {key: self.terms.get(key, ZERO) + other.terms.get(key, ZERO) for key in names}
         exact = self.low == self.high == 0 or other.low == other.high == 0
-        return self.code.make(
-            {k: x for k, x in terms.items() if x}, self.error + other.error, exact
-        )
+        ends = self.low + other.low, self.high + other.high
+        return self.code.make(terms, self.error + other.error, *ends, exact)
 
     def __neg__(self) -> Form:
         """Return the negative, exactly."""
-        return Form(
-            self.code, {k: -x for k, x in self.terms.items()}, self.error, -self.high, -self.low
-        )
+        terms = {key: -x for key, x in self.terms.items()}
+        return Form(self.code, terms, self.error, -self.high, -self.low)
 
     def __sub__(self, other: Form) -> Form:
         """Return the rounded difference."""
@@ -52,9 +50,11 @@ class Form(Clipped):
     def __mul__(self, other: Form) -> Form:
         """Return the rounded product with a constant."""
         factor, form = (self, other) if self.low == self.high else (other, self)
-        require(factor.low == factor.high, "source: one factor is a constant")
-        terms = {k: factor.low * x for k, x in form.terms.items() if factor.low}
-        return self.code.make(terms, abs(factor.low) * form.error, not factor.low)
+        x = factor.low
+        require(x == factor.high, "source: one factor is a constant")
+        terms = {key: x * each for key, each in form.terms.items()}
+        ends = sorted((x * form.low, x * form.high))
+        return self.code.make(terms, abs(x) * form.error, *ends, not x)
 
     def __truediv__(self, other: Form) -> Form:
         """Return the rounded quotient by a constant."""
@@ -76,7 +76,7 @@ class Code:
         Raises Refused unless they have an observer in a format, and nothing else.
         """
         self.bits, self.least, self.suffix = FORMATS[kind]
-        self.ranges, self.widest, self.held = {"": [ONE, ONE]}, widest, list[Any]()
+        self.widest = widest
         text, header = (re.sub(r"/\*.*?\*/", "", each, flags=re.DOTALL) for each in texts)
         macros = re.findall(r"#\s*define\s+(\w+)", header)
         require(all(each.startswith(name.upper()) for each in macros), "source: no foreign macros")
@@ -103,14 +103,20 @@ class Code:
         x = round(x / unit) * unit
         return Form(self, {"": x} if x else {}, ZERO, x, x)
 
-    def make(self, terms: dict[str, Fraction], error: Fraction, exact: bool = False) -> Form:
-        """Return the form of a result, and of its rounding unless it is exact."""
-        ends = [sorted(x * end for end in self.ranges[name]) for name, x in terms.items()]
-        low, high = (sum(side) for side in zip((-error, error), *ends, strict=True))
+    def make(
+        self,
+        terms: dict[str, Fraction],
+        error: Fraction,
+        low: Fraction,
+        high: Fraction,
+        exact: bool,
+    ) -> Form:
+        """Return the form of a result from `low` to `high`, rounded unless it is exact."""
         size = max(-low, high)
         require(size < 1 << 120, "rounding: no overflow, and no missing reading is used")
         wrong = ZERO if exact else size / (1 << self.bits) + Fraction(1, 1 << self.least)
-        return Form(self, terms, error + wrong, low - wrong, high + wrong)
+        kept = {key: x for key, x in terms.items() if x}
+        return Form(self, kept, error + wrong, low - wrong, high + wrong)
 
     def pick(self, truth: Any, *options: Clipped) -> Any:
         """Return an expression, or the option that a truth picks.
