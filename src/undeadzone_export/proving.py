@@ -35,11 +35,11 @@ from undeadzone_export.exported_step import build_step
 from undeadzone_export.source import Labels, Source, build_source
 from undeadzone_proof import (
     compare_step,
+    hear,
     list_sides,
     reach_states,
     state,
     verify,
-    weigh_disturbance,
 )
 from undeadzone_proof.exact import ZERO, Refused, dual, hold, require
 from undeadzone_proof.source import Code
@@ -47,9 +47,10 @@ from undeadzone_proof.source import Code
 FILE: Final = "proof.json"
 ROOM: Final = 1 + 1e-6  # by which proposed numbers exceed those that are needed
 DECAYS: Final = (0.2, 0.4, 0.6, 0.8, 0.95)  # shares of the fastest decay of V, that are tried
-FALLS: Final = ((0.05, 0.3), (0.2, 0.3), (0.5, 0.3))  # shares of decay and margin, of candidates
+FALLS: Final = ((0.05, 0.3), (0.2, 0.3), (0.5, 0.8))  # shares of decay and margin, of candidates
 FAIR: Final = 1.25  # of the smallest set of any widths, that the chosen one may have
 PASSES: Final = 8  # of a set's rounding, which grows with the set, at most
+LEAST: Final = 1e-9  # of the largest bound from outside, that the others count as, at least
 SIGMAS: Final = 4.0  # of a random disturbance, that its bound spans
 RANGE: Final = 2.0  # of states and inputs, in multiples of the largest along the run
 NEEDS: Final = {
@@ -89,7 +90,7 @@ def prove(scenario: Scenario, file: str | os.PathLike[str] = FILE) -> str:
     """
     problem = resolve_scenario(scenario)
     if problem.model.Ts is None:
-        proof = _propose_continuous(problem)
+        proof = propose_continuous(problem)
     else:
         printed = build_code(build_step(problem), single=False)
         text = build_source(printed, Labels("observer", scenario.title, "observer"))
@@ -111,7 +112,7 @@ def _certify(problem: Problem) -> Certificate:
     return found
 
 
-def _propose_continuous(problem: Problem) -> dict[str, Any]:
+def propose_continuous(problem: Problem) -> dict[str, Any]:
     """Return a checked proof that V falls in continuous time. Raises InputError, ProofError."""
     found = _certify(problem)
     A, B, C = problem.plant.continuous
@@ -154,9 +155,7 @@ def propose_sampled(problem: Problem, text: Source, single: bool) -> dict[str, A
         code = Code([text.code, text.header], *own.values(), proof["sensor"]["width_max"])
         proof |= {"constants": code.constants, "operations": code.bodies["step"]}
         noise = threshold * bool(sensor.noise[0] or sensor.quantum[0])
-        largest = np.abs(problem.plant.linear.C[0]) @ np.array(bounds["x"], float)
-        least = min(threshold, ROOM * sensor.slope[0] * largest / 2**code.bits)
-        outside = [(noise, disturbance), (noise, disturbance), (least, 0 * disturbance)]
+        outside = [(noise, disturbance), (noise, disturbance), (0.0, 0 * disturbance)]
         names = ("any widths", "known widths", "rounding alone")
         sets = [
             {"name": name, "noise": noise, "disturbance": push, "width": widest}
@@ -166,10 +165,10 @@ def propose_sampled(problem: Problem, text: Source, single: bool) -> dict[str, A
         held = hold(*(proof["plant"][key] for key in ("A", "B", "Ts")))
         right, silent, *_ = (
             compare_step(proof, code, held, [ZERO] * n, *side)
-            for side in list_sides(proof, code, proof["sets"][0]["noise"])[:2]
+            for side in list_sides(proof, code, proof["sets"][0])[:2]
         )
-        proof["gains"] = {"L": [row[-2] for row in right[0][:-1]], "gamma": 1 - right[0][-1][-2]}
-        proof["storage"] = _choose_storage(found, proof, held, right, silent)
+        proof["gains"] = {"L": [row[n] for row in right[0][:-1]], "gamma": 1 - right[0][-1][n]}
+        proof["storage"] = _choose_storage(found, proof, code, right, silent)
         proof["sets"] = [one for one in proof["sets"] if _fit_set(proof, code, held, one)]
     except Refused as step:
         raise ProofError(f"proof: {step}") from None
@@ -215,45 +214,57 @@ def _search_storages(found: Certificate) -> Iterator[Floats]:
 
 
 def _choose_storage(
-    found: Certificate, proof: dict[str, Any], held: Any, right: Any, silent: Any
+    found: Certificate, proof: dict[str, Any], code: Code, right: Any, silent: Any
 ) -> dict[str, Any]:
     """Return V with a small set of known widths, whose set of any widths is among the smallest.
 
     Args:
         found: the certificate of the gains.
         proof: its sets and gains.
-        held: `hold` of the plant.
+        code: the C.
         right, silent: `compare_step` on the right side and in silence.
 
     Raises:
         Refused: V falls for no candidate, by the numbers of the C.
     """
-    E, M = (np.array(step[0], float)[:, :-1] for step in (right, silent))
-    b, box = np.array(right[0], float)[:, -1], np.array(right[1], float)
-    one = proof["sets"][0]
-    pushes = np.array(held[1], float) @ np.array(one["disturbance"], float)  # of each term
-    c, g = E[-1, :-1] / float(proof["gains"]["gamma"]), float(proof["gains"]["gamma"])
+    one, n, g = proof["sets"][0], len(silent[1]), float(proof["gains"]["gamma"])
+    outside = _list_outside(proof, code, one)
+    box = np.array(right[1], float)
+    c = np.array(right[0][-1][:n], float) / g
     trials = []
     for P in _search_storages(found):
-        whole = block_diag(P, 1 / g)
-        falls = [(P - M.T @ P @ M, P), (whole - E.T @ whole @ E, whole)]
-        fastest = min(map(_least_ratio, *zip(*falls, strict=True)))
+        modes = [
+            (np.array(right[0], float), block_diag(P, 1 / g)),
+            (np.array(silent[0], float), P),
+        ]
+        falls = [whole - (F := E[:, : len(whole)]).T @ whole @ F for E, whole in modes]
+        fastest = min(_least_ratio(fall, mode[1]) for fall, mode in zip(falls, modes, strict=True))
         if not fastest > 0:
             continue
         h = np.sqrt(c @ np.linalg.solve(P, c))
-        push = np.sqrt(box @ np.abs(whole) @ box)
-        push += np.sqrt(np.einsum("ki,ij,kj->k", pushes, P, pushes)).sum()
+        push = np.sqrt(box @ np.abs(modes[0][1]) @ box)
         for decay in fastest * np.array(DECAYS):
-            cross = E.T @ whole @ b
-            loud = b @ whole @ b + cross @ np.linalg.solve(falls[1][0] - decay * whole, cross)
-            K = _absorbing(decay, loud, push, float(one["noise"]))
+            loud = np.zeros(len(outside))
+            for (E, whole), fall in zip(modes, falls, strict=True):
+                own, given = np.split(E, [len(whole)], axis=1)
+                cross = own.T @ whole @ given
+                rest = given.T @ whole @ given
+                rest = rest + cross.T @ np.linalg.solve(fall - decay * whole, cross)
+                loud = np.maximum(loud, np.abs(rest) @ outside / outside * ROOM)
+            K = _absorbing(decay, loud @ outside**2, push)
             wide = h * np.hypot(K, np.sqrt(2 / g) * float(one["width"]))
-            storage = {"P": P, "R": 1 / g, "decay": decay, "noise": loud * ROOM}
+            storage = {"P": P, "R": 1 / g, "decay": decay, "loud": loud}
             trials.append((wide, h * K * (1 + h**2 / g), storage))
     require(trials, "V falls, by the numbers of the C")
     fair = FAIR * min(wide for wide, *_ in trials)
     _, _, storage = min((one for one in trials if one[0] <= fair), key=lambda one: one[1])
     return dict(_to_exact(storage))
+
+
+def _list_outside(proof: dict[str, Any], code: Code, one: dict[str, Any]) -> Floats:
+    """Return bounds of a reading's error and of disturbances in a set, above 0."""
+    bounds = np.array([hear(proof, code, one), *one["disturbance"]], float)
+    return np.maximum(bounds, LEAST * bounds.max())
 
 
 def _least_ratio(X: Floats, Y: Floats) -> float:
@@ -264,9 +275,9 @@ def _least_ratio(X: Floats, Y: Floats) -> float:
         return np.nan
 
 
-def _absorbing(decay: float, loud: float, push: float, noise: float) -> float:
-    """Return the least K with sqrt((1 - decay) K^2 + loud noise^2) + push <= K."""
-    rest = push**2 * (1 - decay) + decay * loud * noise**2
+def _absorbing(decay: float, loud: float, push: float) -> float:
+    """Return the least K with sqrt((1 - decay) K^2 + loud) + push <= K."""
+    rest = push**2 * (1 - decay) + decay * loud
     return float((push + np.sqrt(rest)) / decay)
 
 
@@ -283,23 +294,22 @@ def _fit_set(proof: dict[str, Any], code: Code, held: Any, one: dict[str, Any]) 
     """
     storage, any_widths = proof["storage"], one is proof["sets"][0]
     P, R, decay, loud = (np.array(each, float) for each in storage.values())
-    noise, g = float(one["noise"]), float(proof["gains"]["gamma"])
+    outside, g, n = _list_outside(proof, code, one), float(proof["gains"]["gamma"]), len(P)
     seen = ROOM * float(dual(storage["P"], proof["plant"]["C"][0]))  # |z - z^|^2 / V, at most
-    push = float(weigh_disturbance(storage["P"], held, one["disturbance"]))
     room = 2 * R * float(code.widest) ** 2
     guess = float(room * any_widths) * 1.01
     for _ in range(PASSES):
         reach = reach_states(storage["P"], Fraction(guess))
         K = wrong = 0.0
-        for side, ends in list_sides(proof, code, one["noise"])[:2]:  # the left mirrors the right
+        for side, ends in list_sides(proof, code, one)[:2]:  # the left mirrors the right
             E, box = compare_step(proof, code, held, reach, side, ends)
-            whole = np.abs(block_diag(P, R) if side else P)
             size = np.array(box, float)
-            step = push + np.sqrt(size @ whole @ size)
-            K = max(K, _absorbing(decay, loud, step, noise) * ROOM)
+            push = np.sqrt(size @ np.abs(block_diag(P, R) if side else P) @ size)
+            K = max(K, _absorbing(decay, loud @ outside**2, push) * ROOM)
             if side:
-                wrong = max(wrong, np.sqrt(R) * (size[-1] + abs(float(E[-1][-1])) * noise) / g)
-                c = np.array(E[-1][:-2], float) / g
+                own, given = np.split(np.array(E[-1], float), [n + 1])
+                wrong = np.sqrt(R) * (size[-1] + np.abs(given) @ outside) / g
+                c = own[:n] / g
         h = np.sqrt(R * (c @ np.linalg.solve(P, c)))
         own = ROOM * np.roots([1 - g * h**2, -2 * g * h * wrong, -g * wrong**2 - K**2]).max()
         rest = ROOM * np.hypot(h * own + wrong, K)

@@ -10,7 +10,6 @@ import json
 import re
 import sys
 from fractions import Fraction
-from functools import reduce
 from math import nan
 from pathlib import Path
 from typing import Any
@@ -71,9 +70,9 @@ def run_step(
 def compare_step(
     proof: Any, code: Code, held: Any, reach: list[Fraction], side: int, ends: list[Any]
 ) -> tuple[Matrix, list[Fraction]]:
-    """Return what a step makes of the error and of a reading's error, and bounds of all else.
+    """Return what a step makes of the error, of a reading's error and of disturbances.
 
-    Disturbances are not in these bounds.
+    And bounds of all else, of rounding first of all.
 
     Args:
         proof: plant, sensor and bounds.
@@ -83,7 +82,7 @@ def compare_step(
         side: 1 right, -1 left, 0 neither. A row for each state, and for the width of a side.
         ends: least and largest reading, NaN for a missing one.
     """
-    (C,), (Phi, parts, lost) = proof["plant"]["C"], held
+    (C,), (Phi, Psi, lost) = proof["plant"]["C"], held
     X, U, has = proof["bounds"]["x"], proof["bounds"]["u"], abs(side)
     x, u = [f"state->x[{k}]" for k in range(len(X))], [f"in->u[{k}]" for k in range(len(U))]
     sizes = zip(x + u, [*map(Fraction.__add__, X, reach), *U], strict=True)
@@ -92,7 +91,6 @@ def compare_step(
     ranges |= {key.replace("in->u", "state->held"): [nan, nan] for key in u}
     names = [*x, *[WIDTHS.get(side, "")] * has]
     rows, box = run_step(code, ranges, names, [*names, "in->y[0]", *u])
-    Psi = reduce(lambda total, part: mix(total, part, 1, 1), parts)
     true = [[*row, *[ZERO] * has, *given] for row, given in zip(Phi, Psi, strict=True)]
     true += [[Fraction(key == WIDTHS.get(side)) for key in names + u]] * has
     seen = [proof["sensor"]["slope"] * y for y in [*C, *[Fraction(-side)] * has]]
@@ -102,13 +100,11 @@ def compare_step(
         known = [a + y * b for a, b in zip(own, seen, strict=True)] + given
         box[k] += weigh(mix([true[k]], [known])[0], [*X, *[code.widest] * has, *U])
         box[k] += lost * sum([*X, *U])
-        E.append([*own, -y])
+        E.append([*own, -y, *true[k][len(names) :]])
     return E, box
 
 
-def check_step(
-    proof: Any, code: Code, one: Any, side: int, E: Matrix, box: list[Fraction], push: Fraction
-) -> None:
+def check_step(proof: Any, code: Code, one: Any, side: int, E: Matrix, box: list[Fraction]) -> None:
     """Check that a step on a side does not lead out of a set.
 
     Args:
@@ -116,27 +112,27 @@ def check_step(
         one: the set.
         side: of the step.
         E, box: result of `compare_step`.
-        push: bound of what disturbances add, in the norm of V.
     """
-    own = {"L": [row[-2] for row in E[:-1]], "gamma": 1 - E[-1][-2]}
+    k = len(box)
+    own = {"L": [row[k - 1] for row in E[:-1]], "gamma": 1 - E[-1][k - 1]}
     require(side < 1 or own == proof["gains"], "gains: those of the C")
-    P, R, decay, loud = (proof["storage"][key] for key in ("P", "R", "decay", "noise"))
-    V, K, D, noise = (one[key] for key in ("V", "K", "width", "noise"))
-    zeros = [ZERO] * len(P)
-    whole = border(P, zeros, R) if side else P
-    room = border(mix(whole, whole, 1 - decay, 0), zeros + [ZERO] * abs(side), loud)
+    P, R, decay, loud = (proof["storage"][key] for key in ("P", "R", "decay", "loud"))
+    V, K, D = (one[key] for key in ("V", "K", "width"))
+    outside = [hear(proof, code, one), *one["disturbance"]]
+    whole = border(P, [R] * abs(side))
+    room = border(mix(whole, whole, 1 - decay, 0), loud)
     require_positive(mix(room, times(turn(E), whole, E)), "decay: V falls, but for noise")
-    push += norm([[abs(x) for x in row] for row in whole], box)
-    rest = (1 - decay) * K**2 + loud * noise**2
+    push = norm([[abs(x) for x in row] for row in whole], box)
+    rest = (1 - decay) * K**2 + weigh(loud, [x**2 for x in outside])
     require(push <= K and rest <= (K - push) ** 2, "set: K absorbs what a step adds")
     w = R * D**2
     if code.widest <= D:
         require(K**2 + 2 * w <= V, "set: V has room for any widths")
     elif side:
-        *c, kept, y = E[-1]
+        *c, kept = E[-1][:k]
         g, own = 1 - kept, one["K1"]
         require(0 < g <= 1 and own > 0, "set: widths move towards the reading")
-        h, d = root(R * dual(P, c)) / g, root(R) * (box[-1] + abs(y) * noise) / g
+        h, d = root(R * dual(P, c)) / g, root(R) * (box[-1] + weigh(E[-1][k:], outside)) / g
         require(own**2 * (1 - g * (h + d / own) ** 2) >= K**2, "set: K1 absorbs what widths take")
         require((h * own + d) ** 2 + w + K**2 <= V, "set: V has room for the widths")
         rest = root(V - w)
@@ -144,12 +140,22 @@ def check_step(
         require(g * h * root(w) <= (1 - g) * (V - w) / rest, "set: widths follow slowly")
 
 
-def list_sides(proof: Any, code: Code, noise: Fraction) -> list[tuple[int, list[Any]]]:
+def hear(proof: Any, code: Code, one: Any) -> Fraction:
+    """Return a bound of a reading's error in a set: noise, and rounding to the format.
+
+    Rounding keeps the order, so that it never shows a side that the sum before did not.
+    """
+    largest = proof["sensor"]["slope"] * weigh(proof["plant"]["C"][0], proof["bounds"]["x"])
+    rounding = (largest + one["noise"]) / (1 << code.bits) + Fraction(1, 1 << code.least)
+    return Fraction(one["noise"] + rounding)
+
+
+def list_sides(proof: Any, code: Code, one: Any) -> list[tuple[int, list[Any]]]:
     """Return each side with its least and largest reading, and a missing reading."""
-    sensor, (C,) = proof["sensor"], proof["plant"]["C"]
-    threshold = sensor["threshold"]
+    threshold = proof["sensor"]["threshold"]
     above = threshold + max(threshold / (1 << code.bits), Fraction(1, 1 << code.least))
-    top = max(above, sensor["slope"] * weigh(C, proof["bounds"]["x"]) + noise)
+    largest = proof["sensor"]["slope"] * weigh(proof["plant"]["C"][0], proof["bounds"]["x"])
+    top = max(above, largest + hear(proof, code, one))
     sides = [(1, [above, top]), (0, [-threshold, threshold]), (0, [nan, nan])]
     return [*sides, (-1, [-top, -above])]
 
@@ -159,14 +165,6 @@ def reach_states(P: Matrix, V: Fraction) -> list[Fraction]:
     n = len(P)
     units = [[Fraction(i == k) for i in range(n)] for k in range(n)]
     return [root(V * dual(P, unit)) for unit in units]
-
-
-def weigh_disturbance(P: Matrix, held: Any, bounds: list[Fraction]) -> Fraction:
-    """Return a bound of what disturbances add in a sample, in the norm of P, however they vary."""
-    columns = [turn(part) for part in held[1]]
-    sizes = [sum(norm(P, part[j]) for part in columns) for j in range(len(bounds))]
-    rest = held[2] * norm([[abs(x) for x in row] for row in P], [ONE] * len(P))
-    return weigh([size + rest for size in sizes], bounds)
 
 
 def check_code(proof: Any, texts: list[str]) -> None:
@@ -182,16 +180,16 @@ def check_code(proof: Any, texts: list[str]) -> None:
     P, (C,) = storage["P"], proof["plant"]["C"]
     require_positive(P, "storage: P > 0")
     require(storage["R"] > 0 and 0 < storage["decay"] < 1, "storage: signs")
+    require(min(storage["loud"]) >= 0, "storage: signs of what noise adds")
     held = hold(*(proof["plant"][key] for key in ("A", "B", "Ts")))
     for one in proof["sets"]:
         bounds = [one["noise"], *one["disturbance"], *proof["bounds"]["x"], *proof["bounds"]["u"]]
         require(min(bounds) >= 0 and min(one["V"], one["K"], one["width"]) > 0, "set: signs")
         require(one["noise"] <= proof["sensor"]["threshold"], "set: noise shows no side")
-        push = weigh_disturbance(P, held, one["disturbance"])
         reach = reach_states(P, one["V"])
-        for side, between in list_sides(proof, code, one["noise"]):
+        for side, between in list_sides(proof, code, one):
             step = compare_step(proof, code, held, reach, side, between)
-            check_step(proof, code, one, side, *step, push)
+            check_step(proof, code, one, side, *step)
         inside = one["V"] * dual(P, C) <= one["radius"] ** 2 and one["radius"] > 0
         require(inside, "set: its radius contains V")
 
@@ -203,8 +201,12 @@ def check_continuous(proof: Any) -> None:
     require_positive(P, "storage: P > 0")
     require(W > 0 and margin > 0, "storage: W and the margin are above 0")
     cross = [a - W * b for a, b in zip(times([L], P)[0], C, strict=True)]
-    fall = border(mix(times(P, A), times(turn(A), P), -1), cross, 2 * (1 - margin) * W)
-    require_positive(fall, "inequality: V falls")
+    fall = mix(times(P, A), times(turn(A), P), -1)
+    whole = [
+        *([*row, x] for row, x in zip(fall, cross, strict=True)),
+        [*cross, 2 * (1 - margin) * W],
+    ]
+    require_positive(whole, "inequality: V falls")
 
 
 def show(value: Any) -> str:

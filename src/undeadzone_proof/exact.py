@@ -43,9 +43,11 @@ def times(X: Matrix, *others: Matrix) -> Matrix:
     return X
 
 
-def border(X: Matrix, b: list[Fraction], corner: Fraction) -> Matrix:
-    """Return [[X, b], [b', corner]]."""
-    return turn([*turn([*X, b]), [*b, corner]])
+def border(X: Matrix, corners: list[Fraction]) -> Matrix:
+    """Return a matrix with more entries on its diagonal, and zeros beside them."""
+    for corner in corners:
+        X = [*([*row, ZERO] for row in X), [ZERO] * len(X) + [corner]]
+    return X
 
 
 def pivots(M: Matrix) -> list[Fraction]:
@@ -67,7 +69,7 @@ def require_positive(M: Matrix, step: str) -> None:
 
 def dual(P: Matrix, c: list[Fraction]) -> Fraction:
     """Return c'P^-1 c of a positive definite P."""
-    return -pivots(border(P, c, ZERO))[-1]
+    return -pivots([*([*row, x] for row, x in zip(P, c, strict=True)), [*c, ZERO]])[-1]
 
 
 def norm(P: Matrix, x: list[Fraction]) -> Fraction:
@@ -75,24 +77,21 @@ def norm(P: Matrix, x: list[Fraction]) -> Fraction:
     return root(times([x], P, turn([x]))[0][0])
 
 
-def hold(A: Matrix, B: Matrix, Ts: Fraction) -> tuple[Matrix, list[Matrix], Fraction]:
-    """Return e^(A Ts), terms of the integral of e^(A s) B over a sample, and a bound on errors.
+def hold(A: Matrix, B: Matrix, Ts: Fraction) -> tuple[Matrix, Matrix, Fraction]:
+    """Return e^(A Ts), the integral of e^(A s) B over a sample, and a bound of their errors.
 
-    The bound is that of an entry of e^(A Ts), and of the sum of entries of the terms with any
-    factors in [-1, 1]. Terms are cut at 2^-200. Behind the last one each is at most half of the one
-    before.
+    Terms are cut at 2^-200. Behind the last one each is at most half of the one before.
     """
     n, size, k = len(A), max(sum(map(abs, row)) for row in A) * Ts, 0
     require(size < 99, "hold: a sample is short enough for a series")
     term = [[Fraction(i == j) for j in range(n)] for i in range(n)]
-    total, parts = mix(term, term), list[Matrix]()
+    total, part = mix(term, term), mix(term, term)
     bound, cut, error = ONE, ZERO, ZERO  # largest rows: of the term, its cuts, all cuts before
     while bound > Fraction(1, 1 << 150) or 2 * size > k + 1:
-        total, error = mix(total, term, 1, 1), error + cut
-        parts.append(times(mix(term, term, Ts / (k + 1), 0), B))
-        k, bound = k + 1, bound * size / (k + 1)
+        total, part = mix(total, term, 1, 1), mix(part, term, 1, Ts / (k + 1))
+        k, error, bound = k + 1, error + cut, bound * size / (k + 1)
         cut = cut * size / k + Fraction(n, 1 << 200)
         rows = times(term, A)
         term = [[Fraction(int(x * Ts / k * (1 << 200)), 1 << 200) for x in row] for row in rows]
     largest = max(abs(x) for row in B for x in row)
-    return total, parts, (error + cut + 2 * bound) * max(ONE, n * Ts * largest)
+    return total, times(part, B), (error + cut + 2 * bound) * max(ONE, n * Ts * largest)
