@@ -195,7 +195,7 @@ def change_text(proof: Any) -> list[Any]:
     """Proofs with one bit of the C changed, a sign of its adaptation, an operation, a word."""
     changed = [copy.deepcopy(proof) for _ in range(4)]
     text = proof["source"]["texts"][0]
-    number = re.findall(r"\d+\.\d+(?:e[+-]\d+)?", text[text.index("_step(") :])[4]
+    number = max(re.findall(r"\d\.\d+(?:e[+-]\d+)?", text[text.index("_step(") :]), key=len)
     near = repr(float(np.nextafter(float(number), np.inf)))
     changed[0]["source"]["texts"][0] = text.replace(number, near)
     changed[1]["source"]["texts"][0] = text.replace("right_was_0 + ", "right_was_0 - ")
@@ -301,8 +301,8 @@ def table(designs: int = 50, sequences: int = 1_000_000, seed: int = 0) -> str:
         print(tried[-1], file=sys.stderr, flush=True)
     lines = [
         "## Proofs down to the bits\n",
-        f"{designs} designs of orders 1 to 6, every second one sampled, in double and in float. Each "
-        f"set of a sampled one is left by no sequence of sides, readings and disturbances ({each} of "
+        f"{designs} designs of orders 1 to 6, every second one sampled, in double and in float. "
+        f"Sequences of sides, readings and disturbances attack each set ({each} of "
         f"{SHORT} steps: random, on one side with the worst signs, greedy in |z - z^| and in V), "
         "begun without an error of the states, of any widths or known ones. `seen` is the set's "
         "radius over the largest |z - z^|: median, largest; `quiet` designs have neither noise nor "

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
 
-from undeadzone_proof.exact import ZERO, require
+from undeadzone_proof.exact import ZERO, Refused, require
 
-TOKEN = re.compile(r"(\d[\d.]*(?:e[+-]?\d+)?f?)|([a-z]\w*(?:->\w+\[\d+\])?)|(&&|\|\||\S)")
+TOKEN = re.compile(r"(\d[\d.]*(?:e[+-]?\d{1,3})?f?)|([a-z]\w*(?:->\w+\[\d+\])?)|(&&|\|\||\S)")
 PYTHON = dict(zip(["(", "?", ":", "&&", "||", *")<+-*/"], ["pick(", *",,&|)<+-*/"], strict=True))
 FORMATS = {"double": (53, 1074, ""), "float": (24, 149, "f")}  # bits, least exponent, suffix
 GUARDS = ("STDC FP_CONTRACT OFF", 'GCC optimize("fp-contract=off")', "defined(__FAST_MATH__)")
@@ -145,7 +145,10 @@ class Code:
         require(made and not re.search("<[^()]*<", line), f"source: {line} is understood")
         words = TOKEN.findall(made[2])
         parts = [PYTHON[sign] if sign else f"m[{number or word!r}]" for number, word, sign in words]
-        return made[1], compile(f"pick({''.join(parts)})", line, "eval")
+        try:
+            return made[1], compile(f"pick({''.join(parts)})", line, "eval")
+        except SyntaxError:
+            raise Refused(f"source: {line} is understood") from None
 
     def run(self, name: str, memory: dict[str, Any]) -> None:
         """Run a function on forms by their names in the C, in which its results go."""
