@@ -99,7 +99,7 @@ def compare_step(
         own, y, given = row[: len(names)], row[len(names)], row[len(names) + 1 :]
         known = [a + y * b for a, b in zip(own, seen, strict=True)] + given
         box[k] += weigh(mix([true[k]], [known])[0], [*X, *[code.widest] * has, *U])
-        box[k] += lost * sum([*X, *U])
+        box[k] += lost * sum([*X, *U, *U])  # disturbances are no larger than inputs
         E.append([*own, -y, *true[k][len(names) :]])
     return E, box
 
@@ -173,6 +173,8 @@ def check_code(proof: Any, texts: list[str]) -> None:
     code = Code(texts, own["name"], own["format"], widest)
     require(code.bodies["step"] == proof["operations"], "operations: those of the C")
     require(code.constants == proof["constants"], "constants: those of the C")
+    known = proof["sensor"]["threshold"] in (0, *code.constants)
+    require(known, "sensor: its threshold is that of the C")
     start = dict[str, Any]()
     code.run("init", start)
     ends = [start[key].low for key in WIDTHS.values()]
@@ -186,6 +188,8 @@ def check_code(proof: Any, texts: list[str]) -> None:
         bounds = [one["noise"], *one["disturbance"], *proof["bounds"]["x"], *proof["bounds"]["u"]]
         require(min(bounds) >= 0 and min(one["V"], one["K"], one["width"]) > 0, "set: signs")
         require(one["noise"] <= proof["sensor"]["threshold"], "set: noise shows no side")
+        pairs = zip(one["disturbance"], proof["bounds"]["u"], strict=True)
+        require(all(x <= y for x, y in pairs), "set: disturbances are no larger than inputs")
         reach = reach_states(P, one["V"])
         for side, between in list_sides(proof, code, one):
             step = compare_step(proof, code, held, reach, side, between)

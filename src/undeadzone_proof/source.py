@@ -83,6 +83,8 @@ class Code:
         require({kind} == {*re.findall(r"(\w+) \w+\[\d+\];", header)}, "source: one format")
         require(all(guard in text for guard in GUARDS), "source: neither fused nor fast arithmetic")
         function = re.compile(rf"^void {name}_(\w+)\([^)]*\)\n{{\n(.*?)\n}}$", re.DOTALL | re.M)
+        first = text.index(f"\nvoid {name}_")
+        require(text.rindex("#endif") < first, "source: conditions end before functions")
         rest = function.sub("", text).splitlines()
         require(all(re.fullmatch(PLAIN, line) for line in rest), "source: functions alone")
         self.bodies = {}
@@ -143,8 +145,10 @@ class Code:
         if call or line == "(void)in":
             return call[1] if call else "", None
         require(made and not re.search("<[^()]*<", line), f"source: {line} is understood")
-        words = TOKEN.findall(made[2])
-        parts = [PYTHON[sign] if sign else f"m[{number or word!r}]" for number, word, sign in words]
+        parts = []
+        for number, word, sign in TOKEN.findall(made[2]):
+            require(not sign or sign in PYTHON, f"source: {line} is understood")
+            parts.append(PYTHON[sign] if sign else f"m[{number or word!r}]")
         try:
             return made[1], compile(f"pick({''.join(parts)})", line, "eval")
         except SyntaxError:

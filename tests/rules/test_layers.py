@@ -18,13 +18,15 @@ import undeadzone_design
 import undeadzone_export
 import undeadzone_identify
 import undeadzone_paper
+import undeadzone_proof
 import undeadzone_studies
 
 ROOT = Path(undeadzone.__file__).parent
 # The packages of the distribution, and what else of it each may import.
 PACKAGES = {
     undeadzone: (),
-    undeadzone_export: ("undeadzone",),
+    undeadzone_proof: (),
+    undeadzone_export: ("undeadzone", "undeadzone_proof"),
     undeadzone_design: ("undeadzone",),
     undeadzone_studies: ("undeadzone",),
     undeadzone_identify: ("undeadzone", "undeadzone_design", "undeadzone_export"),
@@ -61,11 +63,15 @@ FLOORS = {
         ("report",),
         ("commands",),
     ),
+    undeadzone_proof: (
+        ("exact",),
+        ("source",),
+    ),
     undeadzone_export: (
         ("compiler", "exported_step", "template"),
         ("boards", "code"),
         ("fmu", "page", "source", "selftest_vectors"),
-        ("accuracy", "plc"),
+        ("accuracy", "plc", "proving"),
         ("plcopen",),
         ("targets",),
         ("snippet",),
