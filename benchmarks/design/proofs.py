@@ -35,8 +35,8 @@ from undeadzone_export.code import build_code
 from undeadzone_export.compiler import compile_library, write_sources
 from undeadzone_export.exported_step import build_step
 from undeadzone_export.source import Labels, build_source
-from undeadzone_proof import compare_step, list_sides, state, to_numbers, verify
-from undeadzone_proof.exact import Refused, hold
+from undeadzone_proof import compare_step, list_sides, state_theorem, to_numbers, verify_proof
+from undeadzone_proof.exact import Refused, hold_exactly
 from undeadzone_proof.source import Code
 
 OPTIONS = {"designs": 50, "sequences": 1_000_000, "seed": 0}
@@ -102,7 +102,7 @@ def split(matrix: Any) -> Floats:
 
 def attack(proof: Any, one: Any, sequences: int, steps: int, seed: int) -> Attack:
     """Run sequences of the exported C inside a set."""
-    held = hold(*(proof["plant"][key] for key in ("A", "B", "Ts")))
+    held = hold_exactly(*(proof["plant"][key] for key in ("A", "B", "Ts")))
     text, header = proof["source"]["texts"]
     n = len(held[0])
     Psi = held[1]
@@ -218,7 +218,7 @@ def mutants(proof: Any) -> list[Any]:
             place = place[key]
         place[last] = place[last] * Fraction(factor) + Fraction(shift)
         if restated:
-            changed["statement"] = state(changed)
+            changed["statement"] = state_theorem(changed)
         found.append(changed)
     return found
 
@@ -226,7 +226,7 @@ def mutants(proof: Any) -> list[Any]:
 def is_refused(proof: Any) -> bool:
     """Whether the checker refuses a proof."""
     try:
-        verify(proof)
+        verify_proof(proof)
     except REFUSALS:
         return True
     return False
@@ -280,7 +280,7 @@ def try_design(seed: int, k: int, sequences: int) -> list[Tried]:
         except ProofError as error:
             tried.append(Tried(own[0], kind, *own[1:], str(error)))
             continue
-        verify(to_numbers(json.loads(proving.proof_text(proof))))
+        verify_proof(to_numbers(json.loads(proving.proof_text(proof))))
         seconds = time.process_time() - began
         every = [] if single else mutants(proof)
         accepted = tuple(i for i, each in enumerate(every) if not is_refused(each))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import decimal
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from fractions import Fraction
 from functools import partial
 from typing import Any, Final
@@ -18,7 +18,7 @@ import numpy as np
 from scipy.linalg import block_diag, eigh
 
 from undeadzone.analysis.certificate.passivity import Certificate, certify
-from undeadzone.analysis.dissipation import optimise_storage
+from undeadzone.analysis.dissipation import Inequality, optimise_storage
 from undeadzone.analysis.error_dynamics import balance_dynamics, largest_growth_rate
 from undeadzone.compile.simplify import round_to_type
 from undeadzone.errors import InputError, ProofError
@@ -34,14 +34,14 @@ from undeadzone_export.code import build_code
 from undeadzone_export.exported_step import build_step
 from undeadzone_export.source import Labels, Source, build_source
 from undeadzone_proof import (
+    bound_reading_error,
     compare_step,
-    hear,
     list_sides,
     reach_states,
-    state,
-    verify,
+    state_theorem,
+    verify_proof,
 )
-from undeadzone_proof.exact import ZERO, Refused, dual, hold, require
+from undeadzone_proof.exact import ZERO, Refused, dual_form, hold_exactly, require
 from undeadzone_proof.source import Code
 
 FILE: Final = "proof.json"
@@ -53,7 +53,7 @@ PASSES: Final = 8  # of a set's rounding, which grows with the set, at most
 LEAST: Final = 1e-9  # of the largest bound from outside, that the others count as, at least
 SIGMAS: Final = 4.0  # of a random disturbance, that its bound spans
 RANGE: Final = 2.0  # of states and inputs, in multiples of the largest along the run
-NEEDS: Final = {
+NEEDS: Final[dict[str, Callable[[Any], bool]]] = {
     "a certified observer of one output, with a gradient law": lambda problem: (
         isinstance(problem.scenario.observer, Certified)
         and problem.observer.traits.constant
@@ -138,9 +138,10 @@ def propose_sampled(problem: Problem, text: Source, single: bool) -> dict[str, A
     """
     found = _certify(problem)
     sensor, n = problem.sensor, problem.plant.n
+    options: Any = problem.scenario.observer
     rounded = partial(round_to_type, real="float32" if single else "float64")
     threshold = rounded(sensor.threshold[0])
-    widest = rounded(np.ravel(problem.scenario.observer.width_max)[0])
+    widest = rounded(np.ravel(options.width_max)[0])
     bounds, disturbance = _ranges_of_run(problem)
     own = {"name": text.prefix, "format": "float" if single else "double"}
     content = {
@@ -152,7 +153,9 @@ def propose_sampled(problem: Problem, text: Source, single: bool) -> dict[str, A
     }
     proof = _to_exact(content)
     try:
-        code = Code([text.code, text.header], *own.values(), proof["sensor"]["width_max"])
+        code = Code(
+            [text.code, text.header], text.prefix, own["format"], proof["sensor"]["width_max"]
+        )
         proof |= {"constants": code.constants, "operations": code.bodies["step"]}
         noise = threshold * bool(sensor.noise[0] or sensor.quantum[0])
         outside = [(noise, disturbance), (noise, disturbance), (0.0, 0 * disturbance)]
@@ -162,7 +165,7 @@ def propose_sampled(problem: Problem, text: Source, single: bool) -> dict[str, A
             for name, (noise, push) in zip(names, outside, strict=True)
         ]
         proof["sets"] = _to_exact(sets)
-        held = hold(*(proof["plant"][key] for key in ("A", "B", "Ts")))
+        held = hold_exactly(*(proof["plant"][key] for key in ("A", "B", "Ts")))
         right, silent, *_ = (
             compare_step(proof, code, held, [ZERO] * n, *side)
             for side in list_sides(proof, code, proof["sets"][0])[:2]
@@ -203,7 +206,7 @@ def _search_storages(found: Certificate) -> Iterator[Floats]:
             np.ones(1), np.zeros((len(errors.L), 0)), terms, decay * fastest
         )
         solution = optimise_storage(
-            lambda q, inequality=inequality: inequality,
+            partial(_same, inequality),
             -np.ones(1),
             np.zeros(1),
             lambda P, q: [P - q[0] * errors.C.T @ errors.C],
@@ -211,6 +214,11 @@ def _search_storages(found: Certificate) -> Iterator[Floats]:
         if solution is not None:
             unit = scaling.unscale_weights(np.ones(1))[0] * Ts
             yield symmetric_part(scaling.unscale_storage(solution.P) / unit)
+
+
+def _same(inequality: Inequality, q: Floats) -> Inequality:
+    """Return the inequality, whatever the multiplier."""
+    return inequality
 
 
 def _choose_storage(
@@ -263,7 +271,7 @@ def _choose_storage(
 
 def _list_outside(proof: dict[str, Any], code: Code, one: dict[str, Any]) -> Floats:
     """Return bounds of a reading's error and of disturbances in a set, above 0."""
-    bounds = np.array([hear(proof, code, one), *one["disturbance"]], float)
+    bounds = np.array([bound_reading_error(proof, code, one), *one["disturbance"]], float)
     return np.maximum(bounds, LEAST * bounds.max())
 
 
@@ -275,7 +283,7 @@ def _least_ratio(X: Floats, Y: Floats) -> float:
         return np.nan
 
 
-def _absorbing(decay: float, loud: float, push: float) -> float:
+def _absorbing(decay: Any, loud: Any, push: Any) -> float:
     """Return the least K with sqrt((1 - decay) K^2 + loud) + push <= K."""
     rest = push**2 * (1 - decay) + decay * loud
     return float((push + np.sqrt(rest)) / decay)
@@ -295,12 +303,14 @@ def _fit_set(proof: dict[str, Any], code: Code, held: Any, one: dict[str, Any]) 
     storage, any_widths = proof["storage"], one is proof["sets"][0]
     P, R, decay, loud = (np.array(each, float) for each in storage.values())
     outside, g, n = _list_outside(proof, code, one), float(proof["gains"]["gamma"]), len(P)
-    seen = ROOM * float(dual(storage["P"], proof["plant"]["C"][0]))  # |z - z^|^2 / V, at most
+    seen = ROOM * float(dual_form(storage["P"], proof["plant"]["C"][0]))  # |z - z^|^2 / V, at most
     room = 2 * R * float(code.widest) ** 2
-    guess = float(room * any_widths) * 1.01
+    guess: Any = float(room * any_widths) * 1.01
     for _ in range(PASSES):
         reach = reach_states(storage["P"], Fraction(guess))
-        K = wrong = 0.0
+        K: Any = 0.0
+        wrong: Any = 0.0
+        c = np.zeros(n)
         for side, ends in list_sides(proof, code, one)[:2]:  # the left mirrors the right
             E, box = compare_step(proof, code, held, reach, side, ends)
             size = np.array(box, float)
@@ -324,7 +334,7 @@ def _fit_set(proof: dict[str, Any], code: Code, held: Any, one: dict[str, Any]) 
     return False
 
 
-def _round_up(number: float, digits: int) -> Fraction:
+def _round_up(number: Any, digits: int) -> Fraction:
     """Return a number with a few digits, not below it."""
     context = decimal.Context(prec=digits, rounding=decimal.ROUND_UP)
     return Fraction(context.create_decimal(float(number)))
@@ -342,9 +352,9 @@ def _to_exact(value: Any) -> Any:
 def _finish(content: dict[str, Any]) -> dict[str, Any]:
     """Return a proof with its statement, checked. Raises ProofError."""
     proof = _to_exact(content)
-    proof["statement"] = state(proof)
+    proof["statement"] = state_theorem(proof)
     try:
-        verify(proof)
+        verify_proof(proof)
     except Refused as step:
         raise ProofError(f"proof: {step}, not by the numbers that were found") from None
     return dict(proof)

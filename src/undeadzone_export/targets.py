@@ -190,12 +190,12 @@ def export_files(to: str, material: Material) -> Files:
     code = material.text.texts_by_name()
     content: Files = dict(code)
     if to == "arduino":
-        content = {f"src/{path}": text for path, text in (code | material.proof).items()}
+        content = {f"src/{path}": text for path, text in {**code, **material.proof}.items()}
         test = f"{name}_test.c"
         content[f"examples/{name}_test/{test}"] = material.c_files[test]
         around = _arduino_files(report)
     elif to == "c":
-        content = material.c_files | material.proof
+        content = {**material.c_files, **material.proof}
         around = _build_system_files(report, bool(material.text.math))
     elif to == "st":
         content, around = _st_files(material)

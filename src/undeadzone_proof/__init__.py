@@ -19,23 +19,23 @@ from undeadzone_proof.exact import (
     ZERO,
     Matrix,
     Refused,
-    border,
-    dual,
-    hold,
-    mix,
-    norm,
+    dual_form,
+    extend_diagonal,
+    hold_exactly,
+    mix_matrices,
+    multiply_matrices,
     require,
     require_positive,
-    root,
-    times,
-    turn,
+    transpose_rows,
+    upper_norm,
+    upper_root,
 )
 from undeadzone_proof.source import Code, Form
 
 WIDTHS = {1: "state->right[0]", -1: "state->left[0]"}
 
 
-def weigh(row: list[Fraction], sizes: list[Fraction]) -> Fraction:
+def weigh_sizes(row: list[Fraction], sizes: list[Fraction]) -> Fraction:
     """Return the largest sum of numbers of these sizes with these factors."""
     return sum(map(Fraction.__mul__, map(abs, row), sizes), ZERO)
 
@@ -53,7 +53,7 @@ def run_step(
         memory: Any = {key: Form(code, {key: ONE}, ZERO, *ends) for key, ends in ranges.items()}
         before = dict(memory)
         for function in functions:
-            code.run(function, memory)
+            code.run_function(function, memory)
         for key in WIDTHS.values():
             inside = memory[key].low >= 0 and memory[key].high <= code.widest
             require(inside, "source: widths stay in their range")
@@ -98,7 +98,7 @@ def compare_step(
     for k, row in enumerate(rows):
         own, y, given = row[: len(names)], row[len(names)], row[len(names) + 1 :]
         known = [a + y * b for a, b in zip(own, seen, strict=True)] + given
-        box[k] += weigh(mix([true[k]], [known])[0], [*X, *[code.widest] * has, *U])
+        box[k] += weigh_sizes(mix_matrices([true[k]], [known])[0], [*X, *[code.widest] * has, *U])
         box[k] += lost * sum([*X, *U, *U])  # disturbances are no larger than inputs
         E.append([*own, -y, *true[k][len(names) :]])
     return E, box
@@ -118,12 +118,15 @@ def check_step(proof: Any, code: Code, one: Any, side: int, E: Matrix, box: list
     require(side < 1 or own == proof["gains"], "gains: those of the C")
     P, R, decay, loud = (proof["storage"][key] for key in ("P", "R", "decay", "loud"))
     V, K, D = (one[key] for key in ("V", "K", "width"))
-    outside = [hear(proof, code, one), *one["disturbance"]]
-    whole = border(P, [R] * abs(side))
-    room = border(mix(whole, whole, 1 - decay, 0), loud)
-    require_positive(mix(room, times(turn(E), whole, E)), "decay: V falls, but for noise")
-    push = norm([[abs(x) for x in row] for row in whole], box)
-    rest = (1 - decay) * K**2 + weigh(loud, [x**2 for x in outside])
+    outside = [bound_reading_error(proof, code, one), *one["disturbance"]]
+    whole = extend_diagonal(P, [R] * abs(side))
+    room = extend_diagonal(mix_matrices(whole, whole, 1 - decay, 0), loud)
+    require_positive(
+        mix_matrices(room, multiply_matrices(transpose_rows(E), whole, E)),
+        "decay: V falls, but for noise",
+    )
+    push = upper_norm([[abs(x) for x in row] for row in whole], box)
+    rest = (1 - decay) * K**2 + weigh_sizes(loud, [x**2 for x in outside])
     require(push <= K and rest <= (K - push) ** 2, "set: K absorbs what a step adds")
     w = R * D**2
     if code.widest <= D:
@@ -132,20 +135,23 @@ def check_step(proof: Any, code: Code, one: Any, side: int, E: Matrix, box: list
         *c, kept = E[-1][:k]
         g, own = 1 - kept, one["K1"]
         require(0 < g <= 1 and own > 0, "set: widths move towards the reading")
-        h, d = root(R * dual(P, c)) / g, root(R) * (box[-1] + weigh(E[-1][k:], outside)) / g
+        h, d = (
+            upper_root(R * dual_form(P, c)) / g,
+            upper_root(R) * (box[-1] + weigh_sizes(E[-1][k:], outside)) / g,
+        )
         require(own**2 * (1 - g * (h + d / own) ** 2) >= K**2, "set: K1 absorbs what widths take")
         require((h * own + d) ** 2 + w + K**2 <= V, "set: V has room for the widths")
-        rest = root(V - w)
-        require(h * rest + d <= w / root(w), "set: widths follow the states")
-        require(g * h * root(w) <= (1 - g) * (V - w) / rest, "set: widths follow slowly")
+        rest = upper_root(V - w)
+        require(h * rest + d <= w / upper_root(w), "set: widths follow the states")
+        require(g * h * upper_root(w) <= (1 - g) * (V - w) / rest, "set: widths follow slowly")
 
 
-def hear(proof: Any, code: Code, one: Any) -> Fraction:
+def bound_reading_error(proof: Any, code: Code, one: Any) -> Fraction:
     """Return a bound of a reading's error in a set: noise, and rounding to the format.
 
     Rounding keeps the order, so that it never shows a side that the sum before did not.
     """
-    largest = proof["sensor"]["slope"] * weigh(proof["plant"]["C"][0], proof["bounds"]["x"])
+    largest = proof["sensor"]["slope"] * weigh_sizes(proof["plant"]["C"][0], proof["bounds"]["x"])
     rounding = (largest + one["noise"]) / (1 << code.bits) + Fraction(1, 1 << code.least)
     return Fraction(one["noise"] + rounding)
 
@@ -154,8 +160,8 @@ def list_sides(proof: Any, code: Code, one: Any) -> list[tuple[int, list[Any]]]:
     """Return each side with its least and largest reading, and a missing reading."""
     threshold = proof["sensor"]["threshold"]
     above = threshold + max(threshold / (1 << code.bits), Fraction(1, 1 << code.least))
-    largest = proof["sensor"]["slope"] * weigh(proof["plant"]["C"][0], proof["bounds"]["x"])
-    top = max(above, largest + hear(proof, code, one))
+    largest = proof["sensor"]["slope"] * weigh_sizes(proof["plant"]["C"][0], proof["bounds"]["x"])
+    top = max(above, largest + bound_reading_error(proof, code, one))
     sides = [(1, [above, top]), (0, [-threshold, threshold]), (0, [nan, nan])]
     return [*sides, (-1, [-top, -above])]
 
@@ -164,7 +170,7 @@ def reach_states(P: Matrix, V: Fraction) -> list[Fraction]:
     """Return how far each estimate may be from its state where x~'P x~ <= V."""
     n = len(P)
     units = [[Fraction(i == k) for i in range(n)] for k in range(n)]
-    return [root(V * dual(P, unit)) for unit in units]
+    return [upper_root(V * dual_form(P, unit)) for unit in units]
 
 
 def check_code(proof: Any, texts: list[str]) -> None:
@@ -176,14 +182,14 @@ def check_code(proof: Any, texts: list[str]) -> None:
     known = proof["sensor"]["threshold"] in (0, *code.constants)
     require(known, "sensor: its threshold is that of the C")
     start = dict[str, Any]()
-    code.run("init", start)
+    code.run_function("init", start)
     ends = [start[key].low for key in WIDTHS.values()]
     require(min(ends) >= 0 and max(ends) <= widest, "source: widths begin in their range")
     P, (C,) = storage["P"], proof["plant"]["C"]
     require_positive(P, "storage: P > 0")
     require(storage["R"] > 0 and 0 < storage["decay"] < 1, "storage: signs")
     require(min(storage["loud"]) >= 0, "storage: signs of what noise adds")
-    held = hold(*(proof["plant"][key] for key in ("A", "B", "Ts")))
+    held = hold_exactly(*(proof["plant"][key] for key in ("A", "B", "Ts")))
     for one in proof["sets"]:
         bounds = [one["noise"], *one["disturbance"], *proof["bounds"]["x"], *proof["bounds"]["u"]]
         require(min(bounds) >= 0 and min(one["V"], one["K"], one["width"]) > 0, "set: signs")
@@ -194,7 +200,7 @@ def check_code(proof: Any, texts: list[str]) -> None:
         for side, between in list_sides(proof, code, one):
             step = compare_step(proof, code, held, reach, side, between)
             check_step(proof, code, one, side, *step)
-        inside = one["V"] * dual(P, C) <= one["radius"] ** 2 and one["radius"] > 0
+        inside = one["V"] * dual_form(P, C) <= one["radius"] ** 2 and one["radius"] > 0
         require(inside, "set: its radius contains V")
 
 
@@ -204,8 +210,8 @@ def check_continuous(proof: Any) -> None:
     P, W, margin = (proof["storage"][key] for key in ("P", "W", "margin"))
     require_positive(P, "storage: P > 0")
     require(W > 0 and margin > 0, "storage: W and the margin are above 0")
-    cross = [a - W * b for a, b in zip(times([L], P)[0], C, strict=True)]
-    fall = mix(times(P, A), times(turn(A), P), -1)
+    cross = [a - W * b for a, b in zip(multiply_matrices([L], P)[0], C, strict=True)]
+    fall = mix_matrices(multiply_matrices(P, A), multiply_matrices(transpose_rows(A), P), -1)
     whole = [
         *([*row, x] for row, x in zip(fall, cross, strict=True)),
         [*cross, 2 * (1 - margin) * W],
@@ -213,35 +219,36 @@ def check_continuous(proof: Any) -> None:
     require_positive(whole, "inequality: V falls")
 
 
-def show(value: Any) -> str:
+def to_words(value: Any) -> str:
     """Return a part of the file in decimals, a fraction where these are not exact."""
     if isinstance(value, dict):
-        return ", ".join(f"{key} = {show(each)}" for key, each in value.items())
+        return ", ".join(f"{key} = {to_words(each)}" for key, each in value.items())
     if isinstance(value, list):
-        return f"[{', '.join(map(show, value))}]"
+        return f"[{', '.join(map(to_words, value))}]"
     short = repr(float(value))
     return short if value in (float(value), Fraction(short)) else str(value)
 
 
-def state(proof: Any) -> str:
+def state_theorem(proof: Any) -> str:
     """Return what is proved, in words."""
-    plant = f"x' = A x + B u, z = C x with {show(proof['plant'])}"
+    plant = f"x' = A x + B u, z = C x with {to_words(proof['plant'])}"
     if "source" not in proof:
         storage = proof["storage"]
         return (
             f"{plant}: for every sequence of sides and every gamma > 0 the observer with "
-            f"{show(proof['gains'])} has a V that falls faster than {show(storage['margin'])} "
-            f"times 2 W e^2, W = {show(storage['W'])}."
+            f"{to_words(proof['gains'])} has a V that falls faster than {to_words(storage['margin'])} "
+            f"times 2 W e^2, W = {to_words(storage['W'])}."
         )
     source, bounds = proof["source"], proof["bounds"]
     sets = [
-        f"{one['name']}: |z - z^| <= {show(one['radius'])}, |d - d^| <= {show(one['width'])} "
-        f"(readings wrong by {show(one['noise'])}, disturbances of {show(one['disturbance'])})"
+        f"{one['name']}: |z - z^| <= {to_words(one['radius'])}, |d - d^| <= {to_words(one['width'])} "
+        f"(readings wrong by {to_words(one['noise'])}, disturbances of {to_words(one['disturbance'])})"
         for one in proof["sets"]
     ]
+    sensor, *most = map(to_words, (proof["sensor"], bounds["x"], bounds["u"]))
     return (
-        f"{source['name']}.c in {source['format']} beside {plant}, {show(proof['sensor'])}: while "
-        f"|x| <= {show(bounds['x'])} and |u| <= {show(bounds['u'])}, no sequence of sides, missing "
+        f"{source['name']}.c in {source['format']} beside {plant}, {sensor}: while "
+        f"|x| <= {most[0]} and |u| <= {most[1]}, no sequence of sides, missing "
         f"readings and roundings moves the error out of a set. {'; '.join(sets)}."
     )
 
@@ -255,7 +262,7 @@ def to_numbers(value: Any) -> Any:
     return Fraction(value) if re.fullmatch(r"-?\d+(/\d+)?", value) else value
 
 
-def verify(proof: Any, source: Path | None = None) -> str:
+def verify_proof(proof: Any, source: Path | None = None) -> str:
     """Return the statement of a proof that holds.
 
     Args:
@@ -271,8 +278,8 @@ def verify(proof: Any, source: Path | None = None) -> str:
         check_code(proof, texts or proof["source"]["texts"])
     else:
         check_continuous(proof)
-    require(proof["statement"] == state(proof), "statement: it says what is proved")
-    return state(proof)
+    require(proof["statement"] == state_theorem(proof), "statement: it says what is proved")
+    return state_theorem(proof)
 
 
 def main(arguments: list[str]) -> int:
@@ -282,7 +289,7 @@ def main(arguments: list[str]) -> int:
         proof = to_numbers(json.loads(file.read_text(encoding="utf-8")))
         own = proof.get("source", {"texts": []})
         beside = [] if "texts" in own else [file.with_name(f"{own['name']}.c")]
-        words = verify(proof, *(given or beside))
+        words = verify_proof(proof, *(given or beside))
     except Refused as step:
         words = f"refused: {step}"
     except (LookupError, ValueError, TypeError, ArithmeticError, AttributeError, OSError) as error:

@@ -36,7 +36,7 @@ class Form(Clipped):
         terms = {key: self.terms.get(key, ZERO) + other.terms.get(key, ZERO) for key in names}
         exact = self.low == self.high == 0 or other.low == other.high == 0
         ends = self.low + other.low, self.high + other.high
-        return self.code.make(terms, self.error + other.error, *ends, exact)
+        return self.code.make_form(terms, self.error + other.error, *ends, exact)
 
     def __neg__(self) -> Form:
         """Return the negative, exactly."""
@@ -53,8 +53,8 @@ class Form(Clipped):
         x = factor.low
         require(x == factor.high, "source: one factor is a constant")
         terms = {key: x * each for key, each in form.terms.items()}
-        ends = sorted((x * form.low, x * form.high))
-        return self.code.make(terms, abs(x) * form.error, *ends, not x)
+        low, high = sorted((x * form.low, x * form.high))
+        return self.code.make_form(terms, abs(x) * form.error, low, high, not x)
 
     def __truediv__(self, other: Form) -> Form:
         """Return the rounded quotient by a constant."""
@@ -87,7 +87,7 @@ class Code:
         require(text.rindex("#endif") < first, "source: conditions end before functions")
         rest = function.sub("", text).splitlines()
         require(all(re.fullmatch(PLAIN, line) for line in rest), "source: functions alone")
-        self.bodies = {}
+        self.bodies: dict[str, list[str]] = {}
         for key, body in function.findall(text):
             require(key not in self.bodies, "source: each function once")
             self.bodies[key] = [" ".join(line.split()) for line in body.split(";")[:-1]]
@@ -105,7 +105,7 @@ class Code:
         x = round(x / unit) * unit
         return Form(self, {"": x} if x else {}, ZERO, x, x)
 
-    def make(
+    def make_form(
         self,
         terms: dict[str, Fraction],
         error: Fraction,
@@ -120,7 +120,7 @@ class Code:
         kept = {key: x for key, x in terms.items() if x}
         return Form(self, kept, error + wrong, low - wrong, high + wrong)
 
-    def pick(self, truth: Any, *options: Clipped) -> Any:
+    def pick_option(self, truth: Any, *options: Clipped) -> Any:
         """Return an expression, or the option that a truth picks.
 
         An open truth must be one of a clip by a constant that leaves true widths alone.
@@ -144,7 +144,8 @@ class Code:
         made = re.fullmatch(r"(?:const (?:bool|float|double) )?(\w+(?:->\w+\[\d+\])?) = (.*)", line)
         if call or line == "(void)in":
             return call[1] if call else "", None
-        require(made and not re.search("<[^()]*<", line), f"source: {line} is understood")
+        if made is None or re.search("<[^()]*<", line):
+            raise Refused(f"source: {line} is understood")
         parts = []
         for number, word, sign in TOKEN.findall(made[2]):
             require(not sign or sign in PYTHON, f"source: {line} is understood")
@@ -154,12 +155,12 @@ class Code:
         except SyntaxError:
             raise Refused(f"source: {line} is understood") from None
 
-    def run(self, name: str, memory: dict[str, Any]) -> None:
+    def run_function(self, name: str, memory: dict[str, Any]) -> None:
         """Run a function on forms by their names in the C, in which its results go."""
         memory |= self.numbers
         for target, value in self.steps[name]:
             if value is not None:
-                words = {"__builtins__": {}, "m": memory, "pick": self.pick}
+                words = {"__builtins__": {}, "m": memory, "pick": self.pick_option}
                 memory[target] = eval(value, words)
             elif target:
-                self.run(target, memory)
+                self.run_function(target, memory)

@@ -15,7 +15,7 @@ import undeadzone as uz
 import undeadzone_proof
 from commands import undeadzone
 from undeadzone.errors import InputError, ProofError
-from undeadzone_proof.exact import Refused, hold
+from undeadzone_proof.exact import Refused, hold_exactly
 from undeadzone_proof.source import Code
 
 
@@ -23,7 +23,7 @@ from undeadzone_proof.source import Code
 def test_each_change_of_a_proof_is_refused(k: int, tmp_path: Path) -> None:
     uz.prove(random_scenario(0, k), tmp_path / "proof.json")
     proof = undeadzone_proof.to_numbers(json.loads((tmp_path / "proof.json").read_text()))
-    assert proof["statement"] == undeadzone_proof.verify(proof)
+    assert proof["statement"] == undeadzone_proof.verify_proof(proof)
     every = mutants(proof)
     assert len(every) >= 20
     assert all(map(is_refused, every))
@@ -72,7 +72,7 @@ def test_a_literal_is_what_a_compiler_makes_of_it(text: str, kind: str) -> None:
 
 def test_the_exponential_is_within_its_bound() -> None:
     A = [[Fraction(-3), Fraction(1)], [Fraction(0), Fraction(-3)]]
-    exact, held, lost = hold(A, [[Fraction(0)], [Fraction(1)]], Fraction(1, 2))
+    exact, held, lost = hold_exactly(A, [[Fraction(0)], [Fraction(1)]], Fraction(1, 2))
     assert float(exact[0][1]) == pytest.approx(0.5 * np.exp(-1.5), rel=1e-15)
     assert float(held[1][0]) == pytest.approx((1 - np.exp(-1.5)) / 3, rel=1e-15)
     assert 0 < lost < Fraction(1, 1 << 140)
@@ -83,7 +83,7 @@ def test_what_the_theorem_does_not_have_is_named(tmp_path: Path) -> None:
     for key, error, words in (
         ({"width_max": None}, InputError, "needs observer.width_max"),
         ({"silence": True}, ProofError, "source"),
-        ({"L": [[-5.0]]}, ProofError, "not positive real"),
+        ({"L": [[-500.0]]}, ProofError, "not positive real"),
     ):
         with pytest.raises(error, match=words):
             uz.prove(scenario | {"observer": key}, tmp_path / "p.json")

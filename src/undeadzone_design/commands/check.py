@@ -70,8 +70,10 @@ def check(scenario: Path, output: Output, confine: Path | None, proof: Path | No
             again = build_origin(scenario, judged.simulation.seed)
             advance(1)
             written += write_gains(result.assessment, attempts, folder, origin=again)
-    last = proved | files_line(written) | _advise_after_check(
-        scenario, judged, result.summary()["certified"]
+    last = (
+        proved
+        | files_line(written)
+        | _advise_after_check(scenario, judged, result.summary()["certified"])
     )
     output.print_result(result.summary, result.blocks, written, last)
     return 0 if result.affirmed else 1
