@@ -236,13 +236,14 @@ def state_theorem(proof: Any) -> str:
         storage = proof["storage"]
         return (
             f"{plant}: for every sequence of sides and every gamma > 0 the observer with "
-            f"{to_words(proof['gains'])} has a V that falls faster than {to_words(storage['margin'])} "
-            f"times 2 W e^2, W = {to_words(storage['W'])}."
+            f"{to_words(proof['gains'])} has a V that falls faster than "
+            f"{to_words(storage['margin'])} times 2 W e^2, W = {to_words(storage['W'])}."
         )
     source, bounds = proof["source"], proof["bounds"]
     sets = [
-        f"{one['name']}: |z - z^| <= {to_words(one['radius'])}, |d - d^| <= {to_words(one['width'])} "
-        f"(readings wrong by {to_words(one['noise'])}, disturbances of {to_words(one['disturbance'])})"
+        f"{one['name']}: |z - z^| <= {to_words(one['radius'])}, "
+        f"|d - d^| <= {to_words(one['width'])} (readings wrong by {to_words(one['noise'])}, "
+        f"disturbances of {to_words(one['disturbance'])})"
         for one in proof["sets"]
     ]
     sensor, *most = map(to_words, (proof["sensor"], bounds["x"], bounds["u"]))
