@@ -33,10 +33,10 @@ times: .venv/tested           ## CPU seconds of each file of tests to tests/cpu.
 test-wheel: .venv/tested      ## the tests against an installed wheel in place of src
 	$(BIN)/python tests/packed.py -n 2
 
-wheel: .venv/tested           ## a wheel in dist/, and its bill of materials (CycloneDX)
+wheel: .venv/tested           ## the wheels of both distributions in dist/, and a bill of materials (CycloneDX)
 	rm -rf dist
-	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-build-isolation --no-deps --wheel-dir dist .
-	$(BIN)/python -m tools.supply sbom dist/*.whl
+	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-build-isolation --no-deps --wheel-dir dist . ./packages/deadzone_update
+	$(BIN)/python -m tools.supply sbom dist/undeadzone-*.whl
 
 fuzz: .venv/tested            ## random inputs for everything that reads something, FUZZ_SECONDS=600
 	$(BIN)/python -m tools.fuzz --seconds $(FUZZ_SECONDS)

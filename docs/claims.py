@@ -1,4 +1,4 @@
-"""Writes docs/paper.md, and what other pages say of the paper's claims, from the audit.
+"""Writes docs/paper*.md, and what other pages say of the paper's claims, from the audit.
 
 A page that speaks of a claim has two marks, `<!-- claim KEY -->` and `<!-- /claim -->`; what stands
 between them is written here, and nobody else says whether a claim holds. KEY `all` counts them,
@@ -32,7 +32,9 @@ from undeadzone_paper.page import STAND_INS
 from undeadzone_paper.theorem import DEFINITION, count_theorem
 
 ROOT: Final = Path(__file__).parents[1]
-PAGE: Final = ROOT / "docs" / "paper.md"
+DOCS: Final = ROOT / "docs"
+NUMBERED: Final = "paper_numbers.md"  # page of equations, figures and letters
+REPAIRED: Final = "paper_repaired.md"  # page of the statements that hold after repair
 MARKED: Final = re.compile(r"(<!-- claim ([\w-]+) -->\n).*?(?=<!-- /claim -->)", re.S)
 WIDTH: Final = 100
 BAR: Final = "\u2223"  # in place of | within a cell
@@ -42,7 +44,8 @@ HEAD: Final = """# The paper's claims
 *Which statements of the paper hold if they are computed?*
 
 `undeadzone paper` computes its sentences, equations (1)-(42) and Theorem 4.1, and draws figures 1
-to 8 as printed and repaired. `python docs/claims.py` writes this page from the results. The words,
+to 8 as printed and repaired. `python docs/claims.py` writes this page, [the statements that hold
+after repair](paper_repaired.md) and [the numbers](paper_numbers.md) from the results. The words,
 limits and reasons stand in `src/undeadzone_paper/claims.toml`, the computations in `trials.py` and
 `both_sides.py` beside it.
 
@@ -52,7 +55,19 @@ To run the paper's methods with other numbers, write `observer.method = "printed
 seconds, of which figures take four. `python -m benchmarks paper_recomputed` recomputes ten
 verdicts, drawn by a seed, by a script that shares no code with the audit.
 """
-NUMBERS: Final = """## By number
+HEAD_REPAIRED: Final = """# The paper's claims that hold after repair
+
+*Which statements of the paper hold once their equations are repaired?*
+
+[The paper's claims](paper.md) has the others, and how all were computed.
+"""
+NUMBERS: Final = """# The paper's equations, figures and letters
+
+*Which of its equations and figures were computed, and what was found?*
+
+[The paper's claims](paper.md) has the statements, and how all were computed.
+
+## By number
 
 Both sides of each equation are computed along a run, and the largest difference is shown: as
 printed along the run of Theorem 4.1 (law (29), d - d^ given, started at x1 = 5 with d^ = d), mended
@@ -86,25 +101,30 @@ def escape_brackets(quotation: str) -> str:
     return quotation.replace("[", "\\[").replace("]", "\\]")
 
 
-def page(paper: Paper) -> str:
-    """docs/paper.md."""
+def page_of(claim: Claim) -> str:
+    """Return the page that describes a claim."""
+    return REPAIRED if claim.verdict == "holds after repair" else "paper.md"
+
+
+def pages(paper: Paper) -> dict[Path, str]:
+    """Return docs/paper.md and its two companions."""
     ranked = sorted(paper.claims, key=lambda claim: ORDER.index(claim.verdict))
-    parts = [
-        HEAD,
-        wrapped(f"{verdict_counts_text(paper.claims)} {HOW}"),
-        *numbered(paper),
-        LETTERS,
-        letters_table(),
-    ]
-    for verdict, claims in groupby(ranked, key=lambda claim: claim.verdict):
-        parts.append(f"## {capital(verdict)}\n")
-        parts += [section(claim) for claim in claims]
-    return "\n".join(parts)
+    parts = {
+        "paper.md": [HEAD, wrapped(f"{verdict_counts_text(paper.claims)} {HOW}")],
+        REPAIRED: [HEAD_REPAIRED],
+        NUMBERED: [*numbered(paper), LETTERS, letters_table()],
+    }
+    for verdict, group in groupby(ranked, key=lambda claim: claim.verdict):
+        claims = list(group)
+        parts[page_of(claims[0])].append(f"## {capital(verdict)}\n")
+        parts[page_of(claims[0])] += [section(claim) for claim in claims]
+    return {DOCS / name: "\n".join(texts) for name, texts in parts.items()}
 
 
 def numbered(paper: Paper) -> list[str]:
     """The paper's equations, figures, assumptions and theorem, each with what was found."""
     texts = [claim.text for claim in paper.claims]
+    places = {claim.text.id: page_of(claim) for claim in paper.claims}
     equations = []
     for entry in paper.summary()["equations"]:
         equations.append(
@@ -115,15 +135,15 @@ def numbered(paper: Paper) -> list[str]:
                 number(entry["printed"]),
                 number(entry["mended"]),
                 f"{entry['status']}: {entry['reason']}",
-                links(entry["claims"]),
+                links(entry["claims"], places),
             )
         )
     figures = [
-        (f"figure {key}", words, files(key), links(claims_on_figure(key, texts)))
+        (f"figure {key}", words, files(key), links(claims_on_figure(key, texts), places))
         for key, words in {**DIAGRAMS, **FIGURES}.items()
     ]
     assumed = [
-        (f"A{key}", words, "", links(claims_on_assumption(key, texts)))
+        (f"A{key}", words, "", links(claims_on_assumption(key, texts), places))
         for key, words in ASSUMPTIONS.items()
     ]
     counts = [tuple(map(str, count)) for count in count_theorem(paper.evidence.theorem)]
@@ -158,9 +178,9 @@ def number(value: float | None) -> str:
     return "–" if value is None else value_text(value)
 
 
-def links(ids: list[str]) -> str:
-    """Links to claims on this page."""
-    return ", ".join(f"[{name}](#{name})" for name in ids)
+def links(ids: list[str], places: dict[str, str]) -> str:
+    """Return links to claims on their pages."""
+    return ", ".join(f"[{name}]({places[name]}#{name})" for name in ids)
 
 
 def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
@@ -204,7 +224,7 @@ def line(claim: Claim, path: Path) -> str:
         claim: that is spoken of
         path: of that page
     """
-    link = f"{'../' * (len(path.relative_to(PAGE.parent).parts) - 1)}{PAGE.name}#{claim.text.id}"
+    link = f"{'../' * (len(path.relative_to(DOCS).parts) - 1)}{page_of(claim)}#{claim.text.id}"
     told = f"“{claim.text.claim}”, {claim.text.where}: [{claim.verdict}]({link})."
     return wrapped(f"* {told} {claim.text.why}", "  ")
 
@@ -233,7 +253,8 @@ def marked() -> list[Path]:
 def main() -> None:
     """Write the pages."""
     paper = audit()
-    PAGE.write_text(page(paper), encoding="utf-8")
+    for path, text in pages(paper).items():
+        path.write_text(text, encoding="utf-8")
     for path in marked():
         path.write_text(filled(path, paper), encoding="utf-8")
 

@@ -1,23 +1,26 @@
 """Makes the pictures of README and of the pages: python docs/pictures.py [NAME ...].
 
-Each file carries its title, by which a test knows a picture of yesterday.
+Each file carries its title, by which a test knows a picture of yesterday. The names `trades` and
+`wrong` make the small pictures of docs/trades and docs/what_goes_wrong.md, and `records` the logs
+that docs/trades offers.
 """
 
 from __future__ import annotations
 
+import re
 import runpy
 import sys
 import tempfile
 from collections.abc import Callable
 from contextlib import chdir
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 import undeadzone as uz
 import undeadzone_arena
-from undeadzone.report import animation, run_figures, style
+from undeadzone.report import animation, ink, run_figures, style
 from undeadzone.results.run import Run
 from undeadzone.simulation.simulate import beside
 from undeadzone_arena.contest.page import arena_figures as of_contest
@@ -27,9 +30,15 @@ from undeadzone_identify import figures
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from undeadzone.util.arrays import Floats
+
 DOCS: Final = Path(__file__).parent
 FIGURES: Final = DOCS / "figures"
 EXAMPLES: Final = DOCS.parent / "examples"
+TRADES: Final = DOCS / "trades"
+FEW: Final = 400  # points of a curve in a small picture
+LOGS: Final = ("load_cell", "valve", "hobby_servo", "two_encoders", "mount")
+CODE: Final = re.compile(r"```python\n(.*?)```", re.S)
 STRAIGHT: Final = 0.999  # correlation of reading and input, above which a line hides a gap
 
 
@@ -81,6 +90,173 @@ def logs() -> Figure:
     return figure
 
 
+def sketch(
+    title: str, labels: tuple[str, str], curves: dict[str, tuple[Floats, Floats, str, str]]
+) -> Figure:
+    """Return a small figure of one panel.
+
+    Args:
+        title: of the figure.
+        labels: of the horizontal and of the vertical axis.
+        curves: x, y, format and colour by name. Of many points some hundred are drawn.
+    """
+    figure, panels = style.create_panels([["all"]], title, width=6.4, height=2.3)
+    for name, (x, y, form, colour) in curves.items():
+        every = slice(None, None, -(-len(x) // FEW))
+        panels["all"].plot(x[every], y[every], form, markersize=2.5, color=colour, label=name)
+    style.finish_panel(panels["all"], "", labels[1], labels[0], legend=len(curves))
+    return figure
+
+
+def recorded(name: str) -> Floats:
+    """Return the columns of a log of docs/trades."""
+    return np.loadtxt(TRADES / f"{name}.csv", delimiter=",", skiprows=1).T
+
+
+def run_code(page: Path) -> dict[str, Any]:
+    """Return the names that the first Python block of a page defines."""
+    code = CODE.search(page.read_text(encoding="utf-8"))
+    assert code is not None, page
+    names: dict[str, Any] = {"__name__": "__main__"}
+    exec(compile(code[1], page.name, "exec"), names)
+    return names
+
+
+def scale_and_sensor() -> Figure:
+    """Last reading of each level of force."""
+    _, force, reading = recorded("load_cell")
+    last = np.append(force[1:] != force[:-1], True)
+    ideal = np.array([-6.0, 6.0])
+    return sketch(
+        "Load cell: 0 between the edges, too small beyond",
+        ("force [N]", "reading [N]"),
+        {
+            "no dead zone": (ideal, ideal, "-", ink.ZONE),
+            "reading": (force[last], reading[last], ".", ink.READING),
+        },
+    )
+
+
+def valve_and_loop() -> Figure:
+    """Command and flow of a loop."""
+    t, op, pv, sp = recorded("valve")[:, :1200]
+    return sketch(
+        "Flow loop: after each turn of OP the flow waits",
+        ("t [min]", "[%]"),
+        {
+            "OP": (t / 60, op, "-", ink.OTHER),
+            "PV": (t / 60, pv, "-", ink.ESTIMATE),
+            "SP": (t / 60, sp, "-", ink.REFERENCE),
+        },
+    )
+
+
+def joint_and_servo() -> Figure:
+    """Difference of two encoders over the motor's."""
+    _, motor, joint = recorded("two_encoders")
+    return sketch(
+        "Two encoders: the joint is half a gap behind, on either side",
+        ("motor [deg]", "joint - motor [deg]"),
+        {"difference": (motor, joint - motor, ".", ink.READING)},
+    )
+
+
+def axis_and_mount() -> Figure:
+    """Star less a straight line over the pulses."""
+    _, pulses, star = recorded("mount")
+    rest = star - np.polyval(np.polyfit(pulses, star, 1), pulses)
+    return sketch(
+        "Telescope mount: the star waits after each reversal",
+        ("pulses in all [ms]", "star less a line [arcsec]"),
+        {"star": (pulses, rest, ".-", ink.READING)},
+    )
+
+
+def class_room() -> Figure:
+    """Angle of a pendulum, its reading and its estimate."""
+    run = uz.simulate(uz.read(EXAMPLES / "pendulum.toml"))
+    early = run.t < 8.0
+    t, z, y, z_hat = run.t[early], run.z[early, 0], run.y[early, 0], run.z_hat[early, 0]
+    return sketch(
+        "Pendulum: the reading rests at 0, the estimate does not",
+        ("t [s]", "angle [rad]"),
+        {
+            "true": (t, z, "-", ink.TRUTH),
+            "reading": (t, y, "-", ink.READING),
+            "estimate": (t, z_hat, "--", ink.ESTIMATE),
+        },
+    )
+
+
+def paper() -> Figure:
+    """Convergence of the widths in the paper's example."""
+    run = uz.simulate(uz.read(EXAMPLES / "paper_5sin.toml"))
+    early = run.t < 10.0
+    return sketch(
+        "The paper's example, repaired: both widths converge to 1",
+        ("t [s]", "width"),
+        {
+            "true": (run.t[early], np.ones(early.sum()), "-", ink.TRUTH),
+            "right": (run.t[early], run.d_hat[early, 0], "-", ink.PRINTED),
+            "left": (run.t[early], run.d_hat[early, 1], "--", ink.OTHER),
+        },
+    )
+
+
+def filter_author() -> Figure:
+    """Estimate of the filter that the page shows."""
+    names = run_code(TRADES / "filter_author.md")
+    t, z, y, estimate = (np.asarray(names[key]) for key in ("t", "z", "y", "estimate"))
+    return sketch(
+        "Kalman filter with the dead-zone update",
+        ("t [s]", "z"),
+        {
+            "true": (t, z, "-", ink.TRUTH),
+            "reading": (t, y, "-", ink.READING),
+            "estimate": (t, estimate, "--", ink.ESTIMATE),
+        },
+    )
+
+
+def spoilt() -> dict[str, Figure]:
+    """Return a picture of each bad record of docs/what_goes_wrong.md: reading over force."""
+    records = run_code(DOCS / "what_goes_wrong.md")["records"]
+    u, y = records.pop("good log")
+    last = np.append(u[1:] != u[:-1], True)
+    figures = {}
+    for name, (force, reading) in records.items():
+        figures[name.replace(" ", "_")] = sketch(
+            name.capitalize(),
+            ("force at the end of each level", "reading"),
+            {
+                "good log": (u[last], y[last], ".", ink.ZONE),
+                "this log": (force[last], reading[last], ".", ink.PRINTED),
+            },
+        )
+    return figures
+
+
+def write_records() -> None:
+    """Write the logs that docs/trades offers: those of docs/cases.md, with six digits."""
+    sys.path.insert(0, str(DOCS.parent))
+    from benchmarks.end_to_end.cases import SEED
+    from benchmarks.end_to_end.machines import CASES
+
+    for name in LOGS:
+        log = CASES[name].record(np.random.default_rng(SEED))
+        path, head = TRADES / f"{name}.csv", CASES[name].columns
+        np.savetxt(path, log, fmt="%.6g", delimiter=",", header=head, comments="")
+
+
+READERS: Final[dict[str, Callable[[], Figure]]] = {
+    "scale_and_sensor": scale_and_sensor,
+    "valve_and_loop": valve_and_loop,
+    "joint_and_servo": joint_and_servo,
+    "axis_and_mount": axis_and_mount,
+    "class_room": class_room,
+    "paper": paper,
+    "filter_author": filter_author,
+}
 PICTURES: Final[dict[str, Callable[[], Figure]]] = {
     "two_link_gears": gears,
     "identify": hidden,
@@ -91,14 +267,20 @@ PICTURES: Final[dict[str, Callable[[], Figure]]] = {
 
 
 def draw(name: str) -> None:
-    """Write a picture."""
+    """Write a picture, or the small ones of a folder."""
     if name == "two_link":
         animation.write_movie(*compared(name), FIGURES / "two_link.gif")
+    elif name == "records":
+        write_records()
+    elif name in ("trades", "wrong"):
+        drawn = spoilt() if name == "wrong" else {key: make() for key, make in READERS.items()}
+        for key, figure in drawn.items():
+            style.write_figure(figure, FIGURES / name / f"{key}.svg")
     else:
         style.write_figure(PICTURES[name](), FIGURES / f"{name}.png")
 
 
 if __name__ == "__main__":
-    for each in sys.argv[1:] or [*PICTURES, "two_link"]:
+    for each in sys.argv[1:] or ["records", *PICTURES, "two_link", "trades", "wrong"]:
         sys.stdout.write(f"{each}\n")
         draw(each)

@@ -1,4 +1,4 @@
-"""Writes docs/scenario.md from the structs that read a scenario, so that it cannot fall behind.
+"""Writes docs/scenario*.md from the structs that read a scenario, so that they cannot fall behind.
 
 Run: python docs/reference.py
 """
@@ -16,39 +16,85 @@ from undeadzone.registry import REGISTRIES
 from undeadzone.scenario.schema import Scenario
 from undeadzone.util.arrays import Array
 
-PAGE = Path(__file__).with_name("scenario.md")
+DOCS = Path(__file__).parent
+FIRST = "scenario"
+PAGES = {  # table: the page that begins with it or has it too, in place of the first
+    "plant": "scenario_plant",
+    "reference": "scenario_plant",
+    "observer": "scenario_observer",
+    "controller": "scenario_controller",
+    "compensator": "scenario_controller",
+    "ensemble": "scenario_studies",
+    "tune": "scenario_studies",
+}
+LIMIT = 2900  # words of a page; a table with more variants goes on to a second one
 ENTRY = re.compile(r"    (\w[\w, ]*): (.*)")
 HEAD = """# The scenario file
 
 Which keys may stand in a scenario, what each means, and what happens without it. `undeadzone init`
-writes a commented file to start from. `python docs/reference.py` writes this page from the structs
+writes a commented file to start from. `python docs/reference.py` writes the pages from the structs
 that read the file. Numbers are SI, times in seconds; *n* is the number of states, *m* of inputs,
 *p* of outputs. An *array* is a number or (nested) lists of numbers. Where a table has variants, the
 key in bold chooses one.
 """
 
 
-def page() -> str:
-    """The whole page."""
+def pages() -> dict[Path, str]:
+    """Return the pages by their files."""
+    blocks: dict[str, list[str]] = {FIRST: []}
+    for name, texts in tables().items():
+        blocks.setdefault(PAGES.get(name, FIRST), []).extend(texts)
+    written: dict[str, str] = {}
+    for stem, texts in blocks.items():
+        for number, text in enumerate(paginate(texts), 1):
+            name = stem if number == 1 else f"{stem}_{number}"
+            written[name] = text if stem == FIRST else f"{title(name)}\n{text}"
+    listed = [f"* [{title(name)[2:-1]}]({name}.md)" for name in written if name != FIRST]
+    written[FIRST] = "\n".join([HEAD, *listed, "", written[FIRST]])
+    return {DOCS / f"{name}.md": text for name, text in written.items()}
+
+
+def title(name: str) -> str:
+    """Return the heading of a page."""
+    words = [table for table, page in PAGES.items() if name.startswith(page)]
+    number = re.search(r"\d+$", name)
+    return f"# Scenario file: {', '.join(words)}{f', part {number[0]}' if number else ''}\n"
+
+
+def paginate(texts: list[str]) -> list[str]:
+    """Return texts joined to pages that are not longer than the limit."""
+    joined: list[list[str]] = [[]]
+    for text in texts:
+        if len(" ".join([*joined[-1], text]).split()) > LIMIT:
+            joined.append([])
+        joined[-1].append(text)
+    return ["\n".join(part) for part in joined]
+
+
+def tables() -> dict[str, list[str]]:
+    """Return the section of each table of a scenario: its head, and each of its variants."""
     top = msgspec.structs.fields(Scenario)
     meanings = meaning(Scenario)
     simple = [field for field in top if not structs(field.type)]
-    parts = [HEAD, "## Top level\n", rows(simple, meanings)]
+    parts = {"": ["## Top level\n", rows(simple, meanings)]}
     described: dict[tuple[type, ...], str] = {}
     for field in top:
         kinds = tuple(structs(field.type))
         if not kinds:
             continue
+        texts = parts.setdefault(field.name, [])
         if kinds in described:
-            parts += [f"## [{field.name}]\n", f"{meanings[field.name]}\n"]
-            parts += [f"Its keys are those of [[{described[kinds]}]](#{described[kinds]}).\n"]
+            place = described[kinds]
+            texts += [f"## [{field.name}]\n", f"{meanings[field.name]}\n"]
+            link = f"{PAGES.get(place, FIRST)}.md#{place}"
+            texts += [f"Its keys are those of [[{place}]]({link}).\n"]
             continue
         described[kinds] = field.name
         if len(kinds) > 1:
-            parts += [f"## [{field.name}]\n", f"{meanings[field.name]}\n", variants(kinds)]
+            texts += [f"## [{field.name}]\n", f"{meanings[field.name]}\n", variants(kinds)]
         for struct in kinds:
-            parts += table(field.name, struct, alone=len(kinds) == 1)
-    return "\n".join(parts)
+            texts.append("\n".join(table(field.name, struct, alone=len(kinds) == 1)))
+    return parts
 
 
 def variants(kinds: tuple[type[msgspec.Struct], ...]) -> str:
@@ -189,4 +235,5 @@ def kind(annotation: typing.Any) -> str:
 
 
 if __name__ == "__main__":
-    PAGE.write_text(page(), encoding="utf-8")
+    for path, text in pages().items():
+        path.write_text(text, encoding="utf-8")

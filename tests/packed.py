@@ -38,7 +38,7 @@ def copied(folder: Path) -> Path:
     """A copy, in a folder, of what a wheel is made of."""
     source = folder / "undeadzone"
     unwanted = shutil.ignore_patterns("__pycache__", "*.egg-info")
-    for name in ("src", "examples"):
+    for name in ("src", "examples", "packages"):
         shutil.copytree(ROOT / name, source / name, ignore=unwanted)
     for name in SOURCES:
         shutil.copy(ROOT / name, source / name)

@@ -300,7 +300,7 @@ def identify(u: Floats, y: Floats) -> tuple[Floats, Floats]:
 def filter_in_loop(gust: float, noise: float) -> float:
     """Largest |d^ - d|, last 2 s, of a Kalman filter on the measured side, in the loop at 100 Hz.
 
-    Its state is [x1; x2; d_r; d_l]. As docs/methods/kalman.md says, without a declared
+    Its state is [x1; x2; d_r; d_l]. As docs/methods/simple_observers.md says, without a declared
     disturbance the filter assumes a white one, which moves z by a fifth of the largest width (3) in
     a quarter period. With a declared disturbance of 0 it trusts its model.
     """

@@ -17,6 +17,7 @@ from mkdocs.structure.pages import Page
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
+METHODS = ROOT / "docs/methods"
 sys.path.insert(0, str(HERE))
 
 import tutorials  # noqa: E402
@@ -40,11 +41,22 @@ HOW_TO = (
     "live_samples",
     "many_runs",
 )
+TRADES = (
+    "scale_and_sensor",
+    "valve_and_loop",
+    "joint_and_servo",
+    "axis_and_mount",
+    "class_room",
+    "paper",
+    "filter_author",
+)
 CHAPTERS = {
-    "Start": ["index.md", "try.md", "install.md", "cases.md", "gallery.md"],
-    "Tutorials": ["tour.md"],
+    "Start": ["index.md", "try.md", "install.md", "cases.md", "gallery.md", "pages.md"],
+    "Readers": [f"trades/{name}.md" for name in TRADES],
+    "Tutorials": ["tour.md", "exercises.md"],
     "How-to": [
         *(f"howto/{name}.md" for name in HOW_TO),
+        "what_goes_wrong.md",
         "which.md",
         "compare.md",
         "export_plc.md",
@@ -68,33 +80,88 @@ CHAPTERS = {
         "identifiability.md",
         "filters.md",
         "filter_equations.md",
+        "filter_extensions.md",
         "innovation_tests.md",
         "filter_accuracy.md",
         "observer.md",
         "adaptation.md",
         "certificate.md",
+        "certificate_regions.md",
+        "proof.md",
         "rates.md",
         "simulation.md",
         "export_accuracy.md",
         "robots.md",
+        "robot_gears.md",
+        "robot_paths.md",
         "arena.md",
         "paper.md",
+        "paper_repaired.md",
+        "paper_numbers.md",
     ],
     "Reference": [
         "command_line.md",
         "keys.md",
         "scenario.md",
+        "scenario_plant.md",
+        "scenario_observer.md",
+        "scenario_observer_2.md",
+        "scenario_observer_3.md",
+        "scenario_controller.md",
+        "scenario_controller_2.md",
+        "scenario_studies.md",
         "json.md",
+        "json_logs.md",
         "versions.md",
         "notation.md",
         "references.md",
     ],
 }
-CONTRIBUTING = ["architecture.md", "testing.md", "decisions.md"]
+CONTRIBUTING = [
+    "architecture.md",
+    "testing.md",
+    "decisions.md",
+    "decisions_methods.md",
+    "decisions_code.md",
+    "release.md",
+]
 MOVED = {  # old address: new page
     "house.md": "architecture.md",
     "glossary.md": "notation.md",
     "hear.md": "deadzone_update.md",
+}
+DESCRIBE = "Describe plant, sensor and scenario"
+RUN = "Simulate and plot"
+ESTIMATE = "Estimate along a log or on live samples"
+OBSERVE = "Choose an observer"
+PROVE = "Design gains with a proof"
+VARY = "Vary, tune and replay runs"
+TASKS = {  # the beginning of a name's path: its task, in the order of the API page
+    "undeadzone_identify": "Identify a log",
+    "undeadzone.plants": DESCRIBE,
+    "undeadzone.nonlinearities": DESCRIBE,
+    "undeadzone.scenario": DESCRIBE,
+    "undeadzone.simulation": RUN,
+    "undeadzone.report": RUN,
+    "undeadzone.results": RUN,
+    "undeadzone.simulation.estimate": ESTIMATE,
+    "undeadzone.simulation.online": ESTIMATE,
+    "undeadzone.results.estimation": ESTIMATE,
+    "undeadzone.numerics": "Update your own Kalman filter",
+    "undeadzone.observers": OBSERVE,
+    "undeadzone.interfaces": OBSERVE,
+    "undeadzone.registry": OBSERVE,
+    "undeadzone.controllers": "Choose a controller or a compensator",
+    "undeadzone.compensators": "Choose a controller or a compensator",
+    "undeadzone.signals": "Choose a reference or a path",
+    "undeadzone_export": "Export an observer",
+    "undeadzone_studies": VARY,
+    "undeadzone.scenario.ensemble_table": VARY,
+    "undeadzone.scenario.tune_table": VARY,
+    "undeadzone_design": PROVE,
+    "undeadzone.analysis": PROVE,
+    "undeadzone.linalg": PROVE,
+    "undeadzone.errors": "Catch an error",
 }
 # Old anchors of a page that was split: the page and anchor that replaced each.
 MOVED_ANCHORS = {
@@ -104,16 +171,59 @@ MOVED_ANCHORS = {
         "what-else-may-be-wrong-censored": "filter_equations.md#disturbance-bias-and-model-error",
         "how-strong-the-disturbance-is": "filter_equations.md#multiple-models-of-the-disturbance",
         "what-silence-says": "filter_equations.md#censored-samples",
-        "readings-that-end": "filter_equations.md#limits-of-the-sensors-range",
-        "readings-that-are-wrong": "filter_equations.md#outliers",
+        "readings-that-end": "filter_extensions.md#limits-of-the-sensors-range",
+        "readings-that-are-wrong": "filter_extensions.md#outliers",
         "a-world-that-is-not-as-claimed": "innovation_tests.md",
-        "looking-back": "filter_equations.md#smoothing",
-        "what-cannot-be-known": "filter_equations.md#bias-or-centre-calibrated",
-        "to-the-controller": "filter_equations.md#feedback-of-the-estimated-model-error",
+        "looking-back": "filter_extensions.md#smoothing",
+        "what-cannot-be-known": "filter_extensions.md#bias-or-centre-calibrated",
+        "to-the-controller": "filter_extensions.md#feedback-of-the-estimated-model-error",
         "how-good-is-that": "filter_accuracy.md",
         "measured": "filter_accuracy.md#coverage-of-95-intervals",
     },
 }
+# Sections that stand on another page under their old anchors.
+MOVED_SECTIONS = {
+    ("scenario.md", "scenario_plant.md"): "plant reference",
+    ("scenario.md", "scenario_observer.md"): "observer",
+    ("scenario.md", "scenario_controller.md"): "controller",
+    ("scenario.md", "scenario_controller_2.md"): "compensator",
+    ("scenario.md", "scenario_studies.md"): "ensemble tune",
+    ("paper.md", "paper_repaired.md"): """
+        adaptation-bounded bounded cancelled decomposition displacements figure-1 global
+        indicators lyapunov manipulator observer-poles practical-use reading-tracked
+        robust-noise state-1 state-2 switching symmetric theorem theorem-bounded
+        theorem-known tracking unknown-width width-bound widths
+    """,
+    ("paper.md", "paper_numbers.md"): "by-number theorem-41-with-its-own-law letters",
+    ("certificate.md", "certificate_regions.md"): """
+        disturbance-and-noise-l2-gain extensions falsification-attempts-to-break-it
+        nonlinear-plants-on-a-region plants-with-and-without-a-certificate
+        proof-by-interval-arithmetic region-and-gains ultimate-bound-and-leakage
+        uncertain-plant-in-closed-loop
+    """,
+    ("robots.md", "robot_gears.md"): """
+        control-and-estimation-across-the-gap elastic-joint export-to-mujoco gears
+        identifiability-of-the-gap where-is-the-encoder
+    """,
+    ("robots.md", "robot_paths.md"): """
+        from-the-tip-to-the-joints paths refused-paths
+    """,
+    ("filter_equations.md", "filter_extensions.md"): """
+        bias-or-centre-calibrated feedback-of-the-estimated-model-error
+        limits-of-the-sensors-range outliers sensor-shape smoothing
+    """,
+    ("decisions.md", "decisions_methods.md"): """
+        arms-behind-gears certificates-and-search filters gears identification
+    """,
+    ("decisions.md", "decisions_code.md"): """
+        compiler-and-kernels dependencies export
+    """,
+    ("json.md", "json_logs.md"): """
+        estimate identify watch
+    """,
+}
+for (page, place), names in MOVED_SECTIONS.items():
+    MOVED_ANCHORS.setdefault(page, {}).update({name: f"{place}#{name}" for name in names.split()})
 TRY = """# Try it
 
 The whole loop of plant, sensor, observer and controller, computed in your browser at each move of a
@@ -130,7 +240,8 @@ LINK = re.compile(r"(\]\()([^)#\s:]+)(#[^)]*)?(\))")
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
     """Order the pages."""
-    methods = sorted(path.name for path in (ROOT / "docs/methods").glob("*.md"))
+    table = (METHODS / "index.md").read_text(encoding="utf-8")
+    methods = dict.fromkeys(re.findall(r"\]\((\w+\.md)", table))  # in its order
     chapters = {title: list[Any](pages) for title, pages in CHAPTERS.items()}
     chapters["Tutorials"] += [f"tutorials/{name}.md" for name in tutorials.NAMES]
     chapters["Reference"].insert(0, "api.md")
@@ -146,9 +257,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     for path in PROJECT:
         add(files, config, project_page(path), (ROOT / path).read_text(encoding="utf-8"))
     add(files, config, "api.md", reference())
-    add(files, config, "methods/index.md", methods_page())
     add(files, config, "try.md", TRY)
-    for old, new in MOVED.items():
+    for old, new in (MOVED | moved_methods()).items():
         add(files, config, old, redirect_page(new))
     for name, content in tutorials.pages(ROOT / "docs/tutorials").items():
         add(files, config, f"tutorials/{name}", content)
@@ -217,7 +327,7 @@ def page_of(path: str, files: Files, config: MkDocsConfig) -> str | None:
     if path == "docs/methods":
         return "methods/index.md"
     if path.startswith("docs/"):
-        return path.removeprefix("docs/")
+        return re.sub(r"^docs/(tutorials/\w+)\.py$", r"docs/\1.md", path).removeprefix("docs/")
     file = ROOT / path
     if not file.is_file():
         return None
@@ -228,7 +338,10 @@ def page_of(path: str, files: Files, config: MkDocsConfig) -> str | None:
 
 
 def add(files: Files, config: MkDocsConfig, uri: str, content: str | bytes) -> None:
-    """Add a file to the site."""
+    """Add a file to the site, in place of one of the same address."""
+    present = files.get_file_from_path(uri)
+    if present is not None:
+        files.remove(present)
     files.append(File.generated(config, uri, content=content))
 
 
@@ -243,6 +356,13 @@ def moved_sections(anchors: dict[str, str]) -> str:
     return "\n\n## Sections that moved\n\n" + "\n".join(lines) + "\n"
 
 
+def moved_methods() -> dict[str, str]:
+    """Return the old address of each method that shares a page: its section there."""
+    table = (METHODS / "index.md").read_text(encoding="utf-8")
+    shared = re.findall(r"\]\((\w+\.md#(\w+))\)", table)
+    return {f"methods/{name}.md": target for target, name in shared}
+
+
 def redirect_page(target: str) -> str:
     """Return a page that leads from an old address to the page that replaced it."""
     address = target.replace(".md", ".html")
@@ -253,26 +373,18 @@ def redirect_page(target: str) -> str:
 
 
 def reference() -> str:
-    """The page of the public names, by the room that they come from."""
+    """Return the page of the public names, by the task that each serves."""
     stub = (ROOT / "src/undeadzone/__init__.pyi").read_text(encoding="utf-8")
-    rooms: dict[str, list[str]] = {}
-    for module, name in re.findall(r"^from \.([\w.]+) import (\w+) as \w+$", stub, re.M):
-        rooms.setdefault(module.split(".")[0], []).append(f"::: undeadzone.{module}.{name}")
-    for package, name in re.findall(r"^\w+ = (undeadzone_\w+)\.(\w+)$", stub, re.M):
-        rooms.setdefault(package, []).append(f"::: {package}.{name}")
+    names = re.findall(r"^from \.([\w.]+) import (\w+) as \w+$", stub, re.M)
+    paths = [f"undeadzone.{module}.{name}" for module, name in names]
+    names = re.findall(r"^\w+ = (undeadzone_\w+)\.(\w+)$", stub, re.M)
+    paths += [f"{package}.{name}" for package, name in names]
+    tasks: dict[str, list[str]] = {title: [] for title in TASKS.values()}
+    for path in sorted(paths, key=lambda path: path.rsplit(".", 1)[1].lower()):
+        served = max((start for start in TASKS if path.startswith(start)), key=len)
+        tasks[TASKS[served]].append(f"::: {path}")
     parts = ["# API", "Everything here is `uz.NAME` after `import undeadzone as uz`."]
-    for room in sorted(rooms):
+    for number, (title, entries) in enumerate(tasks.items()):
         # An element whose id is "exports" would look like a module loader to KaTeX.
-        parts += [f"## {room} {{ #room-{room} }}", *sorted(rooms[room], key=str.lower)]
+        parts += [f"## {title} {{ #task-{number} }}", *entries]
     return "\n\n".join(parts) + "\n"
-
-
-def methods_page() -> str:
-    """The list of observers and controllers, with the first sentence of each page."""
-    rows = ["# Methods", "One page for each observer and controller.", ""]
-    for path in sorted((ROOT / "docs/methods").glob("*.md")):
-        text = path.read_text(encoding="utf-8").split("\n", 2)[2]
-        first = " ".join(text.strip().split("\n\n")[0].split())
-        sentence = re.split(r"(?<=[.:])\s", first)[0].rstrip(":")
-        rows.append(f"- [{path.stem}]({path.name}): {sentence}")
-    return "\n".join(rows) + "\n"

@@ -1,4 +1,7 @@
-"""The tutorials: scripts in cells, run as notebooks, as pages and as notebooks to download."""
+"""The tutorials: scripts in cells, run as notebooks, as pages and as notebooks to download.
+
+`python docs/site/tutorials.py` writes docs/tutorials/*.ipynb, which have no outputs.
+"""
 
 from __future__ import annotations
 
@@ -43,17 +46,28 @@ def pages(folder: Path) -> dict[str, str | bytes]:
     return made
 
 
+def read_cells(script: Path) -> nbformat.NotebookNode:
+    """Return a script in cells as a notebook."""
+    notebook = jupytext.read(script, fmt="py:percent")
+    kernel = {"name": "python3", "display_name": "Python 3", "language": "python"}
+    notebook.metadata = nbformat.from_dict({"kernelspec": kernel})
+    for number, cell in enumerate(notebook.cells):
+        cell.id = f"cell-{number}"
+    return notebook
+
+
 def executed(script: Path) -> nbformat.NotebookNode:
     """A script in cells, run as a notebook in an empty folder."""
-    notebook = jupytext.read(script, fmt="py:percent")
-    notebook.metadata["kernelspec"] = {
-        "name": "python3",
-        "display_name": "Python 3",
-        "language": "python",
-    }
+    notebook = read_cells(script)
     with tempfile.TemporaryDirectory() as folder:
         there = Path(folder)
         os.symlink(script.parents[2] / "examples", there / "examples")
         client = NotebookClient(notebook, timeout=LIMIT, resources={"metadata": {"path": folder}})
         client.execute()
     return notebook
+
+
+if __name__ == "__main__":
+    for each in sorted((Path(__file__).parents[1] / "tutorials").glob("*.py")):
+        text = nbformat.writes(read_cells(each)) + "\n"
+        each.with_suffix(".ipynb").write_text(text, encoding="utf-8")

@@ -59,4 +59,4 @@ print(f"{1e3 * uz.simulate(blind).rms_tracking:.2f} mrad with the gap ignored")
 
 # %% [markdown]
 # `undeadzone arm robot.urdf --gears` writes such a scenario for an arm from its URDF, and
-# [robots](../robots.md#gears) tells what it assumes. [Cases](../cases.md) has an arm of two links.
+# [robots](../robot_gears.md#gears) lists the assumptions. [Cases](../cases.md) has a two-link arm.

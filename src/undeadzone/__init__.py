@@ -10,7 +10,7 @@ from typing import Any
 
 import lazy_loader
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 _own, _, __all__ = lazy_loader.attach_stub(__name__, __file__)
 _PUBLIC_NAMES = """
 Plant Model Sensor Actuator Scenario Simulation Units Sine Step Trapezoid Random
@@ -20,8 +20,6 @@ read simulate compare identify estimate check design tune run_ensemble replay_ru
 from_control from_scipy deadzone_update Online Run Estimation Identified InputError UndeadzoneError
 observers controllers compensators signals plants
 """
-# Public names that were replaced, understood until version 0.2 (docs/versions.md).
-_RENAMED = {"Ear": "DeadzoneMemory", "Heard": "DeadzoneUpdate", "hear": "deadzone_update"}
 
 
 def __dir__() -> list[str]:
@@ -30,17 +28,11 @@ def __dir__() -> list[str]:
 
 
 def __getattr__(name: str) -> Any:
-    """Return a public name, an old name with a warning, or a name that a package registers.
+    """Return a public name, or a name that a package registers.
 
     Raises:
         AttributeError: no such name.
     """
-    if name in _RENAMED:
-        from undeadzone.util.renamed import warn_of_renamed
-
-        current = _RENAMED[name]
-        warn_of_renamed(f"uz.{name}", f"uz.{current}")
-        return _own(current)
     if name in __all__ or name.startswith("_"):
         return _own(name)
     from undeadzone.registry import find_registered_name

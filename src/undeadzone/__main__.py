@@ -11,7 +11,7 @@ def main() -> None:
         if _is_run_by_strangers():
             sys.stderr.write(
                 "undeadzone: --untrusted: python -m takes modules from the folder in which it is "
-                "started; use python -P -m undeadzone, or the command undeadzone\n"
+                "started. Use python -P -m undeadzone, or the command undeadzone\n"
             )
             sys.exit(2)
         from undeadzone.cli import main as run

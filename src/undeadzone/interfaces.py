@@ -187,7 +187,7 @@ _OF_FIELDS = Estimate(
         "estimated left width of the dead zone", "output", "d_hat", float, column="d_left"
     ),
     z_inverse=Quantity("reading with the dead zone undone", "output", "z_inverse"),
-    innovation=Quantity("what the reading adds to the prediction", "output", "innovation"),
+    innovation=Quantity("addition of the reading to the prediction", "output", "innovation"),
     x_std=Quantity("standard deviations of x", "state", "x_std"),
     right_std=Quantity(
         "standard deviation of right", "output", "d_std", float, column="d_right_std"
@@ -199,9 +199,9 @@ _OF_FIELDS = Estimate(
     theta=Quantity("estimated parameters of the model", "1", "theta_hat", column="theta_hat"),
     theta_std=Quantity("standard deviations of theta", "1", "theta_std"),
     consistent=Quantity(
-        "1 where the readings of late fit the claims, else 0", "1", "consistent", bool
+        "1 if the readings of late fit the assumptions, else 0", "1", "consistent", bool
     ),
-    claims=Quantity("bits of the claims that the readings of late refute", "1", "claims"),
+    claims=Quantity("bits of the assumptions that the readings of late refute", "1", "claims"),
     suspect=Quantity("number of the likeliest of these, from 1 on; 0: none", "1", "suspect"),
     refused=Quantity("readings taken for wrong so far", "1", "refused", int),
     restarts=Quantity("how often the observer lost its state and began anew", "1", "restarts", int),
@@ -259,10 +259,10 @@ class AssumptionCheck(NamedTuple):
 
 ASSUMPTION_CHECKS: Final = {
     "noise": AssumptionCheck(
-        "the noise is larger than claimed", keys=("sensor.noise", "observer.noise")
+        "the noise is larger than declared", keys=("sensor.noise", "observer.noise")
     ),
     "slope": AssumptionCheck(
-        "the readings follow the input with another gain than claimed",
+        "the readings follow the input with another gain than declared",
         "declare sensor.slope",
         keys=("observer.tolerance",),
     ),
@@ -272,13 +272,14 @@ ASSUMPTION_CHECKS: Final = {
         keys=("observer.tolerance",),
     ),
     "sensor": AssumptionCheck(
-        "readings insist on what was not foretold: a stuck sensor, an offset, an edge that jumped, "
+        "readings insist on a value that was not predicted: a stuck sensor, an offset, an edge "
+        "that jumped, "
         "a log that is glued",
         "look at sensor and log, take an offset from its readings",
         keys=("observer.drift",),
     ),
     "gust": AssumptionCheck(
-        "something lasts in the readings that nobody claimed",
+        "something lasts in the readings that nobody declared",
         keys=("observer.disturbance", "observer.bias", "observer.drift"),
     ),
     "glitches": AssumptionCheck("most readings of late were taken for wrong", "look at the sensor"),
@@ -310,7 +311,7 @@ def describe_rejected_assumptions(names: Sequence[str], options: Collection[str]
         names: of the rejected assumptions, the likeliest first.
         options: names of the keys that the method takes (empty: all of them).
     """
-    further = ["the same readings speak against " + ", ".join(names[1:])] if names[1:] else []
+    further = ["the same readings contradict " + ", ".join(names[1:])] if names[1:] else []
     first = [ASSUMPTION_CHECKS[name] for name in names[:1]]
     return [f"{check.words}: {check.cure(options)}" for check in first] + further
 
@@ -335,8 +336,8 @@ def describe_unknowns(options: Collection[str]) -> str:
     if not missing:
         return ""
     return (
-        f"this method cannot be told of {' or '.join(missing)}: where there is one, intervals are "
-        "too narrow; 'censored' and 'auto' take it"
+        f"this method has no option for {' or '.join(missing)}: if there is one, intervals "
+        "are too narrow. 'censored' and 'auto' have it"
     )
 
 

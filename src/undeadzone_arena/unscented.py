@@ -1,6 +1,6 @@
 """Unscented transform on CasADi expressions: 2 N + 1 points represent a Gaussian.
 
-docs/methods/ukf.md derives it.
+docs/methods/nonlinear_filters.md derives it.
 """
 
 from __future__ import annotations

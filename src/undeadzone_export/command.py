@@ -179,7 +179,7 @@ def _report_lines(report: dict[str, Any], files: list[str]) -> dict[str, Any]:
             for method, boards in report.get("leaner", {}).items()
         ],
         "written": files or "nothing" + "; --out DIR keeps the files" * (not report["refusals"]),
-        "next": [f"{build} builds the self-test; README.md has the rest" for build in builds],
+        "next": [f"{build} builds the self-test. README.md has the rest" for build in builds],
     }
 
 

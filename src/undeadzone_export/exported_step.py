@@ -103,7 +103,7 @@ def state_meanings(units: Units) -> dict[str, str]:
     return {
         "held": f"the last finite input [{units.input}]",
         "line": f"inputs that have not acted yet, the oldest first [{units.input}]",
-        "mean": "mean of the belief: state, then widths and what else is estimated",
+        "mean": "mean of the belief: state, then widths and other estimated numbers",
         "cov": "covariances of the belief, upper triangle column by column",
         "x": f"estimated state [{states}]",
         "right": f"estimated right width [{units.output}]",

@@ -24,7 +24,7 @@ from undeadzone.registry import OBSERVERS
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.util.arrays import Floats
-from undeadzone.util.text import count_noun
+from undeadzone.util.text import count_noun, suggest_name
 from undeadzone_export import accuracy, compiler, exported_step, targets
 from undeadzone_export.boards import BoardFit, fit_boards
 from undeadzone_export.code import Code, build_code
@@ -305,7 +305,7 @@ def change_method(scenario: Scenario, method: str) -> tuple[Scenario, list[str]]
 def _require_known_word(key: str, value: str, known: tuple[str, ...]) -> None:
     """Raise InputError for an unknown word."""
     if value not in known:
-        raise InputError(f"{key}: expected one of {', '.join(known)}, found {value!r}")
+        raise InputError(f"{key}: found {value!r}. {suggest_name(value, known, 'Expected one of')}")
 
 
 def _require_page_options(

@@ -416,7 +416,7 @@ class _Repeat:
             OUTPUTS: output_variables,
             LOCALS: [each for each in written.variables if each.name not in names],
         }
-        meaning = "What the block computes several times, on other numbers."
+        meaning = "Parts that the block computes several times, on other numbers."
         self.units = [
             *written.units,
             PlcUnit("FUNCTION_BLOCK", name, meaning, variables, lines),

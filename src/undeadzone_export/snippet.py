@@ -1,18 +1,33 @@
 """`--to snippet`: a few lines that compensate a zone or a gap, from a scenario or from an answer.
 
-They hold the numbers of one nonlinearity, not an observer: no state of the plant is estimated.
+They hold the numbers of one nonlinearity, not an observer: no state of the plant is estimated. The
+answer of `identify`, its page, its firmware and `export` print the same lines, from here.
+
+Noise behind a sensor's zone: let y = dz(z) + s e with white Gaussian e, a zone of width W = r + l
+with the middle m = (r - l) / 2, and q = y / s. Under a flat prior the z inside the zone have the
+weight W f(q) / s, and those beyond the edges F(q) and F(-q), whose sum is 1 (f: normal density, F:
+distribution). Their means are m, y + r + s f(q) / F(q) and y - l - s f(q) / F(-q). The terms with
+s f(q) cancel, so the posterior mean of z is
+
+    m + (y + W / 2 (F(q) - F(-q))) / (1 + W f(q) / s)
+
+and F(q) - F(-q) is tanh(0.7979 q + 0.0357 q^3) to 4e-4. For s -> 0 it is m at y = 0, and y plus an
+edge elsewhere. Silence and the part beyond an edge weigh the same at q = sqrt(2 log(W f(0) / s)),
+the threshold of a sensor with one edge.
 """
 
 from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
 
 from undeadzone.errors import FileError, InputError
+from undeadzone.scenario.operating_point import OperatingPoint
 from undeadzone.scenario.reader import read
 from undeadzone.scenario.schema import Scenario
 from undeadzone.util.files import read_text
@@ -32,17 +47,22 @@ VALVE: Final = ("stiction", "input_play")  # the lead lessens the error of eithe
 OF_INPUT: Final = ("input_zone", "input_play")  # verdicts with widths in the input's unit
 NAMES: Final = {"sensor": "undead", "actuator": "driven", "backlash": "commanded"}
 
+_SEES = "It cannot see inside the zone: there it gives the middle, up to half the width off."
 _HEADS: Final = {
     "sensor": (
-        "Sensor dead zone {right} / -{left} {unit} ({interval}), from {source}.",
-        "It cannot see inside the zone: there it holds the edge last passed, up to {width} off.",
+        "Sensor dead zone {right} / -{left} {unit} ({interval}){rest}, from {source}.",
+        _SEES,
+    ),
+    "noisy": (
+        "Sensor dead zone {right} / -{left} {unit} ({interval}){rest}, from {source}.",
+        "Noise {noise} behind it. " + _SEES,
     ),
     "one_edge": (
-        "Sensor dead zone with one edge, {edge} {unit} ({interval}), from {source}.",
-        "It cannot see inside the zone: there it gives the edge, beyond which z surely is not.",
+        "Sensor dead zone with one edge, {edge} {unit} ({interval}){rest}, from {source}.",
+        "It cannot see inside the zone: there it gives half of the edge.",
     ),
     "actuator": (
-        "Actuator dead zone {right} / -{left} {unit} ({interval}), from {source}.",
+        "Actuator dead zone {right} / -{left} {unit} ({interval}){rest}, from {source}.",
         "It uses the low ends, for too large a jump oscillates. It cannot remove friction.",
     ),
     "backlash": (
@@ -50,9 +70,9 @@ _HEADS: Final = {
         "It cannot see a load or gravity that pushes through the gap, friction, or a spring.",
     ),
 }
+_PID = "A PID controller: error dead band 0, with limits on its integral."
 _SETTINGS: Final = {
-    "sensor": "A PID controller: error dead band 0, with limits on its integral.",
-    "one_edge": "A PID controller: error dead band 0, with limits on its integral.",
+    **dict.fromkeys(("sensor", "noisy", "one_edge"), _PID),
     "actuator": "A PID controller: output dead band {right_low} / -{left_low} {unit}.",
     "backlash": "LinuxCNC: BACKLASH = {width} in [JOINT_n]. Klipper and GRBL have no setting.",
     "ahead": "Smooth a noisy command first: at each of its turns the actuator crosses the gap.",
@@ -65,22 +85,27 @@ _SETTINGS_OF_GAPS: Final = {
 _C: Final = {
     "sensor": """static float {name}(float y)
 {{
-    static float edge = 0.0f;
-    if (y > {silent}f) edge = {right}f;
-    else if (y < -{silent}f) edge = -{left}f;
-    else return edge; /* silent */
-    return y + edge;
+    if (y > {above}f) return y + {right}f;
+    if (y < {below}f) return y - {left}f;
+    return {middle}f; /* silent: the middle of the zone */
+}}
+""",
+    "noisy": """#include <math.h>
+static float {name}(float y) /* posterior mean: fades in where noise cannot be silence */
+{{
+    float q = {from_rest_c} / {noise}f;
+    float side = tanhf(q * (0.7979f + 0.0357f * q * q));
+    return {middle}f + ({noise}f * q + {half}f * side) / (1.0f + {silence}f * expf(-0.5f * q * q));
 }}
 """,
     "one_edge": """static float {name}(float y)
 {{
-    if ({sign}y <= {silent}f) return {edge}f; /* silent */
-    return y + {edge}f;
+    return y {beyond}f ? y {shift}f : {middle}f; /* silent: half of the edge */
 }}
 """,
     "actuator": """static float {name}(float wanted)
 {{
-    float share = wanted / {ramp}f; /* fades the jump near 0 */
+    float share = {from_rest_c} / {ramp}f; /* fades the jump at rest */
     if (share > 1.0f) share = 1.0f;
     if (share < -1.0f) share = -1.0f;
     return wanted + share * (share > 0.0f ? {right_low}f : {left_low}f);
@@ -97,25 +122,27 @@ _C: Final = {
 """,
 }
 _PYTHON: Final = {
-    "sensor": """class {Name}:
-    edge = 0.0
+    "sensor": """def {name}(y):
+    if y > {above}:
+        return y + {right}
+    return y - {left} if y < {below} else {middle}  # silent: the middle of the zone
+""",
+    "noisy": """from math import exp, tanh
 
-    def __call__(self, y):
-        if abs(y) <= {silent}:
-            return self.edge  # silent
-        self.edge = {right} if y > 0 else -{left}
-        return y + self.edge
+
+def {name}(y):  # posterior mean: fades in where noise cannot be silence
+    q = {from_rest} / {noise}
+    side = tanh(q * (0.7979 + 0.0357 * q * q))
+    return {middle} + ({noise} * q + {half} * side) / (1.0 + {silence} * exp(-0.5 * q * q))
 """,
-    "one_edge": """class {Name}:
-    def __call__(self, y):
-        return {edge} if {sign}y <= {silent} else y + {edge}  # silent below
+    "one_edge": """def {name}(y):
+    return y {shift} if y {beyond} else {middle}  # silent: half of the edge
 """,
-    "actuator": """class {Name}:
-    def __call__(self, wanted):
-        share = max(-1.0, min(1.0, wanted / {ramp}))  # fades the jump near 0
-        return wanted + share * ({right_low} if share > 0 else {left_low})
+    "actuator": """def {name}(wanted):
+    share = max(-1.0, min(1.0, {from_rest} / {ramp}))  # fades the jump at rest
+    return wanted + share * ({right_low} if share > 0 else {left_low})
 """,
-    "backlash": """class {Name}:
+    "backlash": """class Gap:
     before = lead = 0.0
 
     def __call__(self, wanted):
@@ -123,24 +150,36 @@ _PYTHON: Final = {
             self.lead = {width} if wanted > self.before else 0.0
         self.before = wanted
         return wanted + self.lead
+
+
+{name} = Gap()
 """,
 }
 _ST: Final = {
     "sensor": """FUNCTION_BLOCK {name}
 VAR_INPUT y : REAL; END_VAR
 VAR_OUTPUT z : REAL; END_VAR
-VAR edge : REAL := 0.0; END_VAR
-IF y > {silent} THEN edge := {right}; z := y + edge;
-ELSIF y < -{silent} THEN edge := -{left}; z := y + edge;
-ELSE z := edge; (* silent *)
+IF y > {above} THEN z := y + {right};
+ELSIF y < {below} THEN z := y - {left};
+ELSE z := {middle}; (* silent: the middle of the zone *)
 END_IF;
+END_FUNCTION_BLOCK
+""",
+    "noisy": """FUNCTION_BLOCK {name}
+VAR_INPUT y : REAL; END_VAR
+VAR_OUTPUT z : REAL; END_VAR
+VAR q : REAL; side : REAL; END_VAR
+q := {from_rest} / {noise};
+side := LIMIT(-9.0, q * (0.7979 + 0.0357 * q * q), 9.0);
+side := 1.0 - 2.0 / (EXP(2.0 * side) + 1.0); (* tanh *)
+z := {middle} + ({noise} * q + {half} * side) / (1.0 + {silence} * EXP(-0.5 * q * q));
 END_FUNCTION_BLOCK
 """,
     "one_edge": """FUNCTION_BLOCK {name}
 VAR_INPUT y : REAL; END_VAR
 VAR_OUTPUT z : REAL; END_VAR
-IF {sign}y <= {silent} THEN z := {edge}; (* silent *)
-ELSE z := y + {edge};
+IF y {beyond} THEN z := y {shift};
+ELSE z := {middle}; (* silent: half of the edge *)
 END_IF;
 END_FUNCTION_BLOCK
 """,
@@ -148,7 +187,7 @@ END_FUNCTION_BLOCK
 VAR_INPUT wanted : REAL; END_VAR
 VAR_OUTPUT command : REAL; END_VAR
 VAR share : REAL; END_VAR
-share := LIMIT(-1.0, wanted / {ramp}, 1.0); (* fades the jump near 0 *)
+share := LIMIT(-1.0, {from_rest} / {ramp}, 1.0); (* fades the jump at rest *)
 IF share > 0.0 THEN command := wanted + share * {right_low};
 ELSE command := wanted + share * {left_low};
 END_IF;
@@ -180,6 +219,9 @@ class Lost(NamedTuple):
         silent: |y| up to which a sensor's sample is censored.
         absent: right or left, where a sensor has no such edge, else empty.
         is_ahead: whether a gap is that of an actuator, ahead of the plant.
+        rest: reading or command from which the widths count.
+        noise: rms of a sensor's readings inside the zone.
+        measured: description of the error with the lines.
     """
 
     kind: str
@@ -191,6 +233,9 @@ class Lost(NamedTuple):
     silent: float = 0.0
     absent: str = ""
     is_ahead: bool = False
+    rest: float = 0.0
+    noise: float = 0.0
+    measured: str = "Not measured: no log is known."
 
 
 def write_snippet(
@@ -244,41 +289,88 @@ def snippet_texts(lost: Lost, name: str) -> dict[str, str]:
     """
     if not (name.isascii() and name.isidentifier() and name.islower()):
         raise InputError(f"--name: expected small letters, digits and _, found {name!r}")
-    kind = lost.kind
-    sign = ""
-    bounded = [lost.width] if kind == "backlash" else [lost.right, lost.left]
+    r, l, w = map(_round_to_interval, (lost.right, lost.left, lost.width))
+    lost = lost._replace(right=r, left=l, width=w)
+    kind, rest, noise = lost.kind, lost.rest, float(f"{lost.noise:.3g}")
+    right, left, width = lost.right[0], lost.left[0], lost.width[0]
+    silence = (right + left) / max(noise * math.sqrt(2 * math.pi), 1e-300)
+    silent = max(lost.silent, noise * math.sqrt(2 * math.log(max(silence, 1.0))))
+    if kind == "sensor" and noise > lost.silent:
+        kind = "noisy"
     if lost.absent:
         kind = "one_edge"
-        sign = "-" if lost.absent == "right" else ""
-        bounded = [lost.left if sign else lost.right]
-    words = {
-        "sign": sign,
-        "edge": sign + _literal(bounded[0][0]),
+    bounded = _known_edges(lost)
+    numbers = {
+        "edge": bounded[0][0],
+        "right": right,
+        "left": left,
+        "right_low": max(lost.right[1], 0.0),
+        "left_low": max(lost.left[1], 0.0),
+        "width": width,
+        "above": rest + silent,
+        "below": rest - silent,
+        "middle": rest + 0.5 * (right - left),
+        "half": 0.5 * (right + left),
+        "noise": noise,
+        "silence": float(f"{silence:.4g}"),
+        "ramp": RAMP * max(min(right, left), 1e-3 * width),
+    }
+    words = {key: _literal(value) for key, value in numbers.items()}
+    is_below = lost.absent == "right"
+    signal = "y" if lost.kind == "sensor" else "wanted"
+    sign = "+" if rest < 0 else "-"
+    offset = f"({signal} {sign} {_literal(abs(rest))}" if rest else ""
+    words |= {
+        "beyond": f"< {words['below']}" if is_below else f"> {words['above']}",
+        "shift": f"- {words['left']}" if is_below else f"+ {words['right']}",
+        "from_rest": f"{offset})" if rest else signal,
+        "from_rest_c": f"{offset}f)" if rest else signal,
+        "rest": f" about {rest:.7g}: {rest - left:.7g} to {rest + right:.7g}" if rest else "",
         "name": name,
-        "Name": name.capitalize(),
         "unit": "" if lost.unit == "1" else escape_controls(to_one_line(lost.unit)),
         "source": escape_controls(to_one_line(lost.source)).replace("*", "_"),
         "interval": ", ".join(f"{_literal(low)}..{_literal(high)}" for _, low, high in bounded)
         if any(low < high for _, low, high in bounded)
         else "given, no interval",
-        "right": _literal(lost.right[0]),
-        "left": _literal(lost.left[0]),
-        "right_low": _literal(max(lost.right[1], 0.0)),
-        "left_low": _literal(max(lost.left[1], 0.0)),
-        "width": _literal(lost.width[0]),
-        "silent": _literal(lost.silent),
-        "ramp": _literal(RAMP * max(min(lost.right[0], lost.left[0]), 1e-3 * lost.width[0])),
     }
     settings = [_SETTINGS["ahead" if lost.is_ahead else kind]]
     if kind == "backlash" and not lost.is_ahead and lost.unit in _SETTINGS_OF_GAPS:
         settings.insert(0, _SETTINGS_OF_GAPS[lost.unit])
-    head = [" ".join(line.format(**words).split()) for line in (*_HEADS[kind], *settings)]
+    lines = (*_HEADS[kind], lost.measured, *settings)
+    head = [" ".join(line.format(**words).split()) for line in lines]
     c, python, st = (each[kind].format(**words) for each in (_C, _PYTHON, _ST))
     return {
         "snippet.h": "/* " + "\n   ".join(head) + " */\n" + c,
         "snippet.py": "".join(f"# {line}\n" for line in head) + python,
         "snippet.st": "(* " + "\n   ".join(head) + " *)\n" + st,
     }
+
+
+def _round_to_interval(one: Triple) -> Triple:
+    """Return a value and its interval with as many digits as the interval bears."""
+    value, low, high = one
+    digits = 2 - math.floor(math.log10(high - low)) if high > low else 12
+    return round(value, digits), round(low, digits), round(high, digits)
+
+
+def _known_edges(lost: Lost) -> list[Triple]:
+    """Return the numbers that the lines need: the width of a gap, or each edge of a zone."""
+    if lost.kind == "backlash":
+        return [lost.width]
+    return [getattr(lost, side) for side in ("right", "left") if side != lost.absent]
+
+
+def load_lines(lost: Lost) -> Callable[[float], float]:
+    """Return the lines in Python as they are printed, as a function.
+
+    Args:
+        lost: widths that they compensate.
+    """
+    scope: dict[str, Any] = {}
+    plain = lost._replace(source="", unit="", measured="")  # no text of a file is run
+    exec(snippet_texts(plain, "lines")["snippet.py"], scope)
+    lines: Callable[[float], float] = scope["lines"]
+    return lines
 
 
 def _literal(value: float) -> str:
@@ -300,12 +392,32 @@ def _of_answer(path: Path) -> Lost:
 
 
 def lost_of_answer(found: dict[str, Any], path: str, name: str) -> Lost:
-    """Return what the numbers of an answer of `identify` compensate.
+    """Return what the numbers of an answer of `identify` compensate, if that pays.
 
     Args:
         found: the numbers, as in identify.json.
         path: of it, for messages.
         name: of where they came from, for people.
+
+    Raises:
+        InputError: nothing is certain, no few lines compensate it, or they do not pay.
+    """
+    lost = build_lost(found, path, name)
+    lines = found.get("lines")
+    if lines is None:
+        raise InputError(f"{path}: no error of the lines was measured. Identify the log again")
+    unit = "" if lost.unit == "1" else f" {lost.unit}"
+    errors = f"rms error {lines['without']:.4g} -> {lines['with']:.4g}{escape_controls(unit)}"
+    if not lines["with"] < lines["without"]:
+        raise InputError(f"{path}: a few lines do not pay: {errors} on {lines['on']}")
+    return lost._replace(measured=f"On {lines['on']}: {errors}.")
+
+
+def build_lost(found: dict[str, Any], path: str, name: str) -> Lost:
+    """Return the widths of an answer of `identify`, before the lines are measured.
+
+    Args:
+        found, path, name: as of `lost_of_answer`.
 
     Raises:
         InputError: nothing is certain, or no few lines compensate it.
@@ -322,11 +434,12 @@ def lost_of_answer(found: dict[str, Any], path: str, name: str) -> Lost:
     motion = found.get("lost_motion")
     kind = KINDS[verdict]
     try:
+        account, record = found["answer"], found["record"]
         odds = found.get("odds") or {verdict: 1.0}
         faulty = sum(float(odds.get(word, 0.0)) for word in VALVE)
         share = max(faulty * (verdict in VALVE), *map(float, odds.values()))
         unit = found["units"]["input" if verdict in OF_INPUT or motion else "output"]
-        silent = 0.5 * float(found["record"]["quantum"] or 0.0)
+        silent, noise = (float(record.get(key) or 0.0) for key in ("quantum", "rest_noise"))
         if kind == "backlash":  # whose width alone may be known, and alone counts
             width = _triple(motion["gap"] if motion else found["width"])
             right = left = (0.0, 0.0, 0.0)
@@ -348,19 +461,20 @@ def lost_of_answer(found: dict[str, Any], path: str, name: str) -> Lost:
             f"{path}: the {absent[0]} edge of the actuator's dead zone is not known, and half a "
             "compensation pulls to one side. Record an input that passes both edges"
         )
-    if kind == "sensor" and found.get("output_zero"):
-        _require_backlash(kind, path)
-    gone = "".join(absent)
-    return Lost(kind, right, left, width, unit, name, silent, gone, verdict == "input_play")
-
-
-def _require_backlash(kind: str, path: str | Path) -> None:
-    """Raise InputError if a zone is to be compensated about another point than 0."""
-    if kind != "backlash":
+    rest = float(found.get({"sensor": "output_zero", "actuator": "input_zero"}.get(kind, "")) or 0)
+    if rest and kind == "actuator":  # about which nothing is known but the band: it rests inside
+        rest += 0.5 * (right[0] - left[0])
+        right = left = _triple([0.5 * one for one in width])
+    gone, is_ahead = "".join(absent), verdict == "input_play"
+    lost = Lost(kind, right, left, width, unit, name, 0.5 * silent, gone, is_ahead, rest, noise)
+    doubts = [f"{side} side was never tried" for side in account["never_tried"]]
+    doubts += ["name is withheld"] * (account["grade"] != "named")
+    doubts += ["interval of an edge holds 0"] * any(low <= 0 for _, low, _ in _known_edges(lost))
+    if doubts:
         raise InputError(
-            f"{path}: operating_point: the few lines act about 0. Export the observer with its"
-            " controller by --to c or --to st, which count from the point"
+            f"{path}: the {doubts[0]}. Record the input that `identify --next` proposes"
         )
+    return lost
 
 
 def _edges(found: dict[str, Any]) -> tuple[Triple, Triple, Triple]:
@@ -403,10 +517,13 @@ def _of_scenario(scenario: Scenario, path: Path) -> Lost:
         kind = "backlash"
     is_ahead = kind == "backlash" and not is_sensor
     width = _triple([a + b for a, b in zip(right, left, strict=True)])
-    if scenario.operating_point is not None:
-        _require_backlash(kind, path)
-    silent = 0.5 * max(_numbers(scenario.sensor.quantum), default=0.0)
-    return Lost(kind, right, left, width, unit, path.name, silent, is_ahead=is_ahead)
+    point = scenario.operating_point or OperatingPoint()
+    rest = max(_numbers(point.output if is_sensor else point.input), key=abs)
+    rest *= kind != "backlash"
+    quantum, noise = (
+        max(_numbers(one), default=0.0) for one in (scenario.sensor.quantum, scenario.sensor.noise)
+    )
+    return Lost(kind, right, left, width, unit, path.name, 0.5 * quantum, "", is_ahead, rest, noise)
 
 
 def _numbers(value: Any) -> list[float]:

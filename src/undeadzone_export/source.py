@@ -269,9 +269,9 @@ def _assumption_macros(code: Code, upper: str) -> list[str]:
 
 
 _STRUCTS = {
-    "state": "What is remembered from sample to sample.",
+    "state": "Memory from sample to sample.",
     "in": "One sample.",
-    "out": "What is known at this sample.",
+    "out": "Inputs at this sample.",
     "params": "Tunable numbers. Whoever changes them leaves what was proved of the design.",
 }
 

@@ -83,7 +83,7 @@ def run_firmware_chain(
         "left": left,
     }
     unit = scenario.units.output
-    own = "" if found.z_smooth is not None else "; z is the filter's own here: none smooths"
+    own = "" if found.z_smooth is not None else ", z is the filter's own here: none smooths"
     words = {
         "check": [format_yes_no(msgspec.structs.asdict(one)) for one in known],
         "consistent": {None: "not tested", True: "yes", False: "NO"}[found.consistent],
@@ -128,16 +128,17 @@ def compensating_lines(numbers: dict[str, Any], source: str) -> dict[str, str]:
 
 
 def command_of_log(answer: Identified | IdentifiedMotion) -> Floats:
-    """Return the command of a log, along which the few lines are run [u] (N).
+    """Return the signal of a log along which the few lines are run, in their unit (N).
 
     Args:
         answer: of one log.
     """
+    from undeadzone_identify.results.lines import command_along
     from undeadzone_identify.results.lost_motion import IdentifiedMotion
 
     if isinstance(answer, IdentifiedMotion):
         return answer.answer.data.u
-    return answer.answer.case.grid.u[:, 0]
+    return command_along(answer.answer)
 
 
 def run_snippet_chain(lost: Lost, signal: Floats, folder: Path) -> FirmwareChain:
@@ -151,9 +152,9 @@ def run_snippet_chain(lost: Lost, signal: Floats, folder: Path) -> FirmwareChain
     Raises:
         InputError: there is no compiler.
     """
-    from undeadzone.nonlinearities.play import levels
     from undeadzone_export.compiler import compile_library
     from undeadzone_export.snippet import NAMES, write_lost
+    from undeadzone_identify.results.lines import pass_machine
 
     report = write_lost(lost, folder / "snippet", None, False)
     name = NAMES[lost.kind]
@@ -166,10 +167,7 @@ def run_snippet_chain(lost: Lost, signal: Floats, folder: Path) -> FirmwareChain
         call.restype = ctypes.c_float
         call.argtypes = [ctypes.c_float]
         compiled = np.array([call(float(one)) for one in signal])
-    gap = np.array([lost.width[0]])
-    without, reached = (
-        levels(one[:, None], gap, 0 * gap, signal[:1])[:, 0] for one in (signal, compiled)
-    )
+    without, reached = (pass_machine(lost, one, 0) for one in (signal, compiled))
     errors = [float(np.abs(one - signal)[1:].max()) for one in (without, reached)]
     texts = [append_unit(f"{one:.3g}", lost.unit) for one in errors]
     words = {

@@ -82,7 +82,7 @@ SUBJECTS = {
 @value_option(
     "--place",
     None,
-    "Where the zone is: sensor, actuator, plant (friction).",
+    "Place of the zone: sensor, actuator, plant (friction).",
     type=PLACES,
     default="auto",
 )
@@ -173,8 +173,10 @@ def identify(
     is_written = path in written
     driven = is_written and "[reference]" in path.read_text(encoding="utf-8")
     late = getattr(answer, "recorded_delay", 0)
-    follow = {"next": _next_commands(path, logs, options, driven, late)} if is_written else {}
     numbers = answer.numbers()
+    if any("resampled to" in one for one in numbers.get("remarks", ())):
+        options |= {"resample": True}  # no command reads the log at another step
+    follow = {"next": _next_commands(path, logs, options, driven, late)} if is_written else {}
     lines = compensating_lines(numbers, first.name) if answer.account.is_certain else {}
     if folder is not None and lines:
         few = shell_command("undeadzone", "export", folder / "identify.json", "--to", "snippet")
@@ -244,7 +246,7 @@ def _build_firmware(
             or lost_motion.kind != "backlash"
             or not isinstance(answer, IdentifiedMotion | Identified)
         ):
-            reason = "none: there is neither a scenario nor a certain gap to make it of"
+            reason = "impossible: it takes a scenario or a certain gap"
             return FirmwareChain({"firmware": reason}, {}, [], False)
         return run_snippet_chain(lost_motion, command_of_log(answer), folder)
 
@@ -264,7 +266,7 @@ def _next_commands(
     """
     words = shell_command("undeadzone", "run", scenario)
     if not driven:
-        words = f"{shell_command('undeadzone', 'watch', scenario)} of what is read from now on"
+        words = f"{shell_command('undeadzone', 'watch', scenario)} of readings from now on"
     if len(logs) == 1 and options["resample"] is None:
         columns = ["--columns", options["columns"]] * bool(options["columns"])
         given = [*columns, *["--delay", str(late)] * bool(late)]

@@ -130,7 +130,7 @@ def signals(axes: Axes, found_log: Identified, part: slice | None = None, of: st
         expected = (element.readings * answer.scale)[part]
         axes.plot(t, expected, color=ink.OTHER, linewidth=1.0, label=f"{_name_of(element)} of it")
     _shade_held_out(axes, found_log, part)
-    title = f"Output{of} and reading; shaded: held out"
+    title = f"Output{of} and reading. Shaded: held out"
     finish_panel(
         axes, title, label_with_unit("z, y", _unit_of_output(found_log)), _time_label(found_log)
     )
@@ -288,9 +288,12 @@ def _plot_by_output(found_log: Identified) -> Figure:
     if not of_input:
         panels["map"].plot(*curve, color=ink.ESTIMATE, linewidth=1.0, label=label)
     finish_panel(panels["map"], "Reading by ẑ", label_with_unit("y", unit), by_z)
-    x, x_label, title = z, by_z, "What is left"
+    x = z
+    x_label = by_z
+    title = "What is left"
     if of_input:
-        x, x_label = grid.u[:, 0][ok], label_with_unit("u", grid.input_unit)
+        x = grid.u[:, 0][ok]
+        x_label = label_with_unit("u", grid.input_unit)
         title = f"{title}, by the input"
     residual = (answer.fit.objective.data.y - expected) * answer.scale
     _plot_dots(panels["left"], x, residual[ok], ink.ZONE)

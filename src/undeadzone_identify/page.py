@@ -21,11 +21,10 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 CAPTIONS = {
-    "overview": "Output z^ of the fitted plant, reading y and the zone with its 95 % bands;"
-    " shaded parts checked a fit of the others.",
-    "residual_map": "What the zone leaves of the readings, by z^: a curve here is another"
-    " nonlinearity.",
-    "next": "The input that would tell most of what is known least, from rest.",
+    "overview": "Output z^ of the fitted plant, reading y and the zone with its 95 % bands."
+    " Shaded parts checked a fit of the others.",
+    "residual_map": "Residual of the readings, by z^: a curve here is another nonlinearity.",
+    "next": "The input that would narrow the widest interval most, from rest.",
     "hidden": "z^ with its 95 % band against the reading: inside the zone it is the product.",
 }
 
@@ -35,22 +34,23 @@ FIRST = re.compile(
 )
 
 OF_ELEMENT = {  # in place of these
-    "overview": "Output z^ of the fitted plant, what is read of it, and the reading y at the end of"
+    "overview": "Output z^ of the fitted plant, its reading without noise, and the reading y at "
+    "the end of"
     " the log.",
-    "element": "Left: readings by z^, and the path that the fitted element takes. Right: what it"
-    " leaves of the readings; a curve there is something that it does not hold.",
+    "element": "Left: readings by z^, and the path that the fitted element takes. Right: the "
+    "residual of the readings. A curve there is another nonlinearity.",
     "crossings": "The gap that each reversal shows, with the printed interval shaded. A trend with"
-    " duration is friction that is not fully held; one with y is a worn or an eccentric gear.",
+    " duration is friction that is not fully held. One with y is a worn or an eccentric gear.",
 }
 
 
 OF_OTHERS = {  # in place of these, of answers without a plant
     IdentifiedMotion: {
-        "overview": "Above: the second position and its fit. Below: what it lags behind the first,"
-        " by the first; the lines are both flanks of the gap.",
+        "overview": "Above: the second position and its fit. Below: its lag behind the first,"
+        " by the first. The lines are both flanks of the gap.",
     },
     IdentifiedAtRest: {
-        "overview": "Readings over commands at rest; the 95 % intervals of its edges are shaded.",
+        "overview": "Readings over commands at rest. The 95 % intervals of its edges are shaded.",
     },
 }
 SECTIONS = {  # titles of the pictures that only some answers have
@@ -166,7 +166,7 @@ def _rivals_table(found_log: Identified) -> list[html.Html]:
     ]
     words = f"Test of no zone at all: p = {answer.case.no_zone.chance:.2g}."
     if parts:
-        words += f" Of what the model leaves, each explains: {', '.join(parts)}."
+        words += f" Of the model's residual, each explains: {', '.join(parts)}."
     rivals = describe_rivals(answer)
     return [
         html.build_table(("what may be there", "odds", "behind, nats a reading"), rivals),

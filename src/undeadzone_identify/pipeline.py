@@ -51,11 +51,17 @@ from undeadzone_identify.models.zone_fit import (
     refit_busiest_part,
     refit_longest_record,
 )
+from undeadzone_identify.results.account import MEASURED
 from undeadzone_identify.results.assemble import to_answer
 from undeadzone_identify.results.at_rest import IdentifiedAtRest
 from undeadzone_identify.results.lost_motion import IdentifiedMotion
 from undeadzone_identify.results.result import Identified, IdentifiedOutputs
-from undeadzone_identify.results.seen import account_of_looks, choose_account, needs_no_plant
+from undeadzone_identify.results.seen import (
+    account_of_looks,
+    choose_account,
+    needs_no_plant,
+    rests_in_holds,
+)
 from undeadzone_identify.results.speech import knows_the_end
 from undeadzone_identify.selection import orders
 from undeadzone_identify.selection.adequacy import (
@@ -283,17 +289,22 @@ def _identify_logs(
             raise InputError(f"{log.source}: has {len(log.outputs)} outputs, others {len(names)}")
     motion, looks, seen = None, Looks(), None
     is_conclusive = False  # the lost motion is the answer, whatever plant fits
-    if len(logs) == len(names) == 1 and needs_motion_test(logs[0]):
-        motion, is_conclusive = find_lost_motion(logs[0], options)
-        advance(1)
-    if motion is not None and is_conclusive:
-        return IdentifiedMotion(motion)
-    logs = list(map(without_drive, logs))
-    if len(logs) == len(names) == 1 and not is_named_loop(logs[0]) and options == Options():
+    is_one = len(logs) == len(names) == 1
+    with_drive, logs = logs, list(map(without_drive, logs))
+    is_plain = msgspec.structs.replace(options, delay="auto") == Options()  # a map has no delay
+    if is_one and is_plain:
         looks = look_at(logs[0])
         seen = account_of_looks(logs[0], looks)
-        if seen is not None and needs_no_plant(seen, looks):
-            return IdentifiedAtRest(logs[0], looks, seen)
+    if is_one and is_named_loop(logs[0]) and not rests_in_holds(looks):
+        looks, seen = Looks(), None  # a loop that swings is no map
+    if is_one and looks.rests is None and needs_motion_test(with_drive[0]):
+        motion, is_conclusive = find_lost_motion(with_drive[0], options)
+        advance(1)
+    is_seen = seen is not None and seen.grade == MEASURED
+    if motion is not None and is_conclusive and (motion.are_positions or not is_seen):
+        return IdentifiedMotion(motion)
+    if seen is not None and needs_no_plant(seen, looks):
+        return IdentifiedAtRest(logs[0], looks, seen)
     outputs = ([log.select_output(k) for log in logs] for k in range(len(names)))
     try:
         if motion is not None and motion.are_positions and not find_sample_time(logs[0])[1]:
@@ -619,7 +630,7 @@ HYPOTHESES = (
     Hypothesis("the widths of a play", _has_play_verdict, add_play_gap),
     Hypothesis("noise that falls silent in the zone", _has_zone_with_zeros, _add_kalman_fit),
     Hypothesis("a spring that bends, or an offset", _needs_remainder_test, _add_remainder),
-    Hypothesis("what the likeliest model leaves", has_a_model, with_adequacy),
+    Hypothesis("residual of the likeliest model", has_a_model, with_adequacy),
     Hypothesis("readings stored on change", has_hidden_readings, withhold_hidden_readings),
-    Hypothesis("the numbers of what is named", needs_an_element, add_named_element),
+    Hypothesis("the numbers of the named class", needs_an_element, add_named_element),
 )

@@ -135,7 +135,7 @@ _TABLE: Final[tuple[tuple[int, str, str, Status, str], ...]] = (
         "observer x^' = A x^ + L (y - y^)",
         "observers.adaptive.branch_observer.build_branch_observer",
         "corrected",
-        "B u was missing; L is n x 1; as printed in undeadzone_paper.observer",
+        "B u was missing, L is n x 1: as printed in undeadzone_paper.observer",
     ),
     (
         17,
@@ -177,7 +177,7 @@ _TABLE: Final[tuple[tuple[int, str, str, Status, str], ...]] = (
         "state error, first form",
         "analysis.certificate.passivity.certify",
         "corrected",
-        "B u cancels once the observer has it; L chi_bar d~, not L C chi_bar d~",
+        "B u cancels once the observer has it. L chi_bar d~, not L C chi_bar d~",
     ),
     (
         23,
@@ -205,7 +205,7 @@ _TABLE: Final[tuple[tuple[int, str, str, Status, str], ...]] = (
         "dead zone inverse",
         "nonlinearities.sensor.inverse",
         "corrected",
-        "y + chi_bar d^; C would multiply a scalar",
+        "y + chi_bar d^, C would multiply a scalar",
     ),
     (
         27,
@@ -226,7 +226,7 @@ _TABLE: Final[tuple[tuple[int, str, str, Status, str], ...]] = (
         "adaptive controller",
         "controllers.state_feedback.StateFeedback",
         "corrected",
-        "y~ is scalar, d~ unknown; u_ff - K (x^ - x_ref); as printed in undeadzone_paper.law",
+        "y~ is scalar, d~ unknown, u_ff - K (x^ - x_ref): as printed in undeadzone_paper.law",
     ),
     (
         30,
@@ -254,7 +254,7 @@ _TABLE: Final[tuple[tuple[int, str, str, Status, str], ...]] = (
         "V' with the control law",
         "undeadzone_paper.both_sides.compare_sides",
         "not used",
-        "a cross term is dropped, the sign flips back; u does not act on x~ at all",
+        "a cross term is dropped, the sign flips back, u does not act on x~ at all",
     ),
     (
         34,
@@ -268,7 +268,7 @@ _TABLE: Final[tuple[tuple[int, str, str, Status, str], ...]] = (
         "V' simplified",
         "undeadzone_paper.both_sides.compare_sides",
         "not used",
-        "off by a factor 2; V' is now one matrix inequality, see (36)",
+        "off by a factor 2. V' is now one matrix inequality, see (36)",
     ),
     (
         36,
@@ -282,7 +282,7 @@ _TABLE: Final[tuple[tuple[int, str, str, Status, str], ...]] = (
         "second-order plant",
         "plants.options.SecondOrder",
         "corrected",
-        "omega_n^2 x for omega_n x; all readings in paper.example.READINGS",
+        "omega_n^2 x for omega_n x. All readings in paper.example.READINGS",
     ),
     (
         38,
@@ -317,7 +317,7 @@ _TABLE: Final[tuple[tuple[int, str, str, Status, str], ...]] = (
         "PD law",
         "controllers.pd.PD",
         "as printed",
-        "its right half; the left half has the other sign; y' - y^' filtered; r is a force",
+        "its right half, the left half has the other sign, y' - y^' filtered, r is a force",
     ),
 )
 

@@ -229,7 +229,7 @@ def plot_silence(t: Floats, outputs: Mapping[str, Floats]) -> Figure:
         t: instants [s]
         outputs: z at these instants, by reading of the plant
     """
-    title = "Why the sensor says nothing: 5 sin 2πt as a force, from rest"
+    title = "Why the sensor is silent: 5 sin 2πt as a force, from rest"
     sketch, panels = create_panels([["all", "all", "inside"]], title, height=3.0)
     everything = panels["all"]
     inside = panels["inside"]

@@ -300,7 +300,7 @@ def _theorem_section(paper: Paper, image: Path) -> list[Html]:
 
 def _figures_section(claims: list[Claim], images: AuditFigures) -> list[Html]:
     """Return figures 1-8 of the first reference, and folded those of the second."""
-    drawn = "drawn from the loop's graph: an arrow is what the block at its end depends on"
+    drawn = "drawn from the loop's graph: an arrow ends at the block that depends on it"
     captions = {
         **{number: f"{words}, {drawn}" for number, words in DIAGRAMS.items()},
         **{
@@ -313,7 +313,7 @@ def _figures_section(claims: list[Claim], images: AuditFigures) -> list[Html]:
         for number, words in captions.items()
     ]
     full_captions += [
-        "z beside the desired trajectory, of which the text of figures 3 and 4 speaks.",
+        "z beside the desired trajectory, as in the text of figures 3 and 4.",
         "V.",
     ]
     first, second = images.numbered.values()

@@ -31,12 +31,25 @@ def rows() -> list[str]:
     return [line for line in results.split("\n") if line.startswith("|")]
 
 
-def test_the_page_has_the_table_of_the_results() -> None:
-    page = (ROOT / "docs/cases.md").read_text(encoding="utf-8")
-    table = re.search(r"<!-- cases -->\n(.*?)<!-- /cases -->", page, re.DOTALL)
-    assert table is not None
-    assert table[1].strip().split("\n") == rows()
+def table(page: str) -> list[str]:
+    """Return the lines of the table of the cases on a page of docs."""
+    text = (ROOT / "docs" / page).read_text(encoding="utf-8")
+    return text.partition("<!-- cases -->\n")[2].partition("\n<!-- /cases -->")[0].split("\n")
+
+
+def test_the_pages_have_the_table_of_the_results() -> None:
+    assert table("cases.md") == rows()
+    columns = [line.split(" | ") for line in rows()[2:]]
+    home = table("index.md")[2:]
+    assert {*home} <= {f"{name} | {interval} | {error}" for name, _, interval, _, error in columns}
+    assert len(home) >= 10
     assert set(TRUE) == set(CASES)
+
+
+@pytest.mark.parametrize("log", [*(ROOT / "docs/trades").glob("*.csv")], ids=lambda log: log.stem)
+def test_a_log_to_download_is_that_of_its_case(log: Path) -> None:
+    recorded = CASES[log.stem].record(np.random.default_rng(cases.SEED))
+    np.testing.assert_allclose(np.loadtxt(log, delimiter=",", skiprows=1), recorded, rtol=1e-5)
 
 
 @pytest.mark.parametrize("name", CASES)

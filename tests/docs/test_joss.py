@@ -22,6 +22,14 @@ def test_every_citation_has_an_entry_with_a_doi_and_every_entry_is_cited() -> No
     assert cited == set(ENTRIES)
 
 
+def test_sections_and_length_are_those_of_the_journal() -> None:
+    """Its disclosure of generative AI is missing: docs/release.md leaves it to the authors."""
+    parts = "Summary, Statement of need, State of the field, Software design"
+    parts += ", Research impact statement, References"
+    assert re.findall(r"^# (.*)$", PAPER, re.MULTILINE) == parts.split(", ")
+    assert 750 <= len(PAPER.split()) <= 1750
+
+
 def test_dois_agree_with_the_page_of_references() -> None:
     listed = (ROOT / "docs/references.md").read_text(encoding="utf-8")
     missing = [doi for doi in ENTRIES.values() if f"[doi:{doi}]" not in listed]
@@ -32,6 +40,8 @@ def test_numbers_are_those_of_the_results() -> None:
     exact = parted(RESULTS)["## Filters beside the exact posterior"]
     ratios = [float(value) for value in re.findall(r"\| all \| `censored` \| (\d\.\d+)", exact)]
     assert f"{min(ratios):.3f} to {max(ratios):.3f}" in PAPER
+    rightly, wrongly = re.findall(r"right class (\S+), wrong (\S+ of \d+)", RESULTS)[0]
+    assert f"| {rightly}, {wrongly} |" in PAPER
     broken = parted(RESULTS)["## Attempts to break certificates"]
     rows = re.findall(r"^\| \d+ \| (\d+) \| (\d+) \| (\d+) \|", broken, re.MULTILINE)
     designs = sum(int(row[0]) for row in rows)

@@ -20,7 +20,7 @@ from undeadzone.cli.common import SCHEMA
 from undeadzone.nonlinearities.play import levels
 from undeadzone_export import exporting
 
-PAGE = (ROOT / "docs/json.md").read_text(encoding="utf-8")
+PAGE = "".join((ROOT / f"docs/{name}.md").read_text() for name in ("json", "json_logs"))
 SECTIONS = dict(re.findall(r"^## (\w+)\n(.*?)(?=^## |\Z)", PAGE, re.M | re.S))
 SHORT = "duration = 1.0"
 COMMON = ("--json", "--no-figures")

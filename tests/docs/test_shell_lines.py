@@ -2,49 +2,21 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shlex
-import subprocess
+import sys
 from pathlib import Path
-from typing import NamedTuple
 
 import pytest
 
-import undeadzone
-from commands import COMMAND
 from documents import ROOT
+from further import further
 from requirements import needs
+from walks import Walk, commands_in
 
 pytestmark = needs("compiler", "bash", "gcc", "make")
 BLOCK = re.compile(r"\n\n((?: {4}.*\n)+)")  # of four spaces, which Markdown shows as code
 INSTALL = "pip install ."  # test_wheel.py runs what is installed
-# A command inside a line that is printed, up to the words on what it does.
-PRINTED = re.compile(r"(?:undeadzone|make) .*?(?=, |; | says | writes | builds |  # fits |$)", re.M)
-
-
-class Reader(NamedTuple):
-    """A folder in which a reader has run the front page.
-
-    Attributes:
-        folder: the folder.
-        printed: output of each line that ran, in order.
-    """
-
-    folder: Path
-    printed: dict[str, str]
-
-    def run(self, line: str) -> str:
-        """Run a line as it stands. It ends with exit code 0, and its output is returned."""
-        here = {"PATH": f"{self.folder / 'bin'}{os.pathsep}{os.environ['PATH']}"}
-        here["PYTHONPATH"] = str(Path(undeadzone.__file__).parents[1])
-        done = subprocess.run(
-            ["bash", "-c", line],
-            cwd=self.folder, env=os.environ | here, capture_output=True, text=True,
-        )  # fmt: skip
-        assert done.returncode == 0, f"{line}\n{done.stdout}{done.stderr}"
-        self.printed[line] = done.stdout
-        return done.stdout
 
 
 def shell_lines(page: Path) -> list[str]:
@@ -54,36 +26,75 @@ def shell_lines(page: Path) -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def reader(tmp_path_factory: pytest.TempPathFactory) -> Reader:
+def reader(tmp_path_factory: pytest.TempPathFactory) -> Walk:
     """A folder with the examples of a checkout and the command, after all lines but the first."""
-    folder = tmp_path_factory.mktemp("reader")
-    (folder / "examples").symlink_to(ROOT / "examples")
-    (folder / "bin").mkdir()
-    command = folder / "bin" / "undeadzone"
-    command.write_text(f'#!/bin/sh\nexec {shlex.join(COMMAND)} "$@"\n')
-    command.chmod(0o755)
-    found = Reader(folder, {})
+    found = Walk(tmp_path_factory.mktemp("reader"))
     for line in shell_lines(ROOT / "README.md"):
         if not line.endswith(INSTALL):
             found.run(line)
     return found
 
 
-def test_every_shell_line_of_the_front_page_ends_with_exit_code_0(reader: Reader) -> None:
+# Files that readers have, by the pages that use them, and what makes each.
+GIVEN = {
+    "cp examples/samples.csv FILE": ("log.csv", "first.csv", "second.csv", "samples.csv"),
+    "undeadzone init --force FILE": ("mine.toml", "scenario.toml"),
+    f"PYTHONPATH={ROOT}:$PYTHONPATH {sys.executable} -m benchmarks.end_to_end.cases FILE": (
+        "logs/",
+    ),
+}
+# A robot of an hour, files that stand for a reader's own, and a log of a motor.
+OWN = re.compile(
+    r"ur5|upload/|position\.csv|--columns|identify.*--(?:resume|kind jump)|panda|arena mine"
+)
+PAGES = sorted([ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")])
+HELP = {
+    f"{path.parts[-2]}/{path.stem} --help": re.split(r", then look|; on W| && ", found[1])
+    for path in sorted((ROOT / "src").rglob("*.py"))
+    if (found := re.search(r'"Example: (.*)', path.read_text(encoding="utf-8")))
+}
+SHOWN = {path.relative_to(ROOT).as_posix(): shell_lines(path) for path in PAGES} | HELP
+LINES = {
+    name: [one for one in map(str.strip, lines) if re.match(r"undeadzone \w", one)]
+    for name, lines in SHOWN.items()
+}
+LINES = {
+    name: [one.strip(' "),') for one in lines if not OWN.search(one)]
+    for name, lines in LINES.items()
+}
+LINES = {name: lines for name, lines in LINES.items() if lines}
+DRAWN = ("docs/export_plc.md", "cli/init --help", "cli/watch --help")
+
+
+@pytest.mark.parametrize("page", [*DRAWN, *further(*(name for name in LINES if name not in DRAWN))])
+def test_the_shell_lines_of_a_page_run(page: str, tmp_path: Path) -> None:
+    """In one folder, in their order, with the files that a reader of the page has."""
+    walk, lines = Walk(tmp_path), LINES[page]
+    for make, names in GIVEN.items():
+        for name in names:
+            if re.search(rf"(?<![\w/]){name}\b", " ; ".join(lines)) and "init" not in lines[0]:
+                walk.run(make.replace("FILE", name))
+    for line in lines:
+        walk.run(line, highest=1)
+
+
+def test_every_shell_line_of_the_front_page_ends_with_exit_code_0(reader: Walk) -> None:
     install, *others = shell_lines(ROOT / "README.md")
     assert install.endswith(INSTALL)
     assert list(reader.printed) == others
     assert [line.split()[1] for line in others] == ["identify", "run", "export"]
     _, _, exported = reader.printed.values()
     assert re.search(r"^double +float is not enough: ", exported, re.M)
+    (lines,) = re.findall(r"```c\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.S)
+    assert lines in re.sub(r"^ {11}", "", reader.printed[others[0]], flags=re.M)
     assert "REFUSED" not in exported
 
 
-def test_the_commands_that_it_prints_run(reader: Reader) -> None:
+def test_the_commands_that_it_prints_run(reader: Walk) -> None:
     """An observer that is called leaner fits the boards that its line names, and no others."""
     before = {shlex.join(shlex.split(line, comments=True)) for line in reader.printed}
     printed = "\n".join(reader.printed.values())
-    after = dict.fromkeys(line for line in PRINTED.findall(printed) if line not in before)
+    after = dict.fromkeys(line for line in commands_in(printed) if line not in before)
     subjects = [line.partition(" ")[2].split()[0] for line in after]
     assert {"estimate", "check", "export", "-C"} <= {*subjects}
     for line in after:

@@ -5,6 +5,7 @@ The tutorials are not run here (test_tutorials.py does), their code stands on th
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Iterator
 from importlib.util import find_spec
@@ -24,7 +25,8 @@ from requirements import require
 
 SCREENS = (390, 1280)
 READY = "document.readyState === 'complete' && location.href !== 'about:blank'"
-# Beyond the screen without a way to scroll there, texts that nobody typeset, pictures that are not.
+# Beyond the screen without a way to scroll there, texts that nobody typeset, pictures that are not,
+# and on a wide screen formulas that scroll.
 FAULTS = r"""
 (() => {
   const width = document.documentElement.clientWidth, faults = [];
@@ -48,6 +50,11 @@ FAULTS = r"""
     if (/\\[a-zA-Z(]|[_^]\{|\$[^$]+\$/.test(text.data))
       faults.push(`raw: ${text.data.trim().slice(0, 60)}`);
   }
+  if (width > 1000)
+    for (const formula of document.querySelectorAll('.katex-display'))
+      if (formula.scrollWidth > formula.clientWidth + 1)
+        faults.push(`cut: ${formula.scrollWidth - formula.clientWidth} px of `
+          + formula.querySelector('annotation').textContent.trim().slice(0, 60));
   if (document.querySelector('.katex-error')) faults.push('a formula with an error');
   for (const image of document.images)
     if (image.complete && !image.naturalWidth) faults.push(`no picture: ${image.src}`);
@@ -133,8 +140,16 @@ def test_every_page_of_the_site_is_whole_on_a_telephone(site: Path, screen: Brow
 
 
 def test_old_addresses_lead_on(site: Path) -> None:
-    for old in ("house", "glossary"):
+    for old in ("house", "glossary", "methods/tobit"):
         assert 'http-equiv="refresh"' in (site / f"{old}.html").read_text()
+
+
+def test_every_row_of_the_api_has_a_name(site: Path) -> None:
+    text = (site / "api.html").read_text()
+    cells = re.findall(r'<tr class="doc-section-item">\s*<td>(.*?)</td>', text, re.S)
+    names = [re.sub(r"<[^>]*>|\s", "", cell) for cell in cells]
+    assert len(names) > 700
+    assert [name for name in names if re.search(r",$|^\(|^$", name)] == []
 
 
 SCENARIO, LOG = "examples/asymmetric_noise.toml", "examples/samples.csv"

@@ -314,7 +314,7 @@ def test_a_log_of_which_nothing_can_be_learnt_is_named(tmp_path: Path) -> None:
     log.write_text("t,u,y\n0,0,0\n0.1,1,0\n0.2,1,0.1\n")
     done = undeadzone("identify", log, cwd=tmp_path)
     assert done.returncode == 2
-    assert done.stderr == f"undeadzone: {log}: 3 readings are too few; order 1 needs 100\n"
+    assert done.stderr == f"undeadzone: {log}: 3 readings are too few. Order 1 needs 100\n"
 
 
 @pytest.mark.parametrize(
@@ -327,7 +327,7 @@ def test_an_empty_name_is_refused(scenario: Path, words: list[str]) -> None:
     named = [str(scenario) if word == "MINE" else word for word in words]
     done = undeadzone(*named, cwd=scenario.parent)
     assert done.returncode == 2
-    assert "the name is empty; the folder in which you are is '.'" in done.stderr
+    assert "the name is empty. The folder in which you are is '.'" in done.stderr
     assert sorted(scenario.parent.iterdir()) == before
 
 
@@ -339,7 +339,7 @@ def test_a_design_says_that_other_methods_need_none(scenario: Path) -> None:
     done = undeadzone("design", scenario, "--no-figures")
     assert done.returncode == 2
     assert "model.actuator.right: 'certified' cannot estimate" in done.stderr
-    assert "a design is of 'certified' alone, others need none" in done.stderr
+    assert "A design is of 'certified' alone, others need none" in done.stderr
 
 
 def test_reference_that_cannot_be_followed(certified: Path) -> None:
@@ -501,8 +501,8 @@ def test_init_writes_examples_with_their_files(tmp_path: Path) -> None:
     ("words", "expected"),
     [
         (["--example", "two_lnk"], "Did you mean 'two_link'?"),
-        (["--example", "../secret"], "--list shows all"),
-        (["--example", ""], "--list shows all"),
+        (["--example", "../secret"], "--list shows their titles"),
+        (["--example", ""], "--list shows their titles"),
     ],
 )
 def test_init_knows_no_other_example(words: list[str], expected: str, tmp_path: Path) -> None:

@@ -51,7 +51,7 @@ def test_a_sensor_without_a_left_edge_ends_in_code(jump: bool, tmp_path: Path) -
     assert (numbers["left"], numbers["width"]) == (None, None)
     assert any("taken to have none" in one for one in numbers["remarks"])
     scenario = tmp_path / "flow.toml"
-    assert "so far away that it is no edge" in scenario.read_text()
+    assert "so far away that no reading lies beyond it" in scenario.read_text()
     printed = invoke(
         "estimate", str(scenario), str(log), "--no-figures", "--out", str(tmp_path / "e")
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import email
 import hashlib
 import json
@@ -11,6 +10,7 @@ import re
 import tomllib
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import pytest
 from tools.supply import hashes, parts, sbom, sizes
@@ -133,22 +133,42 @@ def test_a_run_without_figures_imports_what_the_page_says() -> None:
 
 
 def test_the_version_is_the_same_everywhere(wheel: Path) -> None:
-    found = []
-    tree = ast.parse((ROOT / "src/undeadzone/__init__.py").read_text(encoding="utf-8"))
-    for node in tree.body:
-        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__version__":
-            found.append(ast.literal_eval(node.value))
-    (version,) = found
+    source = (ROOT / "src/undeadzone/__init__.py").read_text(encoding="utf-8")
+    (version,) = re.findall(r'^__version__ = "(.*)"$', source, re.MULTILINE)
     assert email.message_from_string(text_in(wheel, "METADATA"))["Version"] == version
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert "version" not in project
-    citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
-    (released,) = re.findall(r'^date-released: "(.*)"$', citation, re.M)
-    assert re.findall(r"^version: (.*)$", citation, re.M) == [version]
+    cited = cited_keys()
+    assert (cited["version"], cited["license"]) == (version, project["license"])
     changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     assert changes.startswith("# Changelog\n")
     assert "\n## Unreleased\n" in changes
-    assert f"\n## {version} ({released})\n" in changes
+    assert f"\n## {version} ({cited['date-released']})\n" in changes
+
+
+def cited_keys() -> dict[str, Any]:
+    """The contents of CITATION.cff."""
+    text = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    return dict(import_package("yaml").safe_load(text))
+
+
+def test_the_citation_is_valid() -> None:
+    """As Citation File Format 1.2.0 demands of the keys that are there; no other key is."""
+    cited = cited_keys()
+    assert (cited.pop("cff-version"), cited.pop("type")) == ("1.2.0", "software")
+    assert re.fullmatch(r"\d{4}-\d\d-\d\d", cited.pop("date-released"))
+    assert [list(author) for author in cited.pop("authors")] == [["name"]]
+    assert all(isinstance(word, str) for word in cited.pop("keywords"))
+    assert all(isinstance(value, str) for value in cited.values())
+    assert cited.keys() == {"license", "message", "title", "version"}
+
+
+@pytest.mark.parametrize("folder", [ROOT, ROOT / "packages/deadzone_update"])
+def test_classifiers_name_the_tested_versions(folder: Path) -> None:
+    text = (folder / "pyproject.toml").read_text(encoding="utf-8")
+    named = ", ".join(re.findall(r'"Programming Language :: Python :: (3\.\d+)"', text))
+    versions = (ROOT / "docs/versions.md").read_text(encoding="utf-8")
+    assert f"\nTests run with Python {named} on Linux." in versions
 
 
 def test_a_package_index_shows_no_link_that_leads_nowhere(wheel: Path) -> None:
@@ -163,13 +183,9 @@ def test_a_package_index_shows_no_link_that_leads_nowhere(wheel: Path) -> None:
         assert heading in description
 
 
-def test_addresses_are_placeholders_until_the_project_has_a_place(wheel: Path) -> None:
-    """Whoever gives the project a place changes this test with the addresses."""
-    urls = email.message_from_string(text_in(wheel, "METADATA")).get_all("Project-URL") or []
-    names = [url.split(", ")[0] for url in urls]
-    assert names == ["Homepage", "Documentation", "Source", "Issues", "Changelog"]
-    for url in urls:
-        assert re.fullmatch(r"\w+, https://undeadzone\.invalid(/\w+)?", url)
+def test_no_address_is_invented(wheel: Path) -> None:
+    """The project has no public place yet. docs/release.md: who publishes adds the addresses."""
+    assert "Project-URL" not in email.message_from_string(text_in(wheel, "METADATA"))
 
 
 def test_a_source_distribution_has_every_folder_and_page_of_the_project() -> None:

@@ -17,7 +17,6 @@ from benchmarks.identify import (
     lost_motion,
     motors,
     names,
-    public_reports,
     strangers,
     valves,
 )
@@ -26,6 +25,7 @@ from benchmarks.identify.logs.motors import random_motor, record
 from benchmarks.identify.logs.names import ROUNDED, TRUTHS
 from benchmarks.identify.logs.names import make as make_named
 from benchmarks.identify.logs.public_reports import KINDS as REPORTS
+from benchmarks.identify.logs.public_reports import judge_report
 from benchmarks.identify.logs.strangers import ALL, STEP
 
 import undeadzone as uz
@@ -197,5 +197,5 @@ def ask_report(kind: str) -> Answer:
     """
     report = REPORTS[kind](np.random.default_rng([list(REPORTS).index(kind), 25, SEED]))
     with tempfile.TemporaryDirectory() as folder, noted_answers() as noted:
-        one = public_reports.outcome_of(report, Path(folder) / "report.csv")
-    return judged(noted, one.word, report.right, one.holds, {"width": report.width})
+        word, holds = judge_report(report, Path(folder) / "report.csv")
+    return judged(noted, word, report.right, holds, {"width": report.width})

@@ -70,15 +70,6 @@ def test_what_dir_shows_suffices_for_a_first_hour() -> None:
     assert methods <= inner
 
 
-@pytest.mark.parametrize(("old", "new"), undeadzone._RENAMED.items())
-def test_a_replaced_name_warns_and_still_works(old: str, new: str) -> None:
-    with pytest.warns(DeprecationWarning, match=f"uz.{old} is now uz.{new}"):
-        found = getattr(undeadzone, old)
-    assert found is getattr(undeadzone, new)
-    versions = Path(undeadzone.__file__).parents[2] / "docs" / "versions.md"
-    assert f"| `uz.{old}` | `uz.{new}` |" in versions.read_text(encoding="utf-8")
-
-
 def test_what_the_other_packages_register_is_in_the_stub() -> None:
     points = entry_points(group="undeadzone.names")
     assert sorted(point.name for point in points) == sorted(REGISTERED)

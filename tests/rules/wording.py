@@ -38,6 +38,11 @@ PATTERNS = {
 }
 
 
+CODE = re.compile(
+    r"[{}<>=\\]|;(?=\n|$)|\(\w*\);|@\w+@|\breturn\b|^\W*(?:static|double|var|#)", re.M
+)
+
+
 def split_name(name: str) -> list[str]:
     """Split a name in snake case into its words."""
     return [word for word in name.lower().split("_") if word]
@@ -57,6 +62,11 @@ def is_imperative(line: str) -> bool:
     if not words or words[0] not in WORDS["verbs"] or words[1:2] == ["of"]:
         return False
     return words[0] not in WORDS["also_nouns"] or not WORDS["followers"].isdisjoint(words[1:2])
+
+
+def is_prose(text: str) -> bool:
+    """Test if a string is a sentence or a part of one: three words, and no code or page."""
+    return len(re.findall(r"(?<!\S)[a-z]{2,}\b", text)) > 2 and not CODE.search(text)
 
 
 def strip_markdown(text: str) -> str:

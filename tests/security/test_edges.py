@@ -58,8 +58,8 @@ def test_a_package_that_ends_python_or_is_damaged_is_left_out(tmp_path: Path) ->
     (tmp_path / "e_mod.py").write_text("raise SystemExit(3)\n")
     done = call("--help", site=tmp_path)
     assert done.returncode == 0
-    assert "'bad' is registered at e_mod:cmd, which fails: 3; it is left out" in done.stderr
-    assert "f: its entry points cannot be read; it is left out" in done.stderr
+    assert "'bad' is registered at e_mod:cmd, which fails: 3. It is left out" in done.stderr
+    assert "f: its entry points cannot be read. It is left out" in done.stderr
     assert "identify" in done.stdout
 
 

@@ -818,7 +818,7 @@ def test_a_method_that_does_not_apply_says_why() -> None:
     reasons = {row.method: f"{row.method} needs poles" for row in refused}
     blocks = leaderboard_blocks(refused[:1], 1, 1, reasons)
     assert "not applicable: a: a needs poles" in blocks
-    assert "not applicable (--json says why): a, b, c, d" in leaderboard_blocks(
+    assert "not applicable (--json has the reasons): a, b, c, d" in leaderboard_blocks(
         refused, 1, 1, reasons
     )
 

@@ -271,8 +271,8 @@ def test_tunable_numbers_are_parameters(tmp_path: Path) -> None:
     [
         ({"tunable": ("observer.gama",)}, "Did you mean observer.gamma"),
         ({"tunable": ("observer.left0",)}, "changes nothing"),
-        ({"to": "fmu9"}, "to: expected one of c, arduino, fmu2, fmu3, python"),
-        ({"precision": "half"}, "precision: expected one of"),
+        ({"to": "fmu9"}, "to: found 'fmu9'. Did you mean 'fmu"),
+        ({"precision": "half"}, "precision: found 'half'. Expected one of"),
         ({"part": "controller"}, "part: expected one of"),
         ({"name": "Arm"}, "name: expected a letter"),
         ({"name": "int"}, "name: expected a letter"),

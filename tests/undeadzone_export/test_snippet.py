@@ -15,7 +15,7 @@ from documents import EXAMPLES
 from requirements import needs
 from undeadzone.cli import group
 from undeadzone.errors import InputError
-from undeadzone_export.snippet import Lost, lost_of_answer, snippet_texts
+from undeadzone_export.snippet import Lost, load_lines, lost_of_answer, snippet_texts
 
 LENGTH = 20  # lines of a snippet
 
@@ -40,8 +40,10 @@ def around(value: float) -> tuple[float, float, float]:
 def lost_at_random(kind: str, rng: np.random.Generator) -> Lost:
     """Return a zone or a gap of any size between 0.001 and 1000."""
     right, left = (float(width) for width in 10 ** rng.uniform(-3, 3) * rng.uniform(0.2, 1, 2))
-    width = around(right + left)
-    return Lost(kind, around(right), around(left), width, "mm", "axis.csv", 0.01 * right)
+    width, noise = around(right + left), 0.1 * left * float(rng.integers(0, 2))
+    rest = float(rng.integers(-1, 2)) * right
+    given = (around(right), around(left), width, "mm", "axis.csv", 0.01 * right)
+    return Lost(kind, *given, rest=rest, noise=noise)
 
 
 def play(command: np.ndarray, gap: float) -> np.ndarray:
@@ -75,7 +77,7 @@ def test_c_and_python_say_the_same_of_50_zones(kind: str, tmp_path: Path) -> Non
         call.restype, call.argtypes = ctypes.c_float, [ctypes.c_float]
         scope: dict = {}
         exec(each["snippet.py"], scope)
-        python = scope[f"F{k}"]()
+        python = scope[f"f{k}"]
         given = (3 * lost.width[0] * rng.standard_normal(300)).astype(np.float32)
         given[::7] = 0.0
         in_c = np.array([call(float(x)) for x in given])
@@ -98,7 +100,7 @@ def test_an_axis_with_a_gap_goes_where_it_should() -> None:
             scope,
         )
         reference = 10 * np.sin(0.7 * t) + 4 * np.sin(1.9 * t)
-        compensate = scope["Go"]()
+        compensate = scope["go"]
         reached = play(np.array([compensate(w) for w in reference]), gap)
         assert np.abs(reached - reference)[1:].max() < 0.05 * gap
         assert np.abs(play(reference, gap) - reference).max() > 0.9 * gap
@@ -110,7 +112,7 @@ def test_an_actuator_is_never_pushed_beyond_its_zone() -> None:
     lost = Lost("actuator", (right, 1.45, 1.55), (left, 0.77, 0.83), around(2.3), "V", "m.csv")
     scope: dict = {}
     exec(snippet_texts(lost, "drive")["snippet.py"], scope)
-    drive = scope["Drive"]()
+    drive = scope["drive"]
     for reference in np.linspace(-4, 4, 801):
         u = drive(float(reference))
         passed = u - right if u > right else u + left if u < -left else 0.0
@@ -127,6 +129,8 @@ def answer(verdict: str, **changes: object) -> dict:
         "width": [1.3, 1.28, 1.32],
         "odds": {"a": 0.97, "b": 0.03},
         "record": {"quantum": 0.0},
+        "answer": {"grade": "named", "never_tried": []},
+        "lines": {"without": 0.5, "with": 0.1, "on": "held-out data"},
         "units": {"input": "V", "output": "N"},
         **changes,
     }
@@ -225,6 +229,11 @@ def test_each_verdict_is_compensated_in_its_own_unit(
         (answer("undecided"), "Record longer"),
         (answer("play", odds={"play": 0.6, "friction": 0.4}), "likely to 60 %"),
         (answer("dead_zone", width=None), "no widths"),
+        (answer("dead_zone", left=[0.1, -0.2, 0.4]), "interval of an edge holds 0"),
+        (answer("dead_zone", answer={"grade": "indicated", "never_tried": []}), "name is withheld"),
+        (answer("dead_zone", answer={"grade": "named", "never_tried": ["left"]}), "never tried"),
+        (answer("dead_zone", lines=None), "Identify the log again"),
+        (answer("dead_zone", lines={"without": 0.1, "with": 0.2, "on": "a log"}), "do not pay"),
         ({"outputs": {}, "verdict": "dead_zone"}, "several outputs"),
         ({"none": 1}, "expected the identify.json"),
     ],
@@ -240,10 +249,22 @@ def test_nothing_is_written_of_what_is_not_certain(found: dict, says: str, tmp_p
 
 @pytest.mark.parametrize(("absent", "edge"), [("left", 1.5), ("right", -0.8)])
 def test_a_sensor_with_one_edge_reads_beyond_it_alone(absent: str, edge: float) -> None:
-    lost = Lost("sensor", (1.5, 1.2, 1.9), (0.8, 0.6, 1.1), around(2.3), "V", "m.csv", 0.01, absent)
-    scope: dict = {}
-    exec(snippet_texts(lost, "hear")["snippet.py"], scope)
-    hear, beyond = scope["Hear"](), np.sign(edge)
-    assert hear(0.0) == edge
-    assert hear(-3.0 * beyond) == edge
+    none = (0.0, 0.0, 0.0)
+    sides = {"right": (1.5, 1.2, 1.9), "left": (0.8, 0.6, 1.1)} | {absent: none}
+    lost = Lost("sensor", *sides.values(), around(2.3), "V", "m.csv", 0.01, absent)
+    hear, beyond = load_lines(lost), np.sign(edge)
+    assert hear(0.0) == hear(-3.0 * beyond) == edge / 2
     assert hear(2.0 * beyond) == pytest.approx(2.0 * beyond + edge)
+
+
+def test_the_lines_of_a_noisy_sensor_are_the_posterior_mean() -> None:
+    """Beside a sum over a grid of z, about a reading at rest of 20."""
+    right, left, noise, rest = 1.5, 0.8, 0.1, 20.0
+    lines = load_lines(
+        Lost("sensor", around(right), around(left), around(2.3), "V", "m", rest=rest, noise=noise)
+    )
+    z = np.linspace(-9, 9, 180_001)
+    read = z - np.clip(z, -left, right)
+    for y in np.linspace(-2, 2, 41):
+        weight = np.exp(-0.5 * ((y - read) / noise) ** 2)
+        assert lines(rest + y) == pytest.approx(rest + (weight @ z) / weight.sum(), abs=2e-3)

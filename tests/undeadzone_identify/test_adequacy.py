@@ -98,7 +98,7 @@ def test_another_curve_of_the_input_has_no_name_and_no_odds(tmp_path: Path) -> N
     assert saved["odds"] == {}
     assert saved["width"] is None
     assert "depends on the size of the input" in saved["reasons"][0]
-    assert "record steps" in saved["reasons"][1]
+    assert "Record steps" in saved["reasons"][1]
     assert not (tmp_path / "log.toml").exists()
 
 
@@ -310,8 +310,8 @@ def test_a_relay_is_no_curve_and_no_slow_drive(kind: str, seed: int) -> None:
     """Its best curve lies at its bound; a drive that never reaches its target is as good as it."""
     answer = of_kind(kind, seed)
     assert answer.verdict == "unclear"
-    assert "at the end of what it models" in answer.answer.reasons[0]
-    assert "record steps" in answer.answer.reasons[1]
+    assert "at the limit of its numbers" in answer.answer.reasons[0]
+    assert "Record steps" in answer.answer.reasons[1]
     assert not answer.numbers()["odds"]
 
 
@@ -373,7 +373,7 @@ def test_a_lag_ahead_of_the_zone_withholds_the_name(samples: float) -> None:
         return
     assert answer.verdict == "unclear"
     assert "the input a few samples before" in answer.answer.reasons[0]
-    assert "record what leaves it" in answer.answer.reasons[1]
+    assert "Record its output" in answer.answer.reasons[1]
     assert not answer.numbers()["odds"]
 
 
@@ -593,7 +593,7 @@ def test_steps_that_noise_blurs_are_no_jump() -> None:
     u = walk(rng)
     answer = identify_log(u, 0.6 * np.round(two_lags(u) / 0.6) + 0.18 * rng.standard_normal(u.size))
     assert answer.verdict == "unclear"
-    assert "where the output lies between equal steps" in answer.answer.reasons[0]
+    assert "the place of the output between equal steps" in answer.answer.reasons[0]
     assert not answer.numbers()["odds"]
 
 
@@ -608,7 +608,7 @@ def test_a_gate_that_passes_large_readings_whole_is_a_jump() -> None:
     ("truth", "seed", "why"),
     [
         *further(("input", 10049, "a zone explains more than chance does (p = 1.9e-21)")),
-        ("sensor and input", 10056, "this record cannot tell a dead zone of the sensor from"),
+        ("sensor and input", 10056, "this record cannot decide a dead zone of the sensor from"),
     ],
 )
 def test_a_name_that_its_own_test_or_a_wider_model_denies_is_withheld(

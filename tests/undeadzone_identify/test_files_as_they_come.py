@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from requirements import import_package
 from undeadzone.errors import FileError
-from undeadzone.logs.kinds import kind_of
+from undeadzone.logs import names
+from undeadzone.logs.kinds import kind_of, split_unit
 from undeadzone_identify.logs.grid import to_grid
 from undeadzone_identify.logs.log import read_log
 from undeadzone_identify.logs.prepare import select_readings
@@ -29,6 +32,9 @@ COLUMNS = {
     "n": np.arange(SIZE) + 1.0,
     "d": 12.4 - 0.001 * np.arange(SIZE) + 0.01 * RNG.standard_normal(SIZE),
     "-": 2.0 * HELD + 0.3 * RNG.standard_normal(SIZE),
+    "i": 0.02 * np.cumsum(FOLLOWS),
+    "v": 1.5 + 0.1 * FOLLOWS,
+    "k": np.cumsum(20.0 + (RNG.random(SIZE) < 0.1)),
 }
 # Header, what each column does, time, input, reading, and their kinds.
 SHAPES = [
@@ -113,6 +119,13 @@ SHAPES = [
     ("t,first,second", "tuy", "t", "first", "second", "other other"),
     ("t,second,first", "tyu", "t", "first", "second", "other other"),
     (",stick,gyro", "tuy", "", "stick", "gyro", "drive speed"),
+    ("t,steering,W", "tuy", "t", "steering", "W", "drive other"),
+    ("infrared,ultrasonic,distance", "xyu", None, "distance", "ultrasonic", None),
+    ("conc,dew point,temp,A", "udxy", None, "conc", "A", "other other"),
+    ("Voltage,Cal. flow,Exp. flow", "u-y", None, "Voltage", "Exp. flow", "drive other"),
+    ("t,a,b,c", "tuyi", "t", "a", "b", "other other"),
+    ("t,c,b,a", "tiyu", "t", "a", "b", "other other"),
+    ("t,a,b,c", "tuyv", "t", "a", "b", "other other"),
 ]
 
 
@@ -145,6 +158,78 @@ def test_columns(
         assert np.array_equal(again.y, log.y), "the option that is printed reads the same"
         assert np.array_equal(again.u, log.u)
         assert np.array_equal(again.t, log.t)
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+@pytest.mark.parametrize("name", ["EVEN", "FIRST", "PAST", "RIDGE"])
+def test_constants_at_half_and_double_choose_the_same(
+    name: str, factor: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(names, name, factor * getattr(names, name))
+    for header, does, _, u, y, _ in SHAPES:
+        titles = [split_unit(cell) for cell in re.split("[,;]", header)]
+        values = np.column_stack([COLUMNS[one] for one in does])
+        layout = names.layout_of_titles(titles, None, None, {}, "log", values)
+        if u and y:
+            assert layout.inputs[0] == does.index("u"), header
+            assert layout.readings == [does.index("y")], header
+
+
+ROWS = list(zip(COLUMNS["t"], COLUMNS["u"], COLUMNS["y"], strict=True))
+AT_REST = "".join(f"{0.02 * k:g},{k},41.7\n" for k in range(20))
+
+
+@pytest.mark.parametrize(
+    ("lines", "outputs", "words"),
+    [
+        (["".join(f"{name} 2026-01-01 00:00:{row[0]:05.2f} {x:g}\n"
+                  for name, x in zip(("cmd", "pos"), row[1:], strict=True)) for row in ROWS],
+         "pos", "u=cmd"),
+        (["time_s,topic,value\n", *(f"{t:g},a/cmd,{u:g}\n{t + 0.003:g},a/angle,{y:g}\n"
+                                   for t, u, y in ROWS)], "a/angle", "t=time_s,y=a/angle,u=a/cmd"),
+        (["[key]; [value]\n", *(f"{k}.Variable; {name}\n{k}.Data;\n"
+                                + "".join(f"; {1e3 * row[0]:g}; {row[k]:g}\n" for row in ROWS)
+                                for k, name in ((1, "X.cmd"), (2, "X.pos")))], "X.pos", "u=X.cmd"),
+        (["t,cmd,speed\ns,%,rpm\n", *(f"{t:g},{u:g},{y:g}\n" for t, u, y in ROWS)],
+         "speed", "u=cmd"),
+        (["t,u,speed\n", AT_REST, *(f"{0.4 + t:g},{u:g},{y:g}\n" for t, u, y in ROWS)],
+         "speed", "20 readings of 41.7 ahead of the first change are stale"),
+        (["Log 2, begun\n" * 40, "t,u,y\n", *(f"{t:g},{u:g},{y:g}\n" for t, u, y in ROWS)],
+         "y", "40 lines ahead of the header skipped"),
+    ],
+)  # fmt: skip
+def test_other_tables(lines: list[str], outputs: str, words: str, tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("".join(lines))
+    log = read_log(path)
+    assert log.outputs == (outputs,)
+    assert any(words in remark for remark in log.remarks)
+    assert np.allclose(log.u[:, 0], HELD, atol=1e-4)
+    assert np.allclose(log.y[:, 0], FOLLOWS, atol=1e-3)
+    assert np.allclose(np.diff(log.t), 0.02, atol=1e-6)
+
+
+def test_columns_of_lists_and_dates_in_parquet(tmp_path: Path) -> None:
+    arrow = import_package("pyarrow")
+    times = np.datetime64("2026-01-01") + (1e9 * COLUMNS["t"]).astype("timedelta64[ns]")
+    signals = {"action": HELD, "observation.state": FOLLOWS}
+    columns = {name: list(np.column_stack([x, -x])) for name, x in signals.items()}
+    path = tmp_path / "log.parquet"
+    import_package("pyarrow.parquet").write_table(arrow.table({"time": times, **columns}), path)
+    log = read_log(path, "t=time,u=action[1],y=observation.state[1]")
+    assert np.allclose(log.u[:, 0], -HELD)
+    assert np.allclose(log.t, COLUMNS["t"])
+    path.write_bytes(b"no table")
+    with pytest.raises(FileError, match="cannot read"):
+        read_log(path)
+
+
+def test_uneven_whole_times_are_milliseconds_and_the_next_pair_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text(text_of("a;b;c;d", [COLUMNS[one] for one in "kuyx"]).partition("\n")[2])
+    log = read_log(path)
+    assert 0.01 < np.median(np.diff(log.t)) < 0.03
+    assert 'read as --columns "t=1,y=3,u=2"; next best: t=1,y=' in log.remarks[0]
 
 
 def test_where_fewer_than_two_columns_vary_the_file_is_refused(tmp_path: Path) -> None:

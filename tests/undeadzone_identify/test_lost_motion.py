@@ -253,5 +253,5 @@ def test_without_a_gap_a_chain_ends_with_no_and_writes_no_code(
     write_table(wrong_ratio(np.random.default_rng(1)), Path("a.csv"))
     words = ["identify", "a.csv", "--no-figures", "--chain", "fw"]
     assert group.main(words, standalone_mode=False) == 1
-    assert "none: there is neither a scenario nor a certain gap" in capsys.readouterr().out
+    assert "it takes a scenario or a certain gap" in capsys.readouterr().out
     assert not Path("fw/snippet").exists()

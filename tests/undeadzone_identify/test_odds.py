@@ -12,7 +12,7 @@ from benchmarks.identify.logs import loops as loop_logs
 from benchmarks.identify.logs import names as names_logs
 from benchmarks.identify.logs.names import NamedLog, make
 from benchmarks.identify.logs.servo import random_log, resting_log
-from benchmarks.identify.logs.zone_or_play import through
+from benchmarks.identify.logs.strangers import dragged
 from scipy.signal import lfilter
 
 import undeadzone as uz
@@ -271,7 +271,7 @@ def test_what_looks_like_friction_is_tested_for_a_play() -> None:
     z = lfilter([0.0, 1 - pole], [1.0, -pole], u / u.std())
     right, left = rng.uniform(0.1, 0.5, 2)
     noise = rng.choice([0.01, 0.03])
-    without_noise = through(z / z.std(), np.array([right, left]), np.zeros(2))
+    without_noise = dragged(z / z.std() + (left - right) / 2, right + left)
     y = without_noise + noise * rng.standard_normal(size)
     answer = uz.identify(t=STEP, u=u / u.std(), y=y)
     assert answer.verdict == "play"

@@ -477,7 +477,7 @@ def test_swapped_columns_give_no_widths() -> None:
     ("change", "message"),
     [
         (lambda t, u, y: (t, 0 * u + 1, y), "input is constant"),
-        (lambda t, u, y: (t, u, 0 * y), "never speaks"),
+        (lambda t, u, y: (t, u, 0 * y), "always silent"),
         (lambda t, u, y: (t, u, 0 * y + 3), "never changes"),
         (lambda t, u, y: (t, u, y * np.nan), "every one is missing"),
         (lambda t, u, y: (t[:60], u[:60], y[:60]), "too few"),

@@ -166,7 +166,7 @@ def test_a_log_of_a_single_step_says_what_to_record() -> None:
         reasons.append(found.answer.reasons[0])
         words.append(found.verdict)
     assert words == ["unclear", "none"]
-    assert "record several steps up and down" in reasons[0]
+    assert "Record several steps up and down" in reasons[0]
     assert "changes" not in reasons[0]
 
 

@@ -7,16 +7,20 @@ loops and machines in order. Every number is drawn by a seed.
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 from scipy.signal import lfilter
 
+import undeadzone as uz
 from benchmarks.identify.logs.lost_motion import KINDS as MOTIONS
 from benchmarks.identify.logs.lost_motion import Floats
 from benchmarks.identify.logs.servo import Servo, input_at_random, recorded
 from benchmarks.identify.logs.strangers import zone
 from benchmarks.identify.logs.valves import make
+from undeadzone_identify.results.assemble import WITHHELD
 
 
 class Report(NamedTuple):
@@ -171,3 +175,24 @@ KINDS: dict[str, Callable[[np.random.Generator], Report]] = {
     "geared motor": geared_motor,
     "oven in order": oven,
 }
+
+
+def judge_report(report: Report, path: Path) -> tuple[str, bool | None]:
+    """Return whether the name is right, withheld or wrong without options, and its interval holds.
+
+    Args:
+        report: the log with its truth.
+        path: where the file goes.
+    """
+    pd.DataFrame(report.columns).to_csv(path, index=False)
+    try:
+        found = uz.identify(str(path))
+    except uz.InputError:
+        return "withheld", None
+    gap = found.answer.gap if isinstance(found, uz.IdentifiedMotion) else found.width
+    if found.verdict not in report.right:
+        is_named = found.verdict not in WITHHELD
+        return "wrong" if is_named else "withheld", None
+    if gap is None or report.width is None:
+        return "right", None
+    return "right", bool(gap.low <= report.width <= gap.high)

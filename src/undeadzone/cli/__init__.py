@@ -64,7 +64,7 @@ class Commands(click.Group):
                 ctx.exit()
             name = args[0]
         if name.endswith(".toml"):
-            ctx.fail(f"{name!r} is no command; to run this scenario: undeadzone run {name}")
+            ctx.fail(f"{name!r} is not a command. To run this scenario: undeadzone run {name}")
         if self.get_command(ctx, name) is None and not name.startswith("-"):
             near = get_close_matches(name, self.list_commands(ctx), 1)
             meant = OTHER_NAMES.get(name, "".join(near))
@@ -129,7 +129,7 @@ class Commands(click.Group):
         try:
             return self.get_command(ctx, name) is not None
         except InputError as error:
-            print_line(f"undeadzone: {error}; it is left out", err=True)
+            print_line(f"undeadzone: {error}. It is left out", err=True)
             return False
 
     def _command_usage(self, ctx: click.Context, name: str) -> tuple[str, str]:

@@ -34,7 +34,7 @@ HEAD = ("joint", "moves", "from", "to", "speed", "torque", "to hold", "b", "f", 
 @value_option(
     "--joints",
     "NAME,...",
-    "Joints that move, from base to tip (default: all; the others are fixed at 0).",
+    "Joints that move, from base to tip (default: all, and the others are fixed at 0).",
 )
 @value_option("--at", "Q1,...", "Posture [rad or m] (default: 0, or the middle between limits).")
 @flag_option("--gears", "Write gears with a gap in place of dead zones.")
@@ -140,7 +140,7 @@ def _format_limit(value: float, unit: str) -> str:
 def _advise_after_survey(found: Survey, weak: list[str], written: list[Path], robot: Path) -> str:
     """Return the advice on the next step."""
     if weak:
-        return f"NO: the motors of {', '.join(weak)} cannot hold the arm there; try another --at"
+        return f"NO: the motors of {', '.join(weak)} cannot hold the arm there. Try another --at"
     if written:
         return f"wrote {written[0]}; next: {shell_command('undeadzone', 'run', written[0])}"
     missing = []
@@ -148,8 +148,8 @@ def _advise_after_survey(found: Survey, weak: list[str], written: list[Path], ro
         missing.append("friction (plant.parameters b1, f1, ...)")
     missing.append("the dead zone of each joint (sensor.right, sensor.left; --gears: their gaps)")
     return (
-        f"the file does not know {' and '.join(missing)}; "
-        f"a scenario to start from: {shell_command('undeadzone', 'arm', robot, '--out', '.')}"
+        f"the file does not know {' and '.join(missing)}. "
+        f"A scenario to start from: {shell_command('undeadzone', 'arm', robot, '--out', '.')}"
     )
 
 

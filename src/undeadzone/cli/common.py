@@ -54,7 +54,7 @@ class UserPath(click.Path):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return the path. Raises BadParameter if the name is empty, or none on this system."""
         if value == "":
-            self.fail("the name is empty; the folder in which you are is '.'", param, ctx)
+            self.fail("the name is empty. The folder in which you are is '.'", param, ctx)
         try:
             os.lstat(value)
         except OSError as error:

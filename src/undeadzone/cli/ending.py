@@ -101,7 +101,7 @@ def _print_warning(message: Warning | str, *where: Any, **rest: Any) -> None:
 def report_failure(error: Exception) -> int:
     """Print a refusal of the system or an internal error, and return the exit code."""
     if _is_out_of_memory(error):
-        return _report_refusal("memory ran out; allow more, or ask for less at once")
+        return _report_refusal("memory ran out. Allow more, or compute less at once")
     if isinstance(error, OSError) and _is_stdout_error(error):
         return _report_stdout_failure(error)
     return _report_internal_error(error)
@@ -130,7 +130,7 @@ def _open_closed_streams() -> bool:
 def _find_import_obstacle() -> str:
     """Return the reason that libraries would fail or hang while imported, or "" if none."""
     if not os.environ.get(EPOCH, "0").isdecimal():
-        return f"{EPOCH}: expected whole seconds since 1970; set it so, or unset it"
+        return f"{EPOCH}: expected whole seconds since 1970. Set it so, or unset it"
     if sys.platform == "win32":
         return ""
     import resource
@@ -139,7 +139,7 @@ def _find_import_obstacle() -> str:
     if allowed != resource.RLIM_INFINITY and allowed < LEAST_MEMORY:
         return (
             f"memory ran out: {allowed / 1e6:.0f} MB of addresses are allowed, and libraries alone "
-            f"take {LEAST_MEMORY / 1e6:.0f}; raise it (ulimit -v)"
+            f"take {LEAST_MEMORY / 1e6:.0f}. Raise it (ulimit -v)"
         )
     return ""
 

@@ -27,6 +27,8 @@ from undeadzone.cli.output import (
     next_line,
     require_own_table,
 )
+from undeadzone.errors import InputError
+from undeadzone.util.files import read_text
 from undeadzone.util.progress import terminal_progress as progress
 
 
@@ -74,6 +76,9 @@ def estimate(
     from undeadzone.report.log_page import write_estimation
     from undeadzone.scenario.reader import read_for_logs
 
+    if log.suffix == ".toml":
+        right = shell_command("undeadzone", "estimate", log, scenario)
+        raise InputError(f"the log and the scenario are exchanged: {right}")
     folder = output.choose_folder(f"{log.stem}-estimate", as_csv)
     require_own_table(folder, "estimate.csv", force)
     watched = read_for_logs(scenario, confine)
@@ -109,8 +114,13 @@ def estimate(
 def _advise_after_estimate(
     scenario: Path, log: Path, columns: str | None, result: uz.Estimation
 ) -> dict[str, str]:
-    """Return the next command after a log: export if the model fits, else `identify`."""
+    """Return the next command after a log: export if the model fits, else `identify`.
+
+    A scenario of `identify` has none: its answer would be the same.
+    """
     if result.info.consistent is False:
+        if "Written by undeadzone identify" in read_text(scenario):
+            return {}
         again = shell_command(
             "undeadzone", "identify", log, *["--columns", columns] * bool(columns)
         )

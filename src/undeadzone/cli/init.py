@@ -5,7 +5,6 @@ The examples that come with the package: scenarios, the files that they name, an
 
 from __future__ import annotations
 
-import difflib
 import re
 import tomllib
 from collections.abc import Iterator
@@ -28,6 +27,7 @@ from undeadzone.cli.common import (
 from undeadzone.cli.output import Output, add_output_options
 from undeadzone.errors import InputError
 from undeadzone.util.files import read_text, write_text
+from undeadzone.util.text import suggest_name
 
 OTHERS: Final = {
     "samples.csv": "A log for undeadzone watch and estimate, of asymmetric_noise",
@@ -143,9 +143,8 @@ def example_files(name: str) -> list[Path]:
     known = example_titles()
     name = name.removesuffix(".toml")
     if name not in known:
-        near = difflib.get_close_matches(name, known, 1)
-        advice = f"Did you mean {near[0]!r}? " if near else ""
-        raise InputError(f"example: there is no {name!r}. {advice}--list shows all")
+        advice = suggest_name(name, known, "There are")
+        raise InputError(f"example: there is no {name!r}. {advice} --list shows their titles")
     if name in OTHERS:
         return [_examples_folder() / name]
     path = _examples_folder() / f"{name}.toml"

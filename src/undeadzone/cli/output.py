@@ -170,7 +170,7 @@ def report_fresh_start(partial: Path) -> None:
         partial: the file that it would have kept.
     """
     if not partial.exists():
-        print_line(f"--resume: there is no {partial}; begins anew", err=True)
+        print_line(f"--resume: there is no {partial}. Begins anew", err=True)
 
 
 def prepare_figures() -> None:

@@ -131,16 +131,16 @@ def _advise_after_run(path: Path, scenario: uz.Scenario, run: uz.Run) -> dict[st
     """Return the next commands after a run, first the remedy for wide intervals."""
     import numpy as np
 
-    check = f"{shell_command('undeadzone', 'check', path)} says what can be known"
+    check = f"{shell_command('undeadzone', 'check', path)} shows which widths can be known"
     if not _is_successful(run):
         return next_line(check)
     if run.d_std is None or (HALF_95 * run.d_std[-1] <= WIDE * np.abs(run.d_hat[-1])).all():
         return next_line(check, *export_command(path, scenario))
     observer = scenario.observer
     open_assumptions = [
-        name for name in NARROWING if getattr(observer, name, "no such claim") is None
+        name for name in NARROWING if getattr(observer, name, "no such assumption") is None
     ]
-    narrower = f"narrower intervals: claim observer.{', '.join(open_assumptions)} if known"
+    narrower = f"narrower intervals: declare observer.{', '.join(open_assumptions)} if known"
     return next_line(*[narrower] * bool(open_assumptions), check)
 
 

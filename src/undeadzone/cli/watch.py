@@ -175,7 +175,7 @@ class SavedWatch:
             if not when_due:
                 raise
             self._failures += 1
-            often = f"not saved, {self._failures} times by now; tried again in {self._every:g} s"
+            often = f"not saved, {self._failures} times by now. Tried again in {self._every:g} s"
             print_line(f"undeadzone: {error}: {often}", err=True)
 
 

@@ -21,8 +21,8 @@ PAD = 16 * np.finfo(float).eps  # relative error of NumPy's elementary functions
 SLACK = 1e-12  # of an argument of sine or cosine, relative: far more than its rounding
 POWERS = 16  # whole exponents up to it are computed by products
 SMOOTH = (
-    "a condition, sign, abs, min or max changes within the bounds; "
-    "only smooth functions can be bounded"
+    "a condition, sign, abs, min or max changes within the bounds. "
+    "Only smooth functions can be bounded"
 )
 
 

@@ -237,7 +237,7 @@ class Clock:
             why = f"{where} after {self.last:.9g} s, and time goes on from there"
         else:
             why = (
-                f"{where} fits neither the sample before nor the line after it; expected a "
+                f"{where} fits neither the sample before nor the line after it. Expected a "
                 f"multiple of the step, {self._step:g} s"
             )
         return Fault(int(samples.lines[k]), run.kind, why)

@@ -93,14 +93,14 @@ _TABLE: Final = tuple(
             8.0,
         ),
         (
-            r"measured|sensor|\bcell\b|\badc|feedback|\bfb\b|reading|\bhx\b|response|\bist\b"
+            r"measured|sensor|infrared|ultrasonic|sonar\b|\bcell\b|\badc|feedback|\bfb\b|reading|\bhx\b|response|\bist\b"
             r"|\braw\b(?! d)|\bcode\b|observ|mesur|gemessen",
             "",
             -12.0,
         ),
         (
-            r"pwm|volt|spannung|tension|duty|throttle|joystick|pulse|guide distance|valve|ventil"
-            r"|vanne|heater|heiz|chauff|pump|\bfan\b|\bdac\b|stick\b|drive\b",
+            r"pwm|steer|volt|spannung|tension|duty|throttle|joystick|pulse|guide distance|valve"
+            r"|ventil|vanne|heater|heiz|chauff|pump|\bfan\b|\bdac\b|stick\b|drive\b",
             "drive",
             14.0,
         ),
@@ -118,7 +118,7 @@ _TABLE: Final = tuple(
             "",
             -8.0,
         ),
-        (r"displacement|\bhub\b|\bweg\b|course|plunger", "position", 6.0),
+        (r"displac|\bhub\b|\bweg\b|course|plunger", "position", 6.0),
         (
             r"load (pos|ang|enc)\w*|joint|\blink|\baxis|\bstar\b|camera|\bdial|\bscale\b|wheel",
             "position",
@@ -129,10 +129,11 @@ _TABLE: Final = tuple(
             "force",
             4.0,
         ),
+        (r"\bconc\b|concentration|\bpp[mb]\b", "", REFERENCE),
         (r"\bmot(or)?\b|\btheta m\b", "position", 6.0),
         (
             r"\bpos|position|angle|winkel|encoder|\benc\b|theta|\bphi\b|^q( \d+)?$|distance|height|"
-            r"tilt|lage\b|stellung|auslenk|pitch|roll\b|yaw|ticks|state|"
+            r"tilt|lage\b|stellung|auslenk|pitch|roll\b|yaw|ticks|^obs\w* state|"
             r"\[(deg|rad|mrad|°|mm|cm|m|in|um|µm|px|ticks|counts|arcsec|arcmin)\]",
             "position",
             -8.0,
@@ -218,6 +219,7 @@ def increases_evenly(values: Floats) -> bool:
     Args:
         values: of a column (N).
     """
+    values = values[np.isfinite(values)]
     between = np.diff(values)
     is_rising = between.size > 1 and values[0] >= 0 and np.mean(between > 0) > 0.98
     return bool(

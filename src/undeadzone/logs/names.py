@@ -29,16 +29,21 @@ from undeadzone.logs.kinds import (
     split_words,
     time_rank,
 )
-from undeadzone.util.arrays import Floats
+from undeadzone.util.arrays import Flags, Floats, Integers
 
 DATES: Final = ("date", "datum", "fecha", "day")  # beside a column of times of day
 # Pairs of an input and a reading that are met more often than others, and by how much [rank].
 PAIRS: Final = {("goal", "position"): 0.3, ("drive", "speed"): 0.2, ("position", "force"): 13.0}
-# What a pair of columns adds to the difference of their ranks: common words, what one explains of
-# the other, values that last in the input, changes that come first, its place in the file.
-ALIKE, EXPLAINED, LASTING, EARLIER, AHEAD = 1.0, 0.5, 0.4, 0.3, 0.1
+EVEN: Final = 1e-3  # of the range, up to which a column rests or runs evenly
+LEAST: Final = 0.3  # below which names count half: less than a tenth of a variance is explained
+FIRST: Final = 0.05  # what an input gains that stands ahead of its reading
 COPY: Final = 1 - 1e-9  # correlation of a column with its copy
-LAGS: Final = range(1, 4)  # samples, by which a reading may follow its input
+SUM: Final = 0.999  # and of its changes with what it adds up
+USED: Final = (0.005, 0.995)  # quantiles of a column beyond which values are cut
+SINCE_2001: Final = 1e9  # [s] since 1970
+UNEVEN: Final = 0.005  # share of the steps of a clock that are longer or shorter by one
+PAST: Final = 16  # the part of a log that counts as the past of a sample: at least one of these
+RIDGE: Final = 1e-6  # of a mean square
 USUAL: Final = {"y": ("y", "output", "measured"), "u": ("u", "input", "command")}
 INDEXED: Final = re.compile(r"(?s)^(.*?)[\[_(]?(\d*)[\])]?$")
 _PLAIN: Final = re.compile(r"[\w .\[\]()/%°#:+*-]+")  # names that an option may hold as they are
@@ -80,6 +85,7 @@ class Layout(NamedTuple):
         reference: number of the column of the reference; None: there is none, or it is not needed.
         is_certain: whether names without doubt or the user decided.
         unused: names of other columns, for messages.
+        next_text: the pair of columns that would be next, as `columns_text`; "" if there is none.
     """
 
     time: int | None
@@ -93,6 +99,7 @@ class Layout(NamedTuple):
     reference: int | None = None
     is_certain: bool = True
     unused: str = ""
+    next_text: str = ""
 
     @property
     def has_current(self) -> bool:
@@ -171,12 +178,12 @@ def layout_of_titles(
         values = np.where(np.isfinite(values).any(axis=0), values, 0.0)
     header = _Header(titles, chosen, source, values, values is not None and p is m is None)
     time = header.find_time_column()
-    y, u = header.find_signals(time, p, m)
+    y, u, after = header.find_signals(time, p, m)
     r = []
     if m is None:
         u = u + ([] if _of_signal(chosen, "u") else header.drive_of_servo(y, u))
         r = header.find_reference([*time, *y, *u], y[0])
-    return header.layout({"t": time, "y": y, "u": u, "r": r})
+    return header.layout({"t": time, "y": y, "u": u, "r": r}, {"t": time} | after)
 
 
 def layout_of_numbers(
@@ -229,11 +236,12 @@ class _Header(NamedTuple):
         """Return what each column may hold, by its name and unit (K)."""
         return [kind_of(*title) for title in self.titles]
 
-    def layout(self, roles: Mapping[str, Sequence[int]]) -> Layout:
+    def layout(self, roles: Mapping[str, list[int]], after: Mapping[str, list[int]]) -> Layout:
         """Return a layout, once no column is used twice and the unit of time is known.
 
         Args:
             roles: columns of t, y, u and r.
+            after: those that would be next.
         """
         used = list(itertools.chain.from_iterable(roles.values()))
         for column in used:
@@ -244,26 +252,49 @@ class _Header(NamedTuple):
         dated = [k for k, title in enumerate(self.titles) if title.name.lower() in DATES]
         titles = [add_unit(self.titles[k]) for k in (*y, *u)]
         certain = all(abs(rank_of(title)) == EXACT for title in titles)
-        parts = []
-        for key, columns in roles.items():
-            keys = [f"{key}[{i}]" for i in range(len(columns))] if columns[1:] else [key]
-            parts += [
-                f"{one}={self.printed_name(k)}" for one, k in zip(keys, columns, strict=False)
-            ]
         left = [title for k, title in enumerate(self.titles) if k not in used and title.name]
         return Layout(
             time[0] if time else None,
             next((k for k in dated if time and k not in used), None),
             list(y),
             list(u),
-            _seconds(self.titles[time[0]], self.source) if time else 1.0,
+            self.seconds(time[0]) if time else 1.0,
             titles[: len(y)],
             titles[len(y) :],
-            ",".join(parts),
+            self.option(roles),
             r[0] if r else None,
             certain or bool(_of_signal(self.chosen, "y")),
             _list_columns(left),
+            self.option(after) if "y" in after else "",
         )
+
+    def option(self, roles: Mapping[str, list[int]]) -> str:
+        """Return columns as the text of `parse_columns`.
+
+        Args:
+            roles: columns of t, y, u and r.
+        """
+        parts = []
+        for key, columns in roles.items():
+            keys = [f"{key}[{i}]" for i in range(len(columns))] if columns[1:] else [key]
+            names = map(self.printed_name, columns)
+            parts += [f"{one}={name}" for one, name in zip(keys, names, strict=False)]
+        return ",".join(parts)
+
+    def seconds(self, k: int) -> float | None:
+        """Return the length of a unit of time [s]; None if it counts samples. Raises FileError.
+
+        Whole numbers without a unit, unevenly apart, are the milliseconds of a microcontroller.
+        """
+        title = self.titles[k]
+        unit = _seconds(title, self.source)
+        if unit != 1.0 or not self.is_open or self.values is None or add_unit(title).unit:
+            return unit
+        steps = np.diff(self.values[:, k])
+        usual = np.median(steps[steps > 0]) if (steps > 0).any() else 0.0
+        is_whole = not (steps % 1).any() and np.abs(self.values[:, k]).max() < SINCE_2001
+        uneven = np.mean(np.abs(steps - usual) == 1) > UNEVEN
+        return 1e-3 if is_whole and uneven and usual > 1 else unit
 
     def printed_name(self, k: int) -> str:
         """Return the name of a column in the form of an option, else its number (from 1)."""
@@ -306,8 +337,8 @@ class _Header(NamedTuple):
 
     def find_signals(
         self, time: list[int], p: int | None, m: int | None
-    ) -> tuple[list[int], list[int]]:
-        """Return the numbers of the columns of readings and of inputs. Raises FileError.
+    ) -> tuple[list[int], list[int], dict[str, list[int]]]:
+        """Return the columns of readings, of inputs, and the next pair by signal. Raises FileError.
 
         Args:
             time: number of the column of times.
@@ -322,7 +353,11 @@ class _Header(NamedTuple):
             for out in (np.ptp(np.nan_to_num(self.values), axis=0) == 0, counts):
                 fewer = free & (~out | (np.abs(ranks) >= EXACT))
                 free = fewer if fewer.sum() + len(y + u) > 1 else free
-        scores = ranks[:, None] - ranks + self.likeness() + self.behaviour(bool(time))
+        fits = self.behaviour(bool(time))
+        exact = np.abs(ranks) >= EXACT
+        weak = (fits < LEAST) & ~np.logical_or.outer(exact, exact)
+        names = np.subtract.outer(ranks, ranks) * np.where(weak, 0.5, 1.0)
+        scores = np.round(names + self.likeness() + fits, 6)  # copies are equal
         every = np.arange(ranks.size)
         rows = np.isin(every, u[:1]) if u else free
         columns = np.isin(every, y[:1]) if y else free
@@ -337,8 +372,14 @@ class _Header(NamedTuple):
                 if is_tie and abs(ranks[k]) >= EXACT:
                     self.group(signal, k, p if signal == "y" else m)
                 raise self.require_name(signal)
-        y = y or self.group("y", j, p)
-        return y, u or self.group("u", i, m)
+        scores[i, j] = -np.inf
+        after = np.unravel_index(np.argmax(scores), scores.shape)
+        pair = {
+            key: [int(k)]
+            for key, k in zip("yu", after[::-1], strict=True)
+            if scores.max() > -np.inf
+        }
+        return y or self.group("y", j, p), u or self.group("u", i, m), pair
 
     def ranks(self, given: list[int]) -> Floats:
         """Return the rank of each column (K), by its name and by the names of its neighbours."""
@@ -356,33 +397,34 @@ class _Header(NamedTuple):
         """Return how well names and kinds of an input (row) and a reading fit (K x K)."""
         words = [{*split_words(title.name).split(" ")} for title in self.titles]
         common = [[len(one & other) / len(one | other) for other in words] for one in words]
-        pairs = [[PAIRS.get((one, other), 0.0) for other in self.kinds] for one in self.kinds]
-        return ALIKE * np.array(common) + np.array(pairs)
+        kinds = self.kinds
+        pairs = [[PAIRS.get((one, other), 0.0) for other in kinds] for one in kinds]
+        return np.array(common) + np.array(pairs)
 
     def behaviour(self, has_times: bool) -> Floats:
         """Return how well what the columns do fits an input (row) and a reading (K x K).
 
-        No change has a cause before it in a table of rests, and no column is caused by its copy.
+        An input explains its reading, at once or by its past, and moves by itself: it rests or
+        runs evenly. Nothing is caused by its copy, or by what adds it up.
 
         Args:
-            has_times: whether there are times.
+            has_times: whether there are times; without them a table of rests has no past.
         """
         if self.values is None or not self.is_open:
-            return np.zeros((len(self.titles), len(self.titles)))
-        levels = np.nan_to_num(self.values - np.nanmean(self.values, axis=0))
-        changes = np.diff(levels, axis=0, prepend=levels[:1])
-        lasting = np.mean(changes == 0, axis=0)
-        x, dx = (part / np.fmax(part.std(axis=0), 1e-150) for part in (levels, changes))
-        after = np.mean([(dx[:-k].T @ dx[k:] / len(x)) ** 2 for k in LAGS], axis=0)
-        moves = LASTING * np.subtract.outer(lasting, lasting)
-        moves += EARLIER * (after - after.T) / (after + after.T + 1e-3)
-        alike = np.abs(x.T @ x) / len(x)
-        is_log = has_times or len(x) >= TABLE
-        return (
-            EXPLAINED * alike * (alike < COPY)
-            + is_log * moves
-            + AHEAD * np.triu(np.ones_like(after))
-        )
+            return np.ones((len(self.titles), len(self.titles)))
+        x = _scaled(self.values)
+        even = np.mean(np.abs(np.diff(x, 2, axis=0)) <= EVEN * np.ptp(x, axis=0), axis=0)
+        fits = np.abs(x.T @ x) / len(x)
+        derived: Flags = np.asarray(fits > COPY)
+        if len(x) >= (2 * PAST if has_times else TABLE):
+            at_all, gains = _explained(x)
+            sums = np.abs(_scaled(x[1:]).T @ _scaled(np.diff(self.values, axis=0))) / len(x)
+            adds: Flags = np.asarray(sums > SUM)
+            derived |= adds | adds.T | np.any(adds, axis=0, keepdims=True).T
+            fits = np.maximum.reduce([fits, at_all, gains]) * (1 + gains)
+            fits *= 1 - gains.max(axis=0)[:, None]
+        fits = np.where(derived, 0.0, fits * (1 + np.subtract.outer(even, even)))
+        return fits + FIRST * np.triu(np.ones_like(fits))
 
     def columns_named(self, signal: str, count: int | None) -> list[int]:
         """Return the columns that the user names for y or u. Raises InputError if one lacks."""
@@ -477,6 +519,60 @@ class _Header(NamedTuple):
             if near:
                 return f". Did you mean {lower[near[0]]!r}?"
         return ""
+
+
+def _scaled(values: Floats) -> Floats:
+    """Return columns (N x K) about their means with rms 1, the few values beyond the rest cut."""
+    x = np.nan_to_num(values - np.nanmean(values, axis=0))
+    ends = np.quantile(x, USED, axis=0)
+    x = np.where(np.ptp(ends, axis=0) > 0, np.clip(x, *ends), x)
+    spread = x.std(axis=0)
+    moves = spread > (1 - COPY) * np.nanmax(np.abs(values), axis=0)
+    return np.where(moves, x, 0.0) / np.where(moves, spread, 1.0)
+
+
+def _explained(x: Floats) -> tuple[Floats, Floats]:
+    """Return how well columns (row) explain others: by their present and past (a correlation), and
+    how much of the error of another's own forecast their past saves (Granger 1969) (K x K).
+
+    Each half is explained by what the other half teaches. The past is means over 1, 2, 4, ...
+    samples.
+
+    Args:
+        x: columns about their means (N x K).
+    """
+    size, count = x.shape
+    sums = np.cumsum(np.pad(x, ((1, 0), (0, 0))), axis=0)
+    ends = np.append(0, 2 ** np.arange(int(np.log2(size / PAST)) + 1))
+    now = np.arange(ends[-1], size) + 1
+    means = [(sums[now - a] - sums[now - b]) / (b - a) for a, b in itertools.pairwise(ends)]
+    products = [half.T @ half for half in np.array_split(np.hstack(means), 2)]
+    of = np.arange(count)[:, None] + count * np.arange(len(means))
+    power, alone, own, both = np.zeros((4, count, count))
+    for taught, asked in (products, products[::-1]):
+        for j in range(count):
+            power[:, j] += asked[j, j]
+            alone[:, j] += _errors(taught, asked, of, j)
+            pair = np.hstack([of[:, 1:], np.broadcast_to(of[j, 1:], (count, len(means) - 1))])
+            both[:, j] += _errors(taught, asked, pair, j)
+    own[:] = np.diagonal(both)
+    share = np.clip(1 - (alone + RIDGE) / (power + RIDGE), 0, 1)
+    return np.sqrt(share), np.clip(1 - (both + RIDGE) / (own + RIDGE), 0, 1)
+
+
+def _errors(taught: Floats, asked: Floats, used: Integers, j: int) -> Floats:
+    """Return the squared errors of a signal from others by weights of the other half (K).
+
+    Args:
+        taught, asked: products of all signals, of the half that teaches and the one that is asked.
+        used: signals that explain it, for each of K choices (K x P).
+        j: the signal.
+    """
+    squares = (used[:, :, None], used[:, None])
+    inner = taught[squares] + RIDGE * (1 + np.trace(taught) / len(taught)) * np.eye(used.shape[1])
+    weights = np.linalg.solve(inner, taught[used, j][..., None])[..., 0]
+    spread = np.einsum("ik,ikl,il->i", weights, asked[squares], weights)
+    return np.asarray(asked[j, j] - 2 * (weights * asked[used, j]).sum(axis=1) + spread)
 
 
 def _seconds(title: Title, source: str) -> float | None:

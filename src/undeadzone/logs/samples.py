@@ -195,7 +195,7 @@ class LogReader:
             return self._none()
         numbers, lines = zip(*numbered, strict=True)
         if self.layout is None:
-            ahead = self._lines_ahead(lines[:PREAMBLE])
+            ahead = self._lines_ahead(lines[: PREAMBLE if self._live else SEEN])
             below = lines[ahead or 0 :]
             # Of a live log as few lines as possible determine the dialect.
             count = 1 + bool(dialect_of(below[:1]).heads) if self._live else FIRST
@@ -322,7 +322,7 @@ class LogReader:
             text = cells[layout.columns[found.index(None)]]
             why = f"expected a number or nothing, found {text!r:.40}"
             if dialect.is_open(text):
-                why = f"nothing tells whether the mark in {text!r:.40} is the decimal mark"
+                why = f"it is not clear if the mark in {text!r:.40} is the decimal mark"
             return Fault(number, "number", why)
         return found
 
@@ -606,5 +606,5 @@ def _unit_hint(ratio: float) -> str:
     """Return the remedy for steps that differ by a power of 1000: perhaps times in another unit."""
     for power, unit in ((1000.0, "ms"), (1e6, "us"), (1e9, "ns")):
         if abs(ratio / power - 1) < TOLERANCE:
-            return f"; if its times are in {unit}, say so in the header: t [{unit}]"
+            return f". If its times are in {unit}, say so in the header: t [{unit}]"
     return ""

@@ -49,7 +49,9 @@ OTHER: Final = {".": ",", ",": "."}
 TELLING_MARK: Final = 5000  # lines that tell the decimal mark
 PREAMBLE: Final = 60  # lines among which the header is looked for
 _ESCAPED: Final = re.compile("[\udc80-\udcff]+")
-_UNIT: Final = re.compile(r"\[.*\]|\(.*\)|")  # cell of a line of units
+_UNIT: Final = re.compile(
+    r"\[.*\]|\(.*\)|[^\W\d_][^\d,;]{0,5}|[%°µ].{0,3}|"
+)  # cell of a line of units
 
 
 def blocks_of(path: Path, largest: int) -> Iterator[tuple[bytes, bool]]:
@@ -223,7 +225,8 @@ def dialect_of(lines: Sequence[str]) -> Dialect:
     titles = list(map(split_unit, first))
     for line in lines[1:2]:
         units = split_cells(line, separator)
-        if any(units) and all(map(_UNIT.fullmatch, units)) and len(units) == len(first):
+        is_one = any(units) and len(units) == len(first) and not _count_numbers(units)
+        if is_one and all(map(_UNIT.fullmatch, units)):
             heads = 2
             titles = [
                 Title(title.name, title.unit or unit.strip("[]() "))
@@ -311,7 +314,7 @@ def lines_ahead(lines: Sequence[str]) -> int | None:
     Args:
         lines: the first lines with content.
     """
-    for k, line in enumerate(lines):
+    for k, line in enumerate(lines[:PREAMBLE]):
         separator = _separator(lines[k:])
         cells = split_cells(line, separator)
         named = [cell for cell in cells if cell]

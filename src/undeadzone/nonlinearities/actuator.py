@@ -263,7 +263,7 @@ def believe_actuator(given: ActuatorModel | None, m: int) -> Belief | None:
         side = next(iter(ranges))
         raise InputError(
             f"{key}.{side}: the gaps of a play must be known numbers, found a range "
-            f"{getattr(given, side)}. Give a number; `undeadzone identify` measures it from a log"
+            f"{getattr(given, side)}. Give a number, `undeadzone identify` measures it from a log"
         )
     if not ranges:
         return Belief(resolve_actuator(given, m, key), None)

@@ -440,8 +440,8 @@ def _shape(name: str, sensor: Sensor, p: int) -> Floats | None:
     value = require_nonnegative(f"sensor.{name}", given, p, f"one per output, the plant has {p}")
     if value.any() and (sensor.kind != "deadzone" or sensor.play is not None):
         raise InputError(
-            f"sensor.{name}: only a dead zone without a play has one, found {value.max():g}; "
-            "leave it out, or set it to 0"
+            f"sensor.{name}: only a dead zone without a play has one, found {value.max():g}. "
+            "Leave it out, or set it to 0"
         )
     return value
 

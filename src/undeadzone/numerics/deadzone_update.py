@@ -12,10 +12,12 @@ from math import erf, exp, pi, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from undeadzone.errors import InputError, ShapeError
-from undeadzone.util.arrays import Array, Flags, Floats
-from undeadzone.util.renamed import accept_renamed_argument, warn_of_renamed
+# Relative, as the distribution `deadzone_update` contains both files too (packages/).
+from ..errors import InputError, ShapeError
+
+Floats = NDArray[np.floating[Any]]
 
 SILENT = 4.0  # noise, in its rms, that is surely not beyond it
 DOUBT = 1.6448536269514722  # an edge inside which z lies with 95 % already is not used
@@ -70,12 +72,6 @@ class DeadzoneUpdate(NamedTuple):
     columns: Any = None
     shown: Any = None
 
-    @property
-    def ear(self) -> DeadzoneMemory:
-        """Earlier name of `memory`, until version 0.2."""
-        warn_of_renamed("DeadzoneUpdate.ear", "memory")
-        return self.memory
-
 
 class Gauss(NamedTuple):
     """A mean (N) and its covariance (N x N)."""
@@ -98,15 +94,14 @@ class Edge(NamedTuple):
     known: float
 
 
-@accept_renamed_argument("ear", "memory")
 def deadzone_update(
-    mean: Array,
-    cov: Array,
-    C: Array,
+    mean: ArrayLike,
+    cov: ArrayLike,
+    C: ArrayLike,
     y: float,
     *,
-    right: Array,
-    left: Array,
+    right: ArrayLike,
+    left: ArrayLike,
     noise: float,
     memory: DeadzoneMemory,
     rest: int,
@@ -116,7 +111,7 @@ def deadzone_update(
     slope_std: float = 0.0,
     lag: float = 0.0,
     ahead: float = 0.0,
-    columns: Array | None = None,
+    columns: ArrayLike | None = None,
 ) -> DeadzoneUpdate:
     """Return the mean and covariance after a reading y = slope Dz(C x + noise ahead) + noise
     behind.
@@ -229,7 +224,7 @@ def _displayed_covariance(belief: Gauss, S: Floats, doubts: Floats) -> Floats:
     return belief.cov + wide @ wide.T
 
 
-def _require_columns(columns: Array | None, count: int) -> Floats:
+def _require_columns(columns: ArrayLike | None, count: int) -> Floats:
     """Return the columns (N x 3) as a new array. Raises InputError, ShapeError."""
     S = np.zeros((count, 3)) if columns is None else np.array(columns, float)
     if S.shape != (count, 3):
@@ -246,7 +241,7 @@ def _require_doubts(**doubts: float) -> Floats:
     return np.array([doubts["slope_std"], FIXED_AT_EDGE * doubts["rounding"], doubts["lag"]])
 
 
-def _require_belief(mean: Array, cov: Array) -> Gauss:
+def _require_belief(mean: ArrayLike, cov: ArrayLike) -> Gauss:
     """Return mean (N) and covariance (N x N) as new arrays. Raises InputError, ShapeError."""
     m = np.array(mean, float).ravel()
     P = np.array(cov, float)
@@ -274,7 +269,7 @@ def _require_finite(name: str, numbers: Floats) -> None:
         raise InputError(f"{name}: expected finite numbers, found NaN or an infinite one")
 
 
-def _row(name: str, value: Array, count: int) -> Floats:
+def _row(name: str, value: ArrayLike, count: int) -> Floats:
     """Return a row (N). Raises ShapeError."""
     row = np.asarray(value, float).ravel()
     if row.size != count:
@@ -285,7 +280,7 @@ def _row(name: str, value: Array, count: int) -> Floats:
     return row
 
 
-def _edge(name: str, sign: int, width: Array, z: Floats) -> Edge:
+def _edge(name: str, sign: int, width: ArrayLike, z: Floats) -> Edge:
     """Return an edge of known or estimated width. Raises InputError, ShapeError."""
     if np.ndim(width):
         return Edge(sign, _row(name, width, z.size), 0.0)
@@ -319,13 +314,13 @@ def _require_positive(variance: float) -> None:
     """Raise InputError for a variance along an edge of which rounding leaves nothing."""
     if not variance > 0:
         raise InputError(
-            f"cov: its variance of z less a width is {variance:.3g}; the noise is too small for it"
+            f"cov: its variance of z less a width is {variance:.3g}. The noise is too small for it"
         )
 
 
 def _within(
-    belief: Gauss, z: Floats, edges: list[Edge], slack: float, R: float, allowed: Flags
-) -> tuple[Gauss, Flags]:
+    belief: Gauss, z: Floats, edges: list[Edge], slack: float, R: float, allowed: NDArray[np.bool_]
+) -> tuple[Gauss, NDArray[np.bool_]]:
     """Return the belief given that z is inside both edges, and a mask of the edges that were used.
 
     No value is beyond both, so that the probability of this is Phi(a) + Phi(b) - 1, with a and b

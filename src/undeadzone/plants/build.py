@@ -8,7 +8,6 @@ CasADi expressions.
 from __future__ import annotations
 
 import ast
-import difflib
 import math
 import operator
 import warnings
@@ -29,6 +28,7 @@ from undeadzone.util.arrays import (
     require_number,
     require_vector,
 )
+from undeadzone.util.text import suggest_name
 
 # Each form by its leading key, and the keys that belong to it.
 _FORMS = {
@@ -297,7 +297,7 @@ def _evaluate_node(formula: _Formula, node: ast.expr) -> Any:
     raise _formula_error(
         formula,
         f"found {ast.unparse(node)!r:.80}",
-        "; only numbers, names, + - * / ** and elementary functions are allowed",
+        ". Only numbers, names, + - * / ** and elementary functions are allowed",
     )
 
 
@@ -312,8 +312,7 @@ def _lookup_name(formula: _Formula, name: str) -> Any:
 
 def _unknown_name_error(formula: _Formula, name: str, known: list[str]) -> InputError:
     """Return the error for an unknown name, with the nearest known name."""
-    near = difflib.get_close_matches(name, known, 1)
-    advice = f"Did you mean {near[0]!r}?" if near else f"Known names: {', '.join(known)}"
+    advice = suggest_name(name, known, "Known names:")
     return _formula_error(formula, f"unknown name {name!r}", f". {advice}")
 
 

@@ -302,13 +302,13 @@ _SYMBOLS: Final = (
     ("z, y, r", "output of the plant, reading of the sensor, reference"),
     ("x, u", "state of the plant, its input"),
     ("d_r, d_l", "widths of the dead zone to the right and to the left: y = 0 for -d_l < z < d_r"),
-    ("c_r, c_l; b_r, b_l", "gaps of a play ahead of it; widths of an actuator's dead zone"),
+    ("c_r, c_l; b_r, b_l", "gaps of a play ahead of it, widths of an actuator's dead zone"),
     ("x^, z^, d_r^, d_l^", "estimates of the observer"),
     ("x~, d~", "their errors, truth less estimate"),
-    ("d_r + d_l, (d_r − d_l)/2", "width of the whole zone; its centre, 0 of a symmetric one"),
+    ("d_r + d_l, (d_r − d_l)/2", "width of the whole zone, its centre, 0 of a symmetric one"),
     ("L, γ, K", "gains of the observer for x^ and for the widths; of the controller, u = −K x^"),
-    ("V", "storage (Lyapunov) function of the error; with a certificate it never rises"),
-    ("0.98 [0.55, 1.41]", "a value and its 95 % interval, which the observer claims"),
+    ("V", "storage (Lyapunov) function of the error. With a certificate it never rises"),
+    ("0.98 [0.55, 1.41]", "a value and its 95 % interval, of the observer"),
 )
 _LEGEND: Final = build_section(
     "Symbols",

@@ -35,13 +35,14 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _OVERVIEW = (
-    "Reading and estimates over the estimated dead zone; missing readings are shaded. Below, the "
+    "Reading and estimates over the estimated dead zone. Missing readings are shaded. Below, the "
     "widths, and the innovations over their standard deviations with the statistic B of the test "
     "of consistency."
 )
 _TEST = (
-    "The test: a normalised innovation has mean 0 and rms 1 if model, step, columns and claims "
-    "are right. B is the mean square of their sums over two quarter periods of the plant, about 1. "
+    "The test: a normalised innovation has mean 0 and rms 1 if model, step, columns and "
+    "assumptions are right. B is the mean square of their sums over two quarter periods of the "
+    "plant, about 1. "
     "A reading beyond 4.5 standard deviations is refused by the test."
 )
 VERDICTS: Final = {
@@ -98,7 +99,7 @@ def estimation_page(
     info = result.info
     words, style = VERDICTS[info.consistent]
     pictures = html.encode_pictures(images, {"figure": _OVERVIEW}).values()
-    question = f"Is the record what the observer claims? {words}"
+    question = f"Does the record agree with the observer? {words}"
     head = html.build_paragraph(html.build_tag("span", question, style))
     found = [
         _log_width_table(result),
@@ -185,7 +186,7 @@ def output(axes: Axes, result: Estimation, i: int = 0, of: str = "") -> None:
         smooth = result.z_smooth[window, i]
         axes.plot(t, smooth, color=ink.TRUTH, linestyle=DASHED, label="with the whole log")
     _mark_missing(axes, result, i)
-    title = f"Output{of}: what was read, and what the observer makes of it"
+    title = f"Output{of}: the reading, and the observer's estimate"
     finish_panel(axes, title, label_with_unit("z, y", result.unit("z_hat")), legend=4)
 
 

@@ -115,7 +115,7 @@ def output(axes: Axes, run: Run, i: int = 0, of: str = "") -> None:
     axes.plot(t, run.z[window, i], color=ink.TRUTH, label="output z")
     estimate = run.z_hat[window, i]
     axes.plot(t, estimate, color=ink.ESTIMATE, linestyle=DASHED, label="estimate ẑ")
-    title = f"Output{of} and what is known of it"
+    title = f"Output{of} and its estimate"
     if run.divergence_time is not None:
         title += f", diverged at {run.divergence_time:.4g} s"
     finish_panel(axes, title, axis_label("z, y", run.unit("z")), legend=5)
@@ -212,7 +212,7 @@ def _draw_tip_distances(axes: Axes, run: Run, rival: Run | None) -> None:
             colour,
             escape_formulas(one.name),
         )
-    finish_panel(axes, "Distance of the tip from where it should be", axis_label("distance", "m"))
+    finish_panel(axes, "Distance of the tip from its desired place", axis_label("distance", "m"))
 
 
 def _draw_torques(axes: Axes, run: Run) -> None:

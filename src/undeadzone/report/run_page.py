@@ -23,12 +23,12 @@ from undeadzone.results.sheet import Row, rows_to_page
 from undeadzone.results.signals import final_rejections
 from undeadzone.util.text import append_unit
 
-_VARIABLE: Final = "The observer has no constant gains; its options stand in the scenario."
+_VARIABLE: Final = "The observer has no constant gains. Its options stand in the scenario."
 CAPTIONS: Final = {
     "tip": "The tip against its path, its distance from it, and the torques.",
-    "phase": "Position and velocity of each joint, truth and estimate; a dead zone about a "
+    "phase": "Position and velocity of each joint, truth and estimate. A dead zone about a "
     "posture is grey.",
-    "figure": "Output, reading and estimate; errors; widths with 95 % bands against the truth",
+    "figure": "Output, reading and estimate. Errors. Widths with 95 % bands against the truth",
 }
 # Further contents of the figure, if a run has this signal.
 FURTHER: Final = {
@@ -97,7 +97,7 @@ def _verdict_on_run(run: Run) -> html.Html:
         html.widths_verdict(run.fully_identifiable),
     ]
     if run.inexact:
-        parts.append(("the step is too large: these are no results", "no"))
+        parts.append(("the step is too large, and the numbers are useless", "no"))
     return html.verdict_line(*parts)
 
 
@@ -111,11 +111,12 @@ def _numbers_tables(run: Run, rival: Run | None) -> tuple[html.Html, html.Html]:
 
 def _numbers_of_run(run: Run) -> dict[str, Any]:
     """Return the numbers of a run by their descriptions, the most important first."""
-    numbers: dict[str, Any] = rows_to_page(final_error_rows(run))
+    numbers: dict[str, Any] = {}
     for name, rows in zip(run.outputs, final_width_rows(run), strict=True):
         of = f", {_output_head(name)}" if len(run.outputs) > 1 else ""
         numbers |= {f"{row.title}{of}": row.value_in_words for row in rows}
     numbers |= {row.title: row.value_in_words for row in final_parameter_rows(run)}
+    numbers |= rows_to_page(final_error_rows(run))
     refuted = final_rejections(run.signals.arrays).get("claims")
     if refuted:
         numbers["NOT as told"] = "; ".join(describe_rejected_assumptions(refuted, run.info.options))

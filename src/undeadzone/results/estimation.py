@@ -117,7 +117,7 @@ FAULTS: Final = {  # by kind, after a number
     "zero_bytes": "with bytes of 0",
     "too_long": "too long",
     "values": "with too few or many values",
-    "number": "with what is no number",
+    "number": "with invalid numbers",
     "no_time": "without a time",
     "time": "whose time fits no neighbour",
     "jump": "at which time jumped and the observer began anew",
@@ -179,7 +179,7 @@ def _describe_samples(info: LogInfo) -> str:
     if info.gaps:
         text += f" ({info.gaps} in gaps)"
     if info.measured_step is None:
-        return text + "; without times the step is taken on trust"
+        return text + ". Without times the step is taken on trust"
     return text + f", {info.measured_step:g} s apart"
 
 

@@ -390,7 +390,6 @@ def blocks_from_run(run: Run) -> list[Block]:
     summary: dict[str, Any] = {
         "scenario": info.title,
         "observer": f"{info.method}, {info.time} time, step {info.step:g} s",
-        **sheet.rows_to_text(final_error_rows(run)),
     }
     driven = final_actuator_rows(run)
     if single:
@@ -400,7 +399,7 @@ def blocks_from_run(run: Run) -> list[Block]:
     if single:
         for rows in final_gap_rows(run):
             summary |= sheet.rows_to_text(rows)
-    summary |= sheet.rows_to_text(final_parameter_rows(run))
+    summary |= sheet.rows_to_text(final_parameter_rows(run) + final_error_rows(run))
     if info.sensor != "gears":  # whose encoders are never silent
         quiet = "holding" if info.sensor == "play" else "silent"
         summary[quiet] = f"{100 * run.silent_fraction:.1f} % of the time"
@@ -420,8 +419,8 @@ def blocks_from_run(run: Run) -> list[Block]:
         share = info.integration_share
         assert share is not None
         summary["NOT EXACT"] = (
-            f"half the step changes the run by {100 * share:.3g} % of the largest |z|: these are "
-            "no results; use a smaller simulation.step"
+            f"half the step changes the run by {100 * share:.3g} % of the largest |z|, and the "
+            f"numbers are useless. Use a smaller simulation.step"
         )
     return [summary] if single else [summary, _final_output_rows(run)]
 
@@ -461,11 +460,11 @@ def _describe_proof(run: Run) -> dict[str, Any]:
     certified = run.info.certified
     rise = run.largest_rise_of_V
     if certified is False:
-        summary["certificate"] = "none found for these gains; undeadzone check says why"
+        summary["certificate"] = "none found for these gains: undeadzone check gives the reason"
     elif certified:
         words = "holds for an exact model without noise or disturbance"
         if rise is not None:
-            words += f"; along this run V rose by at most {rise:.1g} of its peak"
+            words += f". Along this run V rose by at most {rise:.1g} of its peak"
         summary["certificate"] = words
     error = run.info.integration_error
     if error is not None:

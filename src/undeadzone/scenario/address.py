@@ -22,6 +22,7 @@ from undeadzone.registry import decode_field
 from undeadzone.scenario import ensemble_table, tune_table
 from undeadzone.scenario.messages import CHOOSERS, explain
 from undeadzone.util.arrays import Array, Floats
+from undeadzone.util.text import suggest_name
 from undeadzone.util.toml import to_tables
 
 TUNABLE: Final = ("observer", "controller")  # the tables whose numbers have addresses
@@ -83,8 +84,7 @@ def similar(address: str, names: Iterable[str], otherwise: str) -> str:
         otherwise: words ahead of all their keys.
     """
     keys = sorted({stem(name) for name in names})
-    near = difflib.get_close_matches(stem(address), keys, 1)
-    return f"Did you mean {near[0]!r}?" if near else f"{otherwise} {', '.join(keys)}"
+    return suggest_name(stem(address), keys, otherwise)
 
 
 def child(parent: Any, name: str) -> Any:

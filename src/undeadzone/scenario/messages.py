@@ -5,7 +5,6 @@ The messages are made of msgspec's.
 
 from __future__ import annotations
 
-import difflib
 import re
 import typing
 from typing import Any
@@ -14,6 +13,7 @@ import msgspec
 
 from undeadzone.errors import InputError
 from undeadzone.registry import REGISTRIES
+from undeadzone.util.text import suggest_name
 
 _CURES = {  # admissible values of a part, if its type does not show them
     "plant": "uz.Plant(A=..., B=..., C=...), or uz.from_control(system)",
@@ -35,6 +35,12 @@ _WORDS = {
     "null": "nothing",
 }
 _SYNONYMS = {  # words of other tools, and their names here
+    "UnscentedKalman": "Write ukf",
+    "UnscentedKalmanFilter": "Write ukf",
+    "ExtendedKalman": "Write ekf",
+    "ExtendedKalmanFilter": "Write ekf",
+    "filter": "The table of the observer is [observer]",
+    "estimator": "The table of the observer is [observer]",
     "dt": "The sample time is simulation.step",
     "Ts": "The sample time is simulation.step",
     "sample_time": "The sample time is simulation.step",
@@ -155,7 +161,7 @@ def _unknown_choice(key: str, word: Any, choices: list[str]) -> str:
 
 def _missing(key: str, name: str, root: type[msgspec.Struct]) -> str:
     """Return the message about a key that is missing from the table at `key`."""
-    text = f"{_join(key, name)}: missing; this key is required"
+    text = f"{_join(key, name)}: missing. This key is required"
     choices = _tags(root, key) if name in CHOOSERS else []
     if choices:
         text += f" (one of {', '.join(choices)})"
@@ -189,10 +195,7 @@ def _join(key: str, name: str) -> str:
 
 def _advice(name: str, known: list[str], otherwise: str) -> str:
     """Return the nearest known name, or all of them. Upper and lower case count as the same."""
-    lower = {each.lower(): each for each in known}
-    near = [each for each in known if each in difflib.get_close_matches(name, known, 1, NEAR)]
-    near = near or [lower[each] for each in difflib.get_close_matches(name.lower(), lower, 1, NEAR)]
-    return f"Did you mean {near[0]!r}?" if near else f"{otherwise} {', '.join(sorted(known))}"
+    return suggest_name(name, sorted(known), otherwise, NEAR)
 
 
 def _walk(key: str, data: Any) -> Any:

@@ -103,5 +103,5 @@ def require_contact(
                 f"overrun number J a / f is {number:.3g}. Above 1 the load coasts through its gap "
                 f"and y moves without contact. Slow the reference down until it decelerates by "
                 f"less than f / J = {stops:.3g} 1/s^2, or measure ahead of the gap. A load "
-                "with inertia behind gears is two masses: plant.arm.gears (docs/robots.md)"
+                "with inertia behind gears is two masses: plant.arm.gears (docs/robot_gears.md)"
             )

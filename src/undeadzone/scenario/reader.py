@@ -34,12 +34,12 @@ HABITS = (
     (r"^\s*(%|//|;|/\*)", "remarks begin with #"),
     (r"=\s*-?\d+,\d+\s*(#|$)", "write a decimal point, 0.01"),
     (r"=\s*[-+]?(\.\d|\d+\.(\D|$))", "write a digit on both sides of the point, 0.5"),
-    (r"=\s*[-+]?\d+\s*[/*^]", "write the number itself; formulas stand in plant.f alone"),
+    (r"=\s*[-+]?\d+\s*[/*^]", "write the number itself. Formulas stand in plant.f alone"),
     (r"=[^#\"']*;\s*(#|$)", "leave the ; out"),
     (r"^\s*[\w.]+\s*:\s", "write = in place of :"),
     (r"=\s*(None|null|NULL|nil)\b", "leave the key out"),
     (r"=\s*(True|False|TRUE|FALSE|yes|no|on|off)\b", "write true or false"),
-    (r"=\s*[-+]?[\d.]+(e[-+]?\d+)?\s*[a-zA-Z]+", "write the number alone; [units] has the units"),
+    (r"=\s*[-+]?[\d.]+(e[-+]?\d+)?\s*[a-zA-Z]+", "write the number alone, [units] has the units"),
     (r"=\s*[A-Za-z]", "put words in quotes"),
 )
 OPEN = r"^\s*([\w.]+)\s*=\s*\[\s*[-+.\de]+(\s+[-+.\de]+)+\s*(#.*|%.*)?$"  # A = [0 1
@@ -114,7 +114,7 @@ def _complete_tables(data: dict[str, Any]) -> dict[str, Any]:
         for width in ("right", "left"):
             if width not in sensor and method in _KNOW_THE_WIDTHS:
                 raise InputError(
-                    f"sensor.{width}: missing; observer.method {method!r} needs the true widths"
+                    f"sensor.{width}: missing: observer.method {method!r} needs the true widths"
                 )
         if observer is None and "right" not in sensor and "declared" not in data:
             raise InputError(
@@ -131,13 +131,13 @@ _STAND_INS: Final = {
     "controller": {"method": "pd"},
 }
 _OTHER_FILES: Final = {  # files given in place of a scenario, and their right command
-    ".csv": "; a log goes to undeadzone identify, or, behind the scenario, to estimate",
+    ".csv": ". A log goes to undeadzone identify, or, behind the scenario, to estimate",
     ".npz": "; a run of an ensemble is shown by replay=NUMBER",
-    ".py": "; run a program with python",
+    ".py": ". Run a program with python",
     ".urdf": "; undeadzone arm shows a robot, and writes a scenario for it",
-    ".json": "; a scenario is a TOML file: undeadzone init mine.toml",
-    ".yaml": "; a scenario is a TOML file: undeadzone init mine.toml",
-    ".m": "; a scenario is a TOML file: undeadzone init mine.toml",
+    ".json": ". A scenario is a TOML file: undeadzone init mine.toml",
+    ".yaml": ". A scenario is a TOML file: undeadzone init mine.toml",
+    ".m": ". A scenario is a TOML file: undeadzone init mine.toml",
 }
 _KNOW_THE_WIDTHS: Final = ("oracle", "full_state")  # methods that take the sensor's own widths
 
@@ -329,7 +329,7 @@ def _as_lists(line: str) -> str:
 def _habit(line: str) -> str:
     """Return the correct form of a known wrong habit in a line, "" if no habit is found."""
     if re.match(OPEN, line):
-        return "; write [[0, 1], [-1, -2]]: rows in brackets, commas between numbers"
+        return ". Write [[0, 1], [-1, -2]]: rows in brackets, commas between numbers"
     for pattern, advice in HABITS:
         if re.search(pattern, line):
             return f"; {advice}"

@@ -300,7 +300,7 @@ def _describe_contradictions(test: Consistency) -> list[str]:
     if test.square is not None and test.square > test.most_square:
         reasons.append(
             f"the innovations are too large: their mean square is {test.square:.3g} times as "
-            "large as claimed"
+            f"large as declared"
         )
     if test.outside > max(1.0, MOST_REFUSED * test.silent):
         reasons.append(

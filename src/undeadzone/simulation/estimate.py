@@ -4,7 +4,7 @@ Smoothing is of fixed interval: the estimates of each sample given the whole log
 forward. Adjoint variables run backward through its stored moments (modified Bryson-Frazier form:
 Bierman 1973, "Fixed interval smoothing with discrete measurements", Int. J. Control 18). Its result
 is that of the equations of Rauch, Tung and Striebel (1965), but it inverts no motion.
-docs/filter_equations.md, "Smoothing", lists the exact and the approximate parts.
+docs/filter_extensions.md, "Smoothing", lists the exact and the approximate parts.
 
 References:
     H. E. Rauch, F. Tung, C. T. Striebel (1965), doi:10.2514/3.3166

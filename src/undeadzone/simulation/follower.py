@@ -305,7 +305,7 @@ class Follower:
             share = 100 * self._repeats[i] / active[i]
             remarks.append(
                 f"{share:.0f} % of the readings of output {i} repeat the one before: the logger "
-                "polls faster than the sensor answers; they count as missing"
+                "polls faster than the sensor answers. They count as missing"
             )
         return remarks
 

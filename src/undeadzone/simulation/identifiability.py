@@ -272,7 +272,7 @@ def mark_excluded_widths(
             width = getattr(problem.sensor, side)[i]
             if not low <= width <= high:
                 reason = (
-                    f"a false claim: the {side} width is {width:.4g}, observer.{side} says "
+                    f"a false assumption: the {side} width is {width:.4g}, observer.{side} says "
                     f"{low:.4g} to {high:.4g}"
                 )
                 found = {side: False, "width": False, "centre": False}
@@ -292,7 +292,9 @@ def _with_false_gaps(
     true = np.stack([play.right, play.left])
     if _meets_assumptions(true, *gaps_of(model.play, problem.model.p, "model.play"))[:, i].all():
         return verdict
-    reason = f"a false claim: model.play excludes the gaps of the sensor, {true[:, i].tolist()}"
+    reason = (
+        f"a false assumption: model.play excludes the gaps of the sensor, {true[:, i].tolist()}"
+    )
     return verdict.add_reasons(reason, **NONE)
 
 
@@ -308,7 +310,7 @@ def _with_false_actuator(problem: Problem, verdict: WidthIdentifiability) -> Wid
         true, assumed = map(_gaps_or_widths, (actuator, belief.drive))
     if _meets_assumptions(true, assumed, belief.ranges).all():
         return verdict
-    reason = f"a false claim: model.actuator excludes the actuator's widths, {true.tolist()}"
+    reason = f"a false assumption: model.actuator excludes the actuator's widths, {true.tolist()}"
     return verdict.add_reasons(reason, **NONE)
 
 

@@ -77,7 +77,7 @@ def translate_stds(stds: Sequence[Any], schema: int | None, where: object) -> li
         return list(stds)
     if any(map(_has_centre_std, stds)):
         _warn_at_caller(
-            f"{where}: std.centre of schema {BEFORE} is that of d_r - d_l, and is halved; the next "
+            f"{where}: std.centre of schema {BEFORE} is that of d_r - d_l, and is halved. The next "
             "version does not read it. Make the file anew"
         )
     return list(map(_halve_centre_std, stds))

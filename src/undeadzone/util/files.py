@@ -219,7 +219,7 @@ def write_all_bytes(path: Path, file: io.FileIO, data: bytes, offset: int | None
 
 def _describe_alias(found: str) -> str:
     """Return the reason to refuse a file that has further names."""
-    return f"{found}, and what it leads to would be overwritten; delete it, or choose another name"
+    return f"{found}, and its target would be overwritten. Delete it, or choose another name"
 
 
 def load_arrays(path: Path, largest: int) -> dict[str, Any]:

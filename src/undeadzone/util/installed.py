@@ -77,7 +77,7 @@ def _readable_entry_points(group: str) -> Iterator[EntryPoint]:
             yield from package.entry_points.select(group=group)
         except Exception:
             name = getattr(package, "name", None) or "a package"
-            words = f"{name}: its entry points cannot be read; it is left out"
+            words = f"{name}: its entry points cannot be read. It is left out"
             warnings.warn(words, DamagedPackage, stacklevel=2)
 
 

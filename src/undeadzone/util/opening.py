@@ -78,7 +78,7 @@ def open_descriptor(path: str | os.PathLike[str], flags: int) -> int:
     status = os.fstat(descriptor)
     if stat.S_ISREG(status.st_mode) and status.st_nlink > 1:
         os.close(descriptor)
-        raise OSError("hard links show this file elsewhere too; copy it into the untrusted folder")
+        raise OSError("hard links show this file elsewhere too. Copy it into the untrusted folder")
     return descriptor
 
 

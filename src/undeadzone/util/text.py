@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import difflib
 import math
 import re
 import unicodedata
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, Final
 
 # Controls, invisible formats (which also turn the direction of writing), half characters, line and
@@ -15,6 +16,22 @@ HALF_95: Final = 1.959964  # standard deviations in half of a 95 % interval
 LEAST_MASS: Final = 1e-9  # of a Gaussian inside of a range, below which its quantiles mean nothing
 _CONDITIONAL_LINE: Final = re.compile(r"^@\?([a-z_]+)@(.*\n)", re.MULTILINE)
 _WORD: Final = re.compile("@([a-z_]+)@")
+
+
+def suggest_name(name: str, known: Iterable[str], otherwise: str, likeness: float = 0.6) -> str:
+    """Return the question for the nearest of the known names, or all of them.
+
+    Args:
+        name: that is none of them. Upper and lower case count as the same.
+        known: the names.
+        otherwise: words ahead of all names.
+        likeness: from which on a name may be meant.
+    """
+    lower = {each.lower(): each for each in known}
+    near = difflib.get_close_matches(name.lower(), lower, 1, likeness)
+    if near:
+        return f"Did you mean {lower[near[0]]!r}?"
+    return f"{otherwise} {', '.join(lower.values()) or 'none'}"
 
 
 def escape_controls(text: str) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Callable, Iterable, Mapping
 from types import MappingProxyType
@@ -26,6 +25,7 @@ from undeadzone.observers import (
 )
 from undeadzone.registry import OBSERVERS
 from undeadzone.scenario.schema import Scenario
+from undeadzone.util.text import suggest_name
 from undeadzone_arena.compensators.adaptive_inverse import AdaptiveZoneInverse
 from undeadzone_arena.contest.prior_knowledge import UNITS, PriorKnowledge
 from undeadzone_arena.controllers.fuzzy_feedback import FuzzyFeedback
@@ -327,9 +327,7 @@ def require_method(name: str) -> str:
     known = method_registry()
     if name in known:
         return name
-    near = difflib.get_close_matches(name, known, 1)
-    hint = f"Did you mean {near[0]!r}?" if near else f"There are {', '.join(known)}"
-    raise InputError(f"methods: there is no {name!r}. {hint}")
+    raise InputError(f"methods: there is no {name!r}. {suggest_name(name, known, 'There are')}")
 
 
 def middle_knobs(method: Method) -> dict[str, float]:

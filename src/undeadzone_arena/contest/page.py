@@ -37,19 +37,19 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 CAPTIONS: Final = {
-    "leaderboard": "Dots: median over the scenarios; squares: the worst of them; bars: 95 % "
+    "leaderboard": "Dots: median over the scenarios, squares: the worst of them, bars: 95 % "
     "intervals. Grey names are lines to compare with.",
     "scenarios": "Regrets, the mean over the seeds: blue is good, red is bad, a dash: not "
     "applicable.",
     "trajectories": "The best, the worst that never diverged, the paper's as printed, the naive "
     "observer.",
-    "cost": "Measured on the virtual machine, or in Python where a method computes there.",
+    "cost": "Measured on the virtual machine, or in Python if a method computes there.",
 }
 NOTE: Final = (
     "In parentheses: 95 % intervals. Behind the best: median over scenarios of the difference on "
     "the same scenario and seed. Width, centre: median errors of d_r + d_l, relative to it, and "
-    "of (d_r − d_l)/2, relative to half of the width, where readings can tell. Coverage: of "
-    "claimed 95 % intervals of the widths. Cost: of a step, in those of the naive observer."
+    "of (d_r − d_l)/2, relative to half of the width, if readings determine it. Coverage: of the "
+    "95 % intervals of the widths. Cost: of a step, in those of the naive observer."
 )
 RULES: Final = (
     "A run counts by J, the rms of z − r of the tracked outputs over its last "
@@ -59,10 +59,10 @@ RULES: Final = (
     f"regret of others rises ever more slowly towards that. Where a method is not applicable the "
     f"naive observer ({NAIVE}) is left, and its regret counts.",
     "Ranked is the median over scenarios of the mean over seeds. Its interval resamples scenarios "
-    "and seeds; that of the worst resamples seeds alone.",
-    "A method is told the believed model, the sensor but for its widths, and what the scenario "
-    "declares: ranges of the widths and rough claims, never the truth. The lines full_state and "
-    "oracle are told the true state and the true widths, informed the plant and the disturbance "
+    "and seeds, that of the worst resamples seeds alone.",
+    "A method has the believed model, the sensor but for its widths, and all that the scenario "
+    "declares: ranges of the widths and rough assumptions, never the truth. The lines full_state "
+    "and oracle have the true state and the true widths, informed the plant and the disturbance "
     "too.",
     "Numbers were tuned on other scenarios, with the same budget for all.",
 )
@@ -147,7 +147,7 @@ def arena_page(contest: Contest, images: Mapping[str, bytes], origin: Origin | N
         build_section(
             "Scenario by scenario", *pick_pictures(pictures, "scenarios"), _scenario_table(contest)
         ),
-        build_section("What it looks like", *pick_pictures(pictures, "trajectories")),
+        build_section("One run of it", *pick_pictures(pictures, "trajectories")),
         build_section("What it costs", *pick_pictures(pictures, "cost")),
         build_section("Rules", *rules),
         origin=origin,

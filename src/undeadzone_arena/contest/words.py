@@ -46,9 +46,9 @@ def leaderboard_blocks(
     if len(refused) <= FEW:
         blocks += [f"not applicable: {name}: {reasons[name]}" for name in refused]
     else:
-        blocks.append(f"not applicable (--json says why): {', '.join(refused)}")
+        blocks.append(f"not applicable (--json has the reasons): {', '.join(refused)}")
     on = f"{count_noun(scenarios, 'scenario')}, {count_noun(seeds, 'run')} each"
-    blocks.append(f"{on}; - : line to compare with; 95 % intervals in []")
+    blocks.append(f"{on}; - : line to compare with, 95 % intervals in []")
     return blocks
 
 

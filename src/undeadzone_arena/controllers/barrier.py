@@ -51,8 +51,8 @@ class Barrier(Options, frozen=True, kw_only=True, tag="barrier"):
         rate = rate_or_default(model, "controller.rate", self.rate, 10.0)
         if model.Ts is not None and rate * model.Ts > FINE:
             raise StepError(
-                f"simulation.step: {model.Ts:g} s is too coarse for controller.rate {rate:g} 1/s; "
-                f"use at most {FINE / rate:.3g} s"
+                f"simulation.step: {model.Ts:g} s is too coarse for controller.rate {rate:g} 1/s. "
+                f"Use at most {FINE / rate:.3g} s"
             )
         params = BarrierParams(
             rows=rows[:r],

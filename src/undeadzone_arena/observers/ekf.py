@@ -1,6 +1,6 @@
 """Extended Kalman filter on `[x; d_r; d_l]`: the dead zone is linearised at the estimate.
 
-More in docs/methods/ekf.md.
+More in docs/methods/nonlinear_filters.md.
 """
 
 from __future__ import annotations

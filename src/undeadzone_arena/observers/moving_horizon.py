@@ -1,6 +1,6 @@
 """Moving horizon estimation: the likeliest motion over the last samples.
 
-Edges and ranges are its constraints (docs/methods/moving_horizon.md).
+Edges and ranges are its constraints (docs/methods/nonlinear_filters.md).
 """
 
 from __future__ import annotations

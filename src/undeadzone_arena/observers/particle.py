@@ -1,4 +1,4 @@
-"""Bootstrap particle filter on `[x; d_r; d_l]` (docs/methods/particle_filter.md)."""
+"""Bootstrap particle filter on `[x; d_r; d_l]` (docs/methods/nonlinear_filters.md)."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Tobit Kalman filter on `[x; d_r; d_l]`: a reading is predicted by its mean over both branches.
 
-More in docs/methods/tobit.md.
+More in docs/methods/nonlinear_filters.md.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Unscented Kalman filter on `[x; d_r; d_l]`: 2 N + 1 points pass through the dead zone.
 
-More in docs/methods/ukf.md.
+More in docs/methods/nonlinear_filters.md.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ PARTS = 200_000  # of the box that are looked at before a proof is given up
 ROUNDS = 12  # searches for V, each with Jacobians that the last V missed
 CORNERS = 16  # of the box that the first search takes
 CURE = (
-    "; the Jacobian there is singular: width identifiable, centre not: "
+    ". The Jacobian there is singular: width identifiable, centre not: "
     "add a spring, gravity, an absolute reference pulse, or a known start"
 )
 AT_ONCE = 2048  # parts of the box in one evaluation

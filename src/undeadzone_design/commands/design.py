@@ -141,7 +141,7 @@ def _describe_impossible(scenario: uz.Scenario, path: Path, reason: str) -> dict
         "scenario": scenario.title,
         "certified": "NO gains can be",
         "why": reason,
-        "next": f"{shell_command('undeadzone', 'check', path)} says what can be known",
+        "next": f"{shell_command('undeadzone', 'check', path)} shows which widths can be known",
     }
 
 

@@ -248,7 +248,7 @@ def plot_ellipses(of: Assessment) -> Figure:
     """
     outputs = len(of.known)
     names = [f"output {i}" for i in range(outputs)]
-    title = f"What {of.problem.scenario.simulation.duration:g} s of readings tell of the widths"
+    title = f"What {of.problem.scenario.simulation.duration:g} s of readings show of the widths"
     figure, panels = create_panels([names], title, width=max(5.5, 4.6 * outputs), height=5.0)
     for i, name in enumerate(names):
         draw_width_region(panels[name], of, i)

@@ -30,17 +30,17 @@ if TYPE_CHECKING:
 
 CAPTIONS: Final = {
     "root_locus": "Poles of the error while every output is read, as one of the gains is scaled "
-    "from 0 to 3 times its value; squares: while the sensor is silent. Right: the rate along the "
+    "from 0 to 3 times its value. Squares: while the sensor is silent. Right: the rate along the "
     "reference, which is what counts.",
-    "nyquist": "The certificate in the frequency domain: V exists where the curve stays out of the "
+    "nyquist": "The certificate in the frequency domain: V exists if the curve stays out of the "
     "shaded half plane.",
     "lyapunov": "V from one random error. An adversary switches to what leaves V largest: it may "
     "keep the sensor silent, and then nothing is learnt, but V never rises under certified gains. "
     "A fair adversary must read every output on both sides again and again. What cannot be known "
     "stays.",
-    "ellipse": "Where 95 % of the estimates of an optimal estimator lie at the end of the "
-    "scenario; a strip where a direction cannot be known.",
-    "front": "Gains none of which is better than another one in everything; all are certified.",
+    "ellipse": "Region of 95 % of the estimates of an optimal estimator at the end of the "
+    "scenario. A strip if a direction cannot be known.",
+    "front": "Gains without a better one in everything. All are certified.",
 }
 SCORES: Final = {
     "rate": "rate along the reference [1/s]",
@@ -128,7 +128,7 @@ def gains_page(
         sections.append(html.build_section("What is guaranteed", *guarantee))
         sections.append(html.build_section("How fast", *speed))
     knowledge = [*knowledge_section(of), *html.pick_pictures(pictures, "ellipse")]
-    sections.append(html.build_section("What can be known", *knowledge))
+    sections.append(html.build_section("Identifiable widths", *knowledge))
     if design is not None:
         sections.append(html.build_section("The trade", *trade_section(design)))
     sections.append(html.build_section("What was asked", _problem_section(of, design)))
@@ -141,8 +141,8 @@ def _explain_missing_rate(of: Assessment) -> str:
     """Return the reason that the observer has no constant gains on a linear model."""
     if of.problem.model.nonlinear:
         return (
-            "The model is nonlinear: gains can be certified on a declared [region], as check.json "
-            "tells; frequencies and rates are for linear models."
+            "The model is nonlinear: gains can be certified on a declared [region] "
+            "(check.json). Frequencies and rates are for linear models."
         )
     return "The observer has no constant gains L, gamma."
 
@@ -154,7 +154,7 @@ def _answer_table(of: Assessment) -> html.Html:
         L = list_numbers(np.ravel(of.gains.L))
         speed = of.gains.rates
         rows = [("L, row by row [1/s]", L), ("γ [1/s]", list_numbers(of.gains.gamma))]
-        rows.append(("rate; time constant", f"{speed.rate:.4g} 1/s; {speed.time_constant:.4g} s"))
+        rows.append(("rate. Time constant", f"{speed.rate:.4g} 1/s; {speed.time_constant:.4g} s"))
     for i, known in enumerate(of.known[:2]):
         edges = html.join_html(
             [_describe_direction(known, "right"), "and", _describe_direction(known, "left")]
@@ -207,7 +207,7 @@ def _describe_reference(of: Assessment) -> str:
     ends = zip(of.schedule.low, of.schedule.high, strict=True)
     reach = ", ".join(f"{low:.4g} to {high:.4g}" for low, high in ends)
     kind = type(of.problem.scenario.reference).__name__.lower()
-    return f"{kind}; the outputs move over {reach}"
+    return f"{kind}. The outputs move over {reach}"
 
 
 def _describe_schedule(of: Assessment) -> str:
@@ -323,15 +323,15 @@ def speed_section(gains: Gains) -> list[html.Html]:
         ("largest factor of one pass on an error, in balanced units", speed.gain),
     ]
     note = (
-        "Where several errors die equally slowly, as where a rate is largest, it takes long before "
-        "this rate is seen; the time to 1 % tells."
+        "Where several errors die equally slowly, as where a rate is largest, it takes long "
+        "before this rate is seen, unlike the time to 1 %."
     )
     parts = [html.build_table(("what", "value"), rows), html.build_paragraph(note, "note")]
     if speed.rate <= 0:
         parts.append(html.build_paragraph("The error does not die along this reference.", "no"))
     if speed.never:
         errors = ", ".join(speed.never)
-        stays = "These errors stay along this reference, whatever the gains"
+        stays = "These errors stay along this reference, with any gains"
         parts.append(html.build_paragraph(f"{stays}: {errors}."))
     return parts
 

@@ -269,7 +269,7 @@ def _prove_gains(assessment: Assessment) -> tuple[dict[str, Any], list[str]]:
         return _prove_on_linear_model(problem, gains)
     if problem.scenario.region is None:
         return {}, [
-            "no certificate and no rate: the model is nonlinear; certificates of such models hold "
+            "no certificate and no rate: the model is nonlinear. Certificates of such models hold "
             "on a declared [region]"
         ]
     return _prove_on_region(assessment, *constant)
@@ -399,7 +399,7 @@ def _describe_shape(found: Check) -> list[str]:
         parts = [f"{key} {HALF_95 * costs[key]:.2g}" for key in SHAPE]
         whole = append_unit(f"{HALF_95 * costs['width']:.2g}", found.scenario.units.output)
         lines.append(f"{of}width ± {whole} at the end of a run, of which {', '.join(parts)}")
-    return [*lines, "roots of variances; set sensor keys to 0 where the sensor is exact"]
+    return [*lines, "roots of variances. Set sensor keys to 0 for an exact sensor"]
 
 
 def _identifiability_rows(found: Check) -> Rows:
@@ -425,7 +425,7 @@ def _describe_certificate(found: Check) -> dict[str, str]:
     if found.certified and on_region:
         summary["certified"] = (
             f"yes on the region, margin {found.margin:.4g}: V never rises while x, x^ and u "
-            "stay in it, whatever the sides do"
+            "stay in it, on any side"
         )
     elif found.certified:
         assert found.margin is not None
@@ -439,7 +439,7 @@ def _describe_certificate(found: Check) -> dict[str, str]:
         summary["region"] = "a run of the scenario stays in it"
         if left is not None:
             summary["region"] = (
-                f"LEFT at {left:.4g} s of a run of the scenario: no claim from there"
+                f"LEFT at {left:.4g} s of a run of the scenario: nothing is proved from there"
             )
     return summary
 
@@ -454,7 +454,7 @@ def _describe_bounds(found: Check) -> dict[str, str]:
             f"{gains}: margin {near.margin:.3g}, rate {near.rate:.4g} 1/s"
         )
         summary["faster ones"] = (
-            "undeadzone design finds certified gains by their rate and what they trade for it"
+            "undeadzone design finds certified gains by their rate and its price"
         )
     if found.l2_gain is not None:
         summary["bounded"] = (
@@ -474,7 +474,7 @@ def _describe_decay(found: Check) -> dict[str, str]:
         summary["rate"] = f"{found.rate:.4g} 1/s along the reference, {after}"
     if found.never:
         summary["stays"] = (
-            f"{', '.join(found.never)}: these errors stay along this reference, whatever the gains"
+            f"{', '.join(found.never)}: these errors stay along this reference, with any gains"
         )
     return summary
 
@@ -483,7 +483,7 @@ def _describe_coasting(overrun: Sequence[float | None]) -> str:
     """Return whether the load behind a backlash rests in its gap."""
     numbers = ", ".join(f"{number:.3g}" for number in overrun if to_json_value(number) is not None)
     if not numbers:
-        return "cannot be told: the reference has corners"
+        return "unknown: the reference has corners"
     return f"J a / f = {numbers}: below 1 the load rests against its contact"
 
 

@@ -81,7 +81,7 @@ def design(
     try:
         problem = resolve_scenario(msgspec.structs.replace(scenario, observer=neutral))
     except InputError as error:  # its remedy may be another method
-        own = "; a design is of 'certified' alone, others need none" * ("'certified'" in str(error))
+        own = ". A design is of 'certified' alone, others need none" * ("'certified'" in str(error))
         raise type(error)(f"{error}{own}") from None
     task = build_task(problem, margin)
     present = _find_present_gains(scenario, problem)

@@ -368,8 +368,8 @@ def _prior_information_note(problem: Problem) -> str:
     method = type(problem.scenario.observer).__struct_config__.tag
     known = "the plant exactly" if problem.scenario.model is None else "a model of the plant"
     text = (
-        f"The observer ({method}) knows {known} and the input that moves it, but not the band and "
-        "not where the motion starts. "
+        f"The observer ({method}) knows {known} and the input that moves it, but neither the "
+        "band nor the start of the motion. "
     )
     if not problem.plant.nonlinear:
         text += "A real plant differs from its model: the last slider shows what that costs. "

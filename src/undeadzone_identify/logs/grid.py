@@ -11,10 +11,9 @@ from undeadzone.errors import FileError, InputError
 from undeadzone.util.arrays import Flags, Floats, Integers
 from undeadzone_identify.logs.log import Log
 from undeadzone_identify.models.estimates import CachedMaxima
-from undeadzone_identify.models.likelihood import root_mean_square
 
 JITTER = 0.01  # of a step, by which regular times may differ
-SWAYS, MOST_SWAY = 0.05, 0.25  # of a step: rms, and most, by which they may differ at random
+MOST_SWAY = 0.25  # of a step, by which they may differ at random, so that each has its own
 SELDOM = 0.02  # share of intervals that may be no multiple of the step, and end a record
 BRIDGED = 2.0  # steps between two readings, between which others are interpolated
 LONG = 20  # steps; a longer gap begins a new record, since nobody knows the input in it
@@ -201,9 +200,7 @@ def find_sample_time(log: Log) -> tuple[float, bool]:
     rounding = _print_error(log.t, step)
     near = np.abs(spacing - count * step) <= MOST_SWAY * step + rounding
     step = float(spacing[near].sum() / max(count[near].sum(), 1)) or step
-    most = math.hypot(SWAYS * step, rounding / 2)
-    are_near = np.mean(near) >= 1 - SELDOM
-    return step, are_near and root_mean_square((spacing - count * step)[near]) <= most
+    return step, bool(np.mean(near) >= 1 - SELDOM)
 
 
 def _print_error(t: Floats, step: float) -> float:

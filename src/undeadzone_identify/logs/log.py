@@ -6,7 +6,9 @@ Nothing in a file is ever executed.
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeVar, get_args, get_type_hints
 
 import msgspec
@@ -18,19 +20,22 @@ from undeadzone.logs.names import Layout, parse_columns
 from undeadzone.logs.samples import (
     MOST_UNREADABLE,
     REPEATED,
+    Faults,
     Samples,
     count_in_words,
     require_increasing,
     without_repeats,
 )
-from undeadzone.logs.whole import read_whole, samples_of_arrays
+from undeadzone.logs.whole import BINARY, WholeLog, read_whole, samples_of, samples_of_arrays
 from undeadzone.util.arrays import Floats
 from undeadzone.util.files import LARGEST_TABLE
+from undeadzone_identify.logs.tables import Arrays, read_long_table, read_parquet
 
 T = TypeVar("T", int, float)
 
 MOST_POLES = 8
 MOST_LATE = 1000  # samples
+FEWEST_STALE = 5  # first readings of one value, that may be stale
 SESSIONS = 1000.0  # usual steps that are put between two sessions of one file
 AT_ONCE = "-1"  # delay of a recording whose readings answer to the input of their own row
 
@@ -147,7 +152,8 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
                 raise InputError(f"{name}: expected {expected}, found {getattr(self, name)!r}")
         if self.place in ("actuator", "plant") and self.integrators:
             raise InputError(
-                f"place: {self.place} is not asked of a plant with --integrators. Leave it out: a"
+                f"place: {self.place} is not supported for a plant with --integrators. Leave it "
+                f"out: a"
                 " motor's friction is separated from a gap by itself"
             )
         if self.kind == "jump" and self.integrators:
@@ -241,6 +247,8 @@ def log_from_samples(samples: Samples, layout: Layout, source: str, strict: bool
     mended = [(repeated, "samples have the time of the one before, and are left out")]
     if not strict:
         samples = _mend_times(_hold_inputs(samples, mended), mended)
+        if kind_of(*layout.reading_titles[0]) == "speed":
+            samples = _drop_stale(samples, mended)
     require_increasing(samples, source)
     outputs = tuple(title.name for title in layout.reading_titles)
     inputs = tuple(title.name for title in layout.input_titles)
@@ -257,7 +265,8 @@ def log_from_samples(samples: Samples, layout: Layout, source: str, strict: bool
     units = {title.unit or "1" for title in driving}
     remarks = [f"{source}: {count} {what}" for count, what in mended if count]
     if layout.reference is not None or not layout.is_certain:
-        rest = f", not {layout.unused}" if layout.unused else ""
+        rest = f"; next best: {layout.next_text}" if layout.next_text else ""
+        rest += f", not {layout.unused}" if layout.unused else ""
         remarks.insert(0, f'{source}: read as --columns "{layout.columns_text}"{rest}')
     return Log(
         samples.t,
@@ -289,6 +298,24 @@ def _hold_inputs(samples: Samples, mended: list[tuple[int, str]]) -> Samples:
     u = np.take_along_axis(samples.u, last, axis=0)
     begun = (np.isfinite(u) | ~known.any(axis=0)).all(axis=1)
     return samples._replace(u=u).select_rows(begun)
+
+
+def _drop_stale(samples: Samples, mended: list[tuple[int, str]]) -> Samples:
+    """Return samples without the first ones, if a speed stands at a value never met again there.
+
+    Args:
+        samples: of the log, whose input moves meanwhile.
+        mended: counts of changes, with words, to which others are added.
+    """
+    y = samples.y[:, 0]
+    count = int(np.argmax(y != y[0]))
+    is_stale = count >= FEWEST_STALE and y[0] != 0 and not (y[count:] == y[0]).any()
+    if not is_stale or not np.ptp(samples.u[:count], axis=0).any():
+        return samples
+    mended.append(
+        (count, f"readings of {y[0]:g} ahead of the first change are stale, and left out")
+    )
+    return samples.select_rows(slice(count, None))
 
 
 def _mend_times(samples: Samples, mended: list[tuple[int, str]]) -> Samples:
@@ -342,7 +369,7 @@ def read_log(source: Any, columns: str | None = None, strict: bool = False) -> L
     Raises:
         FileError: the fault, with file and line if there are any.
     """
-    read = read_whole(source, None, None, parse_columns(columns), strict, LARGEST_TABLE)
+    read = _read_whole(source, parse_columns(columns), strict)
     samples, name, faults, remarks = read.samples, read.source, read.faults, list[str]()
     if read.layout is None or not samples.t.size:
         raise FileError(f"{name}: holds no samples")
@@ -350,13 +377,41 @@ def read_log(source: Any, columns: str | None = None, strict: bool = False) -> L
         remarks.append(f"{name}: {count_in_words(read.ahead)} ahead of the header skipped")
     if faults.unreadable:
         lines = f"{name}: {count_in_words(faults.unreadable)}"
-        if faults.unreadable > MOST_UNREADABLE * samples.t.size:
-            raise FileError(f"{lines} of {samples.t.size} cannot be read; {faults.why}")
         remarks.append(f"{lines} cannot be read and count as missing; {faults.why}")
         some = np.isfinite(np.column_stack([samples.t, samples.y, samples.u])).any(axis=1)
         samples = samples.select_rows(some)
     log = log_from_samples(samples, read.layout, name, strict)
     return log._replace(remarks=(*log.remarks, *remarks))
+
+
+def _read_whole(source: Any, chosen: dict[str, str], strict: bool) -> WholeLog:
+    """Read all samples: of a table of signals, else of one with a line for each value.
+
+    Raises FileError.
+    """
+    path = Path(source) if isinstance(source, str | os.PathLike) else None
+    if path and path.suffix.lower() == ".parquet":
+        return _whole_of_arrays(path, read_parquet(path), chosen)
+    try:
+        read = read_whole(source, None, None, chosen, strict, LARGEST_TABLE)
+        bad, count = read.faults.unreadable, read.samples.t.size
+        if bad > MOST_UNREADABLE * count:
+            lines = f"{read.source}: {count_in_words(bad)} of {count} cannot be read"
+            raise FileError(f"{lines}; {read.faults.why}")
+    except FileError:
+        if path is None or path.suffix.lower() in BINARY:
+            raise
+        arrays = read_long_table(path)
+        if arrays is None:
+            raise
+        read = _whole_of_arrays(path, arrays, chosen)
+    return read
+
+
+def _whole_of_arrays(path: Path, arrays: Arrays, chosen: dict[str, str]) -> WholeLog:
+    """Return the samples of arrays from a file."""
+    name = str(path)
+    return WholeLog(name, *samples_of(arrays, None, None, chosen, name), Faults(name, False))
 
 
 def log_from_arrays(t: Any, u: Any, y: Any, r: Any = None) -> Log:

@@ -323,7 +323,7 @@ def require_readings(count: int, remarks: str = "", order: int = 1) -> None:
     needed = PER_NUMBER * (order + 1)
     if count < needed:
         raise InputError(
-            f"log: {count} readings are too few; order {order} needs {needed}{remarks}"
+            f"log: {count} readings are too few. Order {order} needs {needed}{remarks}"
         )
 
 
@@ -348,7 +348,7 @@ def _require_informative(grid: Grid, y: Floats, side: Integers) -> None:
         name = grid.inputs[np.argmin(moves)]
         raise InputError(f"log: input {name!r} is constant. Leave it out by --columns")
     if not side.any():
-        raise InputError("log: the sensor never speaks, all is silent. Record with a larger input")
+        raise InputError("log: the sensor is always silent. Record with a larger input")
     if np.ptp(y) <= 1e-12 * np.abs(y).max():
         stays = f"{grid.output!r} never changes ({y[0]:.4g}), while {grid.inputs[0]!r} moves by"
         raise InputError(

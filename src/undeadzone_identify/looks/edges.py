@@ -7,6 +7,7 @@ sure as its price among all of them.
 
 from __future__ import annotations
 
+import itertools
 from typing import NamedTuple
 
 import numpy as np
@@ -17,12 +18,10 @@ from undeadzone_identify.models.estimates import Interval
 # Half and double of a number below change no edge of the tests' maps:
 # test_half_and_double_of_a_constant_change_no_map.
 BENDS = ((), (0.4,), (0.15, 0.5), (0.06, 0.2, 0.5), (0.1, 0.25, 0.5, 0.75))
-SHAPES = [*((bends, False) for bends in BENDS), *((bends, True) for bends in BENDS[:3])]
+SHAPES = list(itertools.product(BENDS, (False, True)))
 RISES = 0.25  # of the mean slope outside: the least slope just beyond an edge
 BEYOND = 3  # moving rows between an edge and the first bend, at least
 KNOWN = 4e-4  # of the range: no map is better known
-LEAP = 0.02  # of the range, from which a step at an edge is one
-SURE = 4.0  # times the residual, from which it is one
 DEARER = 8.0  # price of an edge above that of the best, up to which it may be the edge
 PLACES, PASSES = 41, 3  # edges that are compared, and how often ever closer ones
 
@@ -91,7 +90,7 @@ def fit_side(levels: Levels, inner: int) -> Side | None:
     if not shapes or outer < 2:
         return None
     last = min(inner - 1 + max(inner, 8), n - 2)
-    ranks = np.linspace(max(inner // 2 - 0.5, 0.0), last + 0.9, PLACES)
+    ranks = np.linspace(0.0, last + 0.9, PLACES)
     edges = np.interp(ranks, np.arange(n), x)
     fits = [_profile(levels, edges, *shape) for shape in shapes]
     prices = np.array([fit.price for fit in fits])
@@ -135,8 +134,8 @@ def _prices(
 ) -> tuple[Floats, Floats, Floats]:
     """Return prices of edges (G), their coefficients (G x k), and weighted residuals (G x n).
 
-    The price is infinite where the line hardly rises behind the edge, or hardly jumps. A later bend
-    is the edge there. A jump begins at a row.
+    The price is infinite where the line hardly rises behind the edge, or jumps the other way. A
+    later bend is the edge there. A jump begins at a row.
     """
     x, v, w = levels
     edges = x[np.searchsorted(x, edges, side="right") - 1] if jumps else edges
@@ -150,7 +149,7 @@ def _prices(
     residual = v * w - np.einsum("gnk,gk->gn", design, c)
     loss = np.mean(residual**2, axis=-1)
     mean = c[:, 1 : 2 + len(bends)] @ np.array([1.0, *(1 - place for place in bends)])
-    least = np.maximum(LEAP, SURE * np.sqrt(loss)) if jumps else RISES * np.abs(mean)
+    least = 0.0 if jumps else RISES * np.abs(mean)
     is_edge = c[:, -1 if jumps else 1] * np.sign(mean) > least
     return np.where(is_edge, price(loss, x.size, len(columns)), np.inf), c, residual
 

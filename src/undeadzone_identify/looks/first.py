@@ -56,6 +56,6 @@ def look_at(log: Log) -> Looks:
         at_rest,
         None if at_rest is not None else map_of_rate(t, u, y),
         longest_stillness(t, u, y),
-        free_play_between_rests(t, u, y) if kind == "goal" else None,
+        free_play_between_rests(t, u, y) if kind == "goal" and read != "speed" else None,
         gap_between_valleys(u, y),
     )

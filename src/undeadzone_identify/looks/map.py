@@ -32,14 +32,13 @@ CLOSE = 1e-3  # of the commands' range, below which two levels are one
 WIDE, FINE = 0.012, 1e-4  # of the range: distances from the level of a candidate
 CANDIDATES = 6
 SMOOTHED = 24  # levels in a row, from which noise is smoothed
-END = 3  # levels of a flat end, at least, among so many
+END = 3  # levels of an end, at least, among so many
 MOVING = 0.35  # of the median slope, from which a map moves
 FLAT = 0.1  # of the slope beside it: the largest inside a flat part
 HIDES, LEAST = 8.0, 0.008  # residuals and share of the range, that a flat part hides at least
 EXPLAINED = 0.98  # of the variance beside a flat part
 CURVES = range(3, 7)  # degrees of the smooth curves that may explain a flat part
 NEAREST, FARTHER = 5, 4  # moving levels that count for an edge, and more for each level at rest
-BENT = 4.0  # times the bends after it: the bend at an edge behind one or two levels
 UNVISITED = 0.2  # of the commands' range, from which a gap widens an edge
 APART = 0.05  # of the range: the largest noise of a candidate, and a leap from rest
 FOLDED = 0.03  # of the range, by which a reading must come back
@@ -159,7 +158,7 @@ def map_of_rate(t: Floats | None, u: Floats, y: Floats) -> RestMap | None:
 def read_map(rows: Rows) -> RestMap | None:
     """Return the map of rows at rest; None with few levels, or a reading that never changes.
 
-    Neither does a way up beside a way down have a fold.
+    Neither do holds, or a way up beside a way down, have a fold.
     """
     levels = _medians(rows.u, rows.y)
     x, v, w = levels
@@ -172,7 +171,7 @@ def read_map(rows: Rows) -> RestMap | None:
     nodes = _nodes(unit, parts)
     noise = max(float(np.std(unit.v - np.interp(unit.x, *nodes))), noise_of(unit.v))
     fold = _fold(nodes, noise)
-    if fold is not None and rows.how == "ways":  # a motion that repeats comes back as well
+    if fold is not None and rows.how in ("ways", "holds"):  # what comes back need not be a fold
         return None
     return RestMap(
         rows=rows,
@@ -240,7 +239,7 @@ def _flat_parts(levels: Levels, legs: list[Levels]) -> list[FlatPart]:
     fine = float(np.clip(4 * noise_of(v), FINE, APART))
     runs = find_runs(v, fine, 3) + find_runs(v, WIDE, 3)
     runs.sort(key=lambda run: run[0] - run[1])
-    short = [(0, 2), (n - 2, n), (0, 1), (n - 1, n)] if n < SMOOTHED else []
+    short = [(0, 2), (n - 2, n)]
     parts: list[FlatPart] = []
     for run in [*runs[:CANDIDATES], *short]:
         part = _fit_part(levels, run, legs)
@@ -297,7 +296,7 @@ def _fit_part(levels: Levels, run: tuple[int, int], legs: list[Levels]) -> FlatP
             return None
     fits = {way: side for way, side in sides.items() if side is not None}
     level = float(np.average(v[inside], weights=w[inside] ** 2))
-    if least < 3 and (len(fits) > 1 or not _bends_at_once(views[max(fits)], end - first)):
+    if least < 3 and len(fits) > 1:
         return None
     residual = np.where(inside, v - level, 0.0)
     for way, side in fits.items():
@@ -318,12 +317,13 @@ def _fit_part(levels: Levels, run: tuple[int, int], legs: list[Levels]) -> FlatP
 
 
 def _fit_outwards(levels: Levels, first: int, end: int, share: float) -> Side | None:
-    """Return the fit of the edge behind a run, of whose rows a share is left out ahead.
+    """Return the fit of the edge behind a run, of whose span a share is left out ahead.
 
     The fewer rows are at rest, the fewer moving ones count.
     """
     last = end + NEAREST + (FARTHER * (end - first) if end - first > 2 else 0)
-    first += int(share * (end - first))
+    x = levels.x[first:end]
+    first += int(np.searchsorted(x, x[0] + share * (x[-1] - x[0])))
     return fit_side(levels.cut(slice(first, last)), end - first)
 
 
@@ -346,19 +346,9 @@ def _is_flat(levels: Levels, inside: Flags, fits: list[Side], residual: Floats) 
     numbers = 1 + sum(side.numbers for side in fits)
     own = price(float(np.mean((residual[near] * w) ** 2)), x.size, numbers)
     curves = [np.polynomial.Polynomial.fit(x, v, degree, w=w)(x) for degree in CURVES]
-    return n < 3 or all(
+    return all(
         own < price(float(np.mean(((v - curve) * w) ** 2)), x.size, degree + 1)
         for degree, curve in zip(CURVES, curves, strict=True)
-    )
-
-
-def _bends_at_once(levels: Levels, inner: int) -> bool:
-    """Return whether the line bends at an edge behind few levels, and hardly further out."""
-    near = slice(inner - 1, inner + 4)
-    slope = np.diff(levels.v)[near] / np.diff(levels.x)[near]
-    bend = np.abs(np.diff(slope))
-    return slope.size > 3 and bool(
-        abs(slope[1]) > abs(slope[0]) and bend[0] > BENT * bend[1:].max()
     )
 
 
@@ -398,7 +388,8 @@ def _fold(nodes: Floats, noise: float) -> float | None:
     x, v = nodes
     for way in (v, -v):
         top = int(np.argmax(way))
-        if way[top] - max(way[0], way[-1]) > max(FOLDED, HIDES * noise):
+        is_inside = END <= top < x.size - END
+        if is_inside and way[top] - max(way[0], way[-1]) > max(FOLDED, HIDES * noise):
             return float(x[top])
     return None
 

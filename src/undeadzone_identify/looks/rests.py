@@ -21,7 +21,6 @@ PAUSE = 3.0  # time between two samples, beyond which the first says nothing of 
 FEWEST = 30  # still samples at a goal
 LEAST = 8  # of them at either rest
 FLIPS = 4  # changes from one rest to the other, from which there is free play
-SURE = 8  # flips, from which it is measured
 APART = 3.2  # distance of the rests, at least [rms of their noise]
 STEPS = 3.0  # distance of the rests, at least [steps of the reading]
 EDGE = 0.1  # share of the samples at either rest, at least
@@ -48,8 +47,8 @@ class FreePlay(NamedTuple):
 
     @property
     def is_measured(self) -> bool:
-        """Return whether flips and rests suffice for a number without doubt."""
-        return self.is_sharp and self.flips >= SURE
+        """Return whether the rests suffice for a number without doubt."""
+        return self.is_sharp
 
 
 def free_play_between_rests(t: Floats, u: Floats, y: Floats) -> FreePlay | None:

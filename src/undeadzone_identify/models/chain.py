@@ -96,6 +96,11 @@ def rate_of_input(u: Floats, p: Floats) -> Floats:
     return limit_rates(u, p)[:, 0]
 
 
+def lag_columns(x: Floats, pole: float) -> Floats:
+    """Return signals (N, or N x K) after a first-order lag that is at rest at their first value."""
+    return np.asarray(lfilter([1 - pole], [1.0, -pole], x, axis=0, zi=pole * x[:1])[0])
+
+
 def limit_rates(u: Floats, limits: Floats) -> Floats:
     """Return a signal (N) after rate limiters of several limits (K) per sample (N x K)."""
     signal = u[:, None]
@@ -161,7 +166,7 @@ INPUTS = {
 
 def zone_of_input(u: Floats, p: Floats) -> Floats:
     """Return the parts of u above p_1 and below p_0."""
-    return np.asarray(np.maximum(u - p[1], 0.0) + np.minimum(u - p[0], 0.0))
+    return dead_zone(u, p[1], -p[0])
 
 
 PLAIN = InputElement(lambda u, _: u, (), (), ((),), "u")
@@ -206,17 +211,14 @@ class ChainModel:
         self.name = element or ("filtered zone" if zone else "filtered")
         self.base = simulator.layout.right
         self.input = PLAIN if element is None else INPUTS[element]
-        low = self.input.low
-        self.inputs = slice(self.base, self.base + len(low))
+        self.inputs = slice(self.base, self.base + len(self.input.low))
         self.edges = slice(self.inputs.stop, self.inputs.stop + 2 * zone)
         self.shape = slice(self.edges.stop, self.edges.stop + 2 * shaped)
         self.filter = slice(self.shape.stop, self.shape.stop + self.taps)
-        shape_low = (FLATTEST, SHARPEST) * shaped
-        shape_high = (1 / FLATTEST, 1.0) * shaped
-        self.low = np.array([*low, *([0.0] * 2 * zone), *shape_low, *([-0.9] * self.taps)])
-        self.high = np.array(
-            [*self.input.high, *([WIDEST] * 2 * zone), *shape_high, *([0.98] * self.taps)]
-        )
+        bounds = [*zip(self.input.low, self.input.high, strict=True), *[(0.0, WIDEST)] * 2 * zone]
+        bounds += [(FLATTEST, 1 / FLATTEST), (SHARPEST, 1.0)] * shaped
+        bounds += [(-0.9, 0.98)] * self.taps
+        self.low, self.high = np.reshape(bounds, (-1, 2)).T
         self.free: Integers = np.arange(self.filter.stop)
 
     def along(self, data: RecordData) -> ChainModel:
@@ -286,8 +288,7 @@ class ChainModel:
         for part in self.simulator.data.record_slices():
             x = columns[part]
             if self.lags:
-                pole = float(f[0])
-                filtered[part] = lfilter([1 - pole], [1.0, -pole], x, axis=0, zi=pole * x[:1])[0]
+                filtered[part] = lag_columns(x, float(f[0]))
             else:
                 padded = np.concatenate([np.repeat(x[:1], self.taps, axis=0), x])
                 taps = np.append(1 - f.sum(), f)
@@ -368,8 +369,7 @@ class ChainModel:
             u = self.simulator.data.u[:, 0]
             return float(np.mean(self.pass_input(u, theta) == u)) < SELDOM
         own = theta[self.inputs]
-        count = self.inputs.stop - self.inputs.start
-        near = np.minimum(own - self.low[:count], self.high[:count] - own) < NEAR_BOUND
+        near = np.minimum(own - self.input.low, self.input.high - own) < NEAR_BOUND
         return self.element in CURVES and bool(near.any())
 
     def distance_from_neutral(self, theta: Floats) -> Floats:
@@ -378,7 +378,7 @@ class ChainModel:
         Args:
             theta: its numbers.
         """
-        neutral = INPUTS[self.element].neutral if self.element is not None else ()
+        neutral = self.input.neutral
         return theta[self.inputs][: len(neutral)] - neutral
 
     def lag(self, theta: Floats) -> float:
@@ -410,7 +410,7 @@ class ChainModel:
             return f"a dead zone of about {right:.3g} and {left:.3g}, and {late}"
         slope, rounding = theta[self.shape]
         if self.class_word(theta) == "other":
-            return f"the sensor has {slope:.3g} times the slope below 0; no zone is needed"
+            return f"the sensor has {slope:.3g} times the slope below 0. No zone is needed"
         return (
             f"a dead zone whose left side has {slope:.3g} times the slope of its right, whose edges"
             f" are round over {rounding * y_scale:.3g}, and {late}"
@@ -451,12 +451,9 @@ def fit_chains(
     ]
     fits: list[ChainFit | None] = []
     for name, element in INPUTS.items():
-        scanned = _scan_orders(plants, element)
-        fits.append(_best_order(plants, scanned, partial(ChainModel, element=name)))
-    linear = [scan_input(plant, PLAIN) for plant in plants]
+        fits.append(_fit_best_order(plants, element, partial(ChainModel, element=name)))
     taps = [[0.2, 0.2, 0.0, 0.0], [0.2] * TAPS]
-    filtered_starts = [_with_taps(row, taps) for row in linear]
-    fits.append(_best_order(plants, filtered_starts, partial(ChainModel, taps=TAPS)))
+    fits.append(_fit_best_order(plants, PLAIN, partial(ChainModel, taps=TAPS), taps))
     zoned = starts.plant
     widths = starts.widths
     if "dead_zone" in places:
@@ -488,12 +485,6 @@ class Chains(NamedTuple):
 
     by_word: dict[str, ChainFit]
     shaped: ChainFit | None = None
-
-
-def _with_taps(starts: Sequence[ScannedStart], taps: Sequence[list[float]]) -> list[ScannedStart]:
-    """Return each start point with each of several filters appended."""
-    pairs = itertools.product(starts, taps)
-    return [ScannedStart(start.cost, np.append(start.theta, f)) for start, f in pairs]
 
 
 class ScannedStart(NamedTuple):
@@ -528,23 +519,27 @@ def _scan_orders(
     return rows
 
 
-def _best_order(
+def _fit_best_order(
     plants: Sequence[PlantSimulator],
-    scanned: Sequence[Sequence[ScannedStart]],
+    element: InputElement,
     model: Callable[[PlantSimulator], ChainModel],
+    ends: Sequence[list[float]] = ([],),
 ) -> ChainFit | None:
     """Return the fit of the order whose scan has the least BIC, None without a start point.
 
     Args:
         plants: plants of several orders.
-        scanned: start points of each plant.
+        element: element of the input that is scanned.
         model: function that builds the model of a plant.
+        ends: filters that are appended to each start point.
     """
+    scanned = _scan_orders(plants, element)
     costs = [(min(start.cost for start in row), k) for k, row in enumerate(scanned) if row]
     if not costs:
         return None
     best = min(costs)[1]
-    points = [start.theta for start in scanned[best]]
+    pairs = itertools.product(scanned[best], ends)
+    points = [np.append(start.theta, end) for start, end in pairs]
     return LeastSquares(model(plants[best])).fit_from_starts(points)
 
 

@@ -19,7 +19,7 @@ from undeadzone.nonlinearities.play import contact, levels
 from undeadzone.util.arrays import Floats, Integers
 from undeadzone_identify.models.estimates import cache_latest, weight_row
 from undeadzone_identify.models.least_squares import Density, FittedModel, LeastSquares
-from undeadzone_identify.models.likelihood import ROOT, dead_zone, unit_density
+from undeadzone_identify.models.likelihood import dead_zone, unit_density
 from undeadzone_identify.models.plant import CREDIBLE, PlantSimulator, RecordData, busiest_stretches
 from undeadzone_identify.models.zone_fit import ZoneFit, fit_linear, widths_about_level
 
@@ -42,7 +42,26 @@ T = TypeVar("T")
 # --- A play, and perhaps a dead zone after it
 
 
-class PlayModel:
+class SimulatedPlant:
+    """Model whose plant has no element ahead.
+
+    Attributes:
+        simulator: linear plant with its data.
+    """
+
+    def __init__(self, simulator: PlantSimulator) -> None:
+        self.simulator = simulator
+
+    def driven_plant(self, theta: Floats) -> PlantSimulator:
+        """Return the linear plant."""
+        return self.simulator
+
+    def output(self, theta: Floats) -> Floats:
+        """Return z, the output of the plant (N)."""
+        return self.simulator.simulate_z(theta)
+
+
+class PlayModel(SimulatedPlant):
     """Plant with a play and perhaps a dead zone, y = Dz(play(z)).
 
     theta = [a, b, x0, c_r, c_l, d_r, d_l].
@@ -64,8 +83,8 @@ class PlayModel:
     has_level = False
 
     def __init__(self, simulator: PlantSimulator, zone: bool = False) -> None:
+        super().__init__(simulator)
         self.name = "play_and_zone" if zone else "play"
-        self.simulator = simulator
         self.data = simulator.data
         self.zone = zone
         self.tied = zone or simulator.layout.integrators > 0
@@ -95,14 +114,6 @@ class PlayModel:
         if self.tied:
             theta[self.base + 1] = theta[self.base]
         return theta
-
-    def driven_plant(self, theta: Floats) -> PlantSimulator:
-        """Return the linear plant, without an element ahead."""
-        return self.simulator
-
-    def output(self, theta: Floats) -> Floats:
-        """Return z, the output of the plant (N)."""
-        return self.simulator.simulate_z(theta)
 
     def play_level(self, z: Floats, theta: Floats) -> tuple[Floats, Floats]:
         """Return the output of the play and its contact (N each): +1 right, -1 left, 0 not yet."""
@@ -177,10 +188,14 @@ def fit_play(data: RecordData, orders: list[int], integrators: int) -> PlayFit |
         orders: orders of the plant among which BIC chooses.
         integrators: number of integrators of the plant.
     """
-    models = [PlayModel(PlantSimulator(data, n, integrators)) for n in orders]
-    return _best_settling_fit(
-        [LeastSquares(model).fit_from_starts(_start_gaps(model)) for model in models]
-    )
+    fits = []
+    for n in orders:
+        model = PlayModel(PlantSimulator(data, n, integrators))
+        linear = fit_linear(model.simulator, data.ok)
+        gaps = [[*widths_about_level(linear, half), 0.0, 0.0] for half in HALVES]
+        starts = [_start_point(model, linear, LOUDER, numbers) for numbers in gaps]
+        fits.append(LeastSquares(model).fit_from_starts(starts))
+    return _best_settling_fit(fits)
 
 
 def fit_play_and_zone(earlier_fits: Sequence[PlayFit | ZoneFit]) -> PlayFit | None:
@@ -192,23 +207,17 @@ def fit_play_and_zone(earlier_fits: Sequence[PlayFit | ZoneFit]) -> PlayFit | No
     fits = []
     for earlier in earlier_fits:
         if isinstance(earlier, ZoneFit):
-            model = PlayModel(earlier.objective.simulator, zone=True)
+            simulator = earlier.objective.simulator
+            halves = (0.3, 0.1, 0.5)
         else:
-            model = PlayModel(earlier.model.simulator, zone=True)
+            simulator = earlier.model.simulator
+            halves = (0.8 * float(earlier.model.levels(earlier.theta).mean()),) * 3
+        model = PlayModel(simulator, zone=True)
         starts = []
-        for half, width in ((0.3, 0.3), (0.1, 0.5), (0.5, 0.1)):
-            if not isinstance(earlier, ZoneFit):
-                half = 0.8 * float(earlier.theta[model.base : model.base + 2].mean())
+        for half, width in zip(halves, (0.3, 0.5, 0.1), strict=True):
             starts.append(np.append(earlier.theta[: model.base], [half, half, width, width]))
         fits.append(LeastSquares(model).fit_from_starts(starts))
     return _best_settling_fit(fits)
-
-
-def _start_gaps(model: PlayModel) -> list[Floats]:
-    """Return start points: gaps of several sizes behind a plant of raised gain."""
-    linear = fit_linear(model.simulator, model.data.ok)
-    elements = [[*widths_about_level(linear, half), 0.0, 0.0] for half in HALVES]
-    return [_start_point(model, linear, LOUDER, numbers) for numbers in elements]
 
 
 def _start_point(
@@ -290,8 +299,8 @@ def noisy_jump_map(blur: float, z: Floats, p: Floats) -> tuple[Floats, Floats, F
     """Return z beyond -p_1 and p_0, else 0, averaged over noise of rms `blur` ahead."""
     a, b, above, below = _edge_chances(blur, z, p)
     share = above + below
-    at_a = np.exp(-0.5 * a**2) / (blur * ROOT)
-    at_b = np.exp(-0.5 * b**2) / (blur * ROOT)
+    at_a = unit_density(a) / blur
+    at_b = unit_density(b) / blur
     return z * share, share + z * (at_a - at_b), np.column_stack([-z * at_a, -z * at_b])
 
 
@@ -304,7 +313,7 @@ def _edge_chances(blur: float, z: Floats, p: Floats) -> tuple[Floats, Floats, Fl
     return a, b, ndtr(a), ndtr(b)
 
 
-class MapModel:
+class MapModel(SimulatedPlant):
     """Plant with a static map: y = g(z; p).
 
     Args:
@@ -318,8 +327,8 @@ class MapModel:
     gain = 1e-4
 
     def __init__(self, simulator: PlantSimulator, name: str, shape: Map) -> None:
+        super().__init__(simulator)
         self.name = name
-        self.simulator = simulator
         self.shape = shape
         self.base = simulator.layout.right
         counts: dict[Map, int] = {identity_map: 0, limited_zone_map: 4}
@@ -343,14 +352,6 @@ class MapModel:
             theta[widths] = np.maximum(theta[widths], 0.0)
         return theta
 
-    def driven_plant(self, theta: Floats) -> PlantSimulator:
-        """Return the linear plant, without an element ahead."""
-        return self.simulator
-
-    def output(self, theta: Floats) -> Floats:
-        """Return z, the output of the plant (N)."""
-        return self.simulator.simulate_z(theta)
-
     def noise_free_readings(self, z: Floats, theta: Floats) -> Floats:
         """Return the readings of z without noise (N)."""
         return self.shape(z, theta[self.base :])[0]
@@ -365,7 +366,8 @@ class MapModel:
         if self.shape not in (saturation_map, limited_zone_map):
             return ""
         *widths, high, low = theta[self.base :]
-        data, read = self.simulator.data, self.noise_free_readings(self.output(theta), theta)
+        data = self.simulator.data
+        read = self.noise_free_readings(self.output(theta), theta)
         level = self.has_level * float((data.y - read)[data.ok].mean())  # limits included
         reached = (end for end in (-low, high) if np.count_nonzero(read == end) >= FEWEST)
         ends = " and ".join(f"{(end + level) * y_scale:.3g}" for end in reached)

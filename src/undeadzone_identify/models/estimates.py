@@ -406,7 +406,7 @@ def require_finite_matrix(matrix: Floats) -> Floats:
     """
     if not np.isfinite(matrix).all():
         raise InputError(
-            "log: what the readings tell of the plant overflows. Try a lower --order, or a log"
+            "log: the readings' information on the plant overflows. Try a lower --order, or a log"
             " whose readings move more"
         )
     return matrix
@@ -474,7 +474,8 @@ def raise_to_outer_products(hessian: Floats, outer: Floats) -> Floats:
     """Return a Hessian raised to at least half of the scores' outer products.
 
     Both are equal in expectation if the model is right. So the result differs only in directions
-    in which the Hessian by differences is wrong, as along the logarithm of a variance near 0.
+    in which the Hessian by differences is wrong, as along the logarithm of a variance near 0. A
+    Hessian that overflows is the outer products.
 
     Args:
         hessian: minus the second derivative, by differences (P x P).
@@ -488,7 +489,11 @@ def raise_to_outer_products(hessian: Floats, outer: Floats) -> Floats:
     root = vectors * np.sqrt(np.maximum(values, 1e-10 * values.max()))
     whiten = np.linalg.pinv(root)
     symmetric = 0.5 * (hessian + hessian.T) * np.outer(scale, scale)
-    ratios, axes = np.linalg.eigh(require_finite_matrix(whiten @ symmetric @ whiten.T))
+    with np.errstate(over="ignore", invalid="ignore"):
+        whitened = whiten @ symmetric @ whiten.T
+    if not np.isfinite(whitened).all():
+        return outer
+    ratios, axes = np.linalg.eigh(whitened)
     raised = (axes * np.maximum(ratios, 0.5)) @ axes.T
     return root @ raised @ root.T / np.outer(scale, scale)
 

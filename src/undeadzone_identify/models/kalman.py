@@ -217,9 +217,7 @@ class KalmanObjective:
         rows = [data.u, data.y, data.side, data.ok, starts]
         self.exogenous = np.column_stack(rows)
         free = np.ones(self.size, bool)
-        widths = self.log_q + 2
-        free[widths] = limits.right[0] != limits.right[1]
-        free[widths + 1] = limits.left[0] != limits.left[1] and not limits.tied
+        free[self.log_q + 2 : self.log_q + 4] = limits.free
         self.free: Integers = np.flatnonzero(free)
         is_noise = np.isin(self.free, (self.log_q, self.log_q + 1))
         self.longest = np.where(is_noise, 1.0, np.inf)
@@ -329,17 +327,11 @@ class KalmanObjective:
         scale = 1 / np.sqrt(np.diag(outer) + 1e-12)
         steps = np.minimum(3e-2 * scale, 0.05)
         points = estimates.perturb_each(p, self.free, steps)[1:]
-        score_steps = list(map(self._score_steps, points))
-        score_points = [
-            estimates.perturb_each(point, self.free, small)[1:]
-            for point, small in zip(points, score_steps, strict=True)
-        ]
+        small = self._score_steps(p)
+        score_points = [estimates.perturb_each(point, self.free, small)[1:] for point in points]
         logs = self.log_densities(np.concatenate(score_points)).sum(axis=1)
-        point_scores = [
-            estimates.central_differences(values, small)
-            for values, small in zip(logs.reshape(len(points), -1), score_steps, strict=True)
-        ]
-        hessian = -estimates.central_differences(np.array(point_scores), steps)
+        point_scores = estimates.central_differences(logs.reshape(len(points), -1).T, small).T
+        hessian = -estimates.central_differences(point_scores, steps)
         if not np.isfinite(hessian).all():
             hessian = outer
         return estimates.sandwich_covariance(

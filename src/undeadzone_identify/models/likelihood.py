@@ -110,7 +110,8 @@ def single_densities(readings: Readings, z: Floats, noise: ZoneNoise) -> Density
     outside = readings.ok & (readings.side != 0)
     _enter_outside(readings, z, noise, np.flatnonzero(outside), value, slopes)
     inside = np.flatnonzero(readings.ok & (readings.side == 0))
-    a, b = (noise.right - z[inside]) / noise.s, (-noise.left - z[inside]) / noise.s
+    a = (noise.right - z[inside]) / noise.s
+    b = (-noise.left - z[inside]) / noise.s
     value[inside] = log_cdf_difference(a, b)
     at_a, at_b = limit_hazards(a, b, value[inside])
     slopes[inside, Z] = (at_b - at_a) / noise.s

@@ -278,7 +278,8 @@ def raise_order(fit: PlaceFit) -> PlaceFit | None:
     Args:
         fit: of a plant of one input.
     """
-    old, theta = fit.model, fit.theta
+    old = fit.model
+    theta = fit.theta
     simulator = old.simulator
     following = PlantSimulator(simulator.data, old.n + 1, simulator.layout.integrators)
     a, b, *records = theta[: old.base].reshape(-1, old.n)  # states at the start of each record
@@ -333,14 +334,6 @@ class PlaceStarts:
         usual_gain = root_mean_square(fit.z)  # the input is scaled to rms 1
         self.gain = gain if gain > 0.1 * usual_gain else max(usual_gain, 1e-3)
 
-    def without_zone(self) -> list[Floats]:
-        """Return the starts for a plant without a zone."""
-        return [join_place_numbers(plant, self.n) for plant in (self.linear_plant, self.plant)]
-
-    def zone_at_sensor(self) -> list[Floats]:
-        """Return the starts for a zone at the sensor."""
-        return [join_place_numbers(self.plant, self.n, sensor=self.widths)]
-
     def input_levels(self) -> list[tuple[Floats, Floats]]:
         """Return start plants, each with widths of a zone in rms of the input (2)."""
         widths = self.widths / self.gain
@@ -351,12 +344,6 @@ class PlaceStarts:
             plant[self.simulator.layout.numerators] *= 1 + 0.5 * level
             starts.append((plant, np.full(2, level)))
         return starts
-
-    def zone_at_input(self) -> list[Floats]:
-        """Return the starts for zones of the input."""
-        return [
-            join_place_numbers(plant, self.n, input=level) for plant, level in self.input_levels()
-        ]
 
     def friction_at_input(self) -> list[Floats]:
         """Return the starts for friction at the input's location: c = b / b_1."""
@@ -376,18 +363,15 @@ class PlaceStarts:
             fits: fits of friction at the input and of a sensor zone, by name, if available.
         """
         starts = []
-        for name in ("friction", "sensor"):
+        for name, part in (("friction", "inner"), ("sensor", "sensor")):
             if name not in fits:
                 continue
             model = fits[name].model
             theta = fits[name].theta
             a = theta[: self.n]
             b = theta[self.n : 2 * self.n]
-            dc_gain = b.sum() / (1 + a.sum())
-            if name == "friction":
-                level = model.part_numbers(theta, "inner") / max(abs(b[0]), 1e-9)
-            else:
-                level = model.part_numbers(theta, "sensor") / max(abs(dc_gain), 1e-6)
+            gain_to_part = b[0] if part == "inner" else b.sum() / (1 + a.sum())
+            level = model.part_numbers(theta, part) / max(abs(gain_to_part), 1e-6)
             for c in self._friction_shapes(a, b):
                 total = c.sum()
                 # As in `friction_levels`: phi = sum(b) u / sum(c) at the limit of sticking.

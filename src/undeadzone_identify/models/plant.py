@@ -98,13 +98,8 @@ def busiest_stretches(data: RecordData, longest: int = STRETCH) -> RecordData:
     for record in data.record_slices():
         stretches += _cut_record(record, longest)
     stretches.sort(key=lambda stretch: _count_passages(data, stretch), reverse=True)
-    busiest = stretches[:1]
-    count = stretches[0].stop - stretches[0].start
-    for stretch in stretches[1:]:
-        count += stretch.stop - stretch.start
-        if count > MANY:
-            break
-        busiest.append(stretch)
+    samples = np.cumsum([stretch.stop - stretch.start for stretch in stretches])
+    busiest = stretches[: max(1, int(np.count_nonzero(samples <= MANY)))]
     return select_samples(data, sorted(busiest, key=lambda stretch: stretch.start))
 
 
@@ -401,11 +396,12 @@ def find_input_disturbance(
     error = math.inf
     for phi in COLOURS:
         w = plant_response(layout, plant, first_order_noise(1, LENGTH, phi))[0]
-        shape = mean_lag_products(w, np.ones(w.size, bool), lags)
-        power = max(float(shape[1:] @ measured) / max(float(shape[1:] @ shape[1:]), 1e-300), 0.0)
-        misfit = float(np.sum((measured - power * shape[1:]) ** 2))
+        products = mean_lag_products(w, np.ones(w.size, bool), lags)
+        shape = products[1:]
+        power = max(float(shape @ measured) / max(float(shape @ shape), 1e-300), 0.0)
+        misfit = float(np.sum((measured - power * shape) ** 2))
         if misfit < error:
-            rms = math.sqrt(power * shape[0])
+            rms = math.sqrt(power * products[0])
             best = InputDisturbance(rms, phi, math.sqrt(power))
             error = misfit
     return best
@@ -449,10 +445,7 @@ def input_noise_gain(a: Floats, b: Floats, n: int, phi: float) -> float:
     Returns:
         The gain, at least 1e-12 [z^2/u^2].
     """
-    total = 0.0
-    for numerator in b.reshape(-1, n):
-        impulse = np.zeros(5000)  # the response is cut off after so many samples
-        impulse[0] = math.sqrt(1 - phi * phi)
-        shaped = lfilter([1.0], [1.0, -phi], impulse)
-        total += float(np.sum(lfilter(np.append(0.0, numerator), np.append(1.0, a), shaped) ** 2))
-    return max(total, 1e-12)
+    shaped = math.sqrt(1 - phi * phi) * phi ** np.arange(5000)  # the response is cut off there
+    numerators = np.hstack([np.zeros((b.size // n, 1)), b.reshape(-1, n)])
+    responses = [lfilter(one, np.append(1.0, a), shaped) for one in numerators]
+    return max(float(np.sum(np.square(responses))), 1e-12)

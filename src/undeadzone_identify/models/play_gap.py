@@ -94,7 +94,8 @@ def find_play_gap(fit: PlayFit, quantum: float, in_loop: bool = False) -> PlayGa
     noise = _unrounded_noise_rms(fit.squares.data, quantum)
     layout = fit.model.simulator.layout
     plant = slice(layout.numerators.stop)
-    simulation_fit, own = fit, _own_half_intervals(fit)
+    simulation_fit = fit
+    own = _own_half_intervals(fit)
     if layout.integrators:
         V = fit.squares.robust_covariance(fit.theta).V[plant, plant]
         return PlayGap(

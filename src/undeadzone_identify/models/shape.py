@@ -30,8 +30,8 @@ class SensorShape(NamedTuple):
     Attributes:
         rounding: how far about an edge it is round [y].
         slope: of the left side over that of the right [1].
-        lag: time constant of a filter behind the zone [s]; a pure delay there cannot be told from
-            one of the input, and is the plant's.
+        lag: time constant of a filter behind the zone [s]; a pure delay there cannot be separated
+            from one of the input, and is the plant's.
     """
 
     rounding: Interval

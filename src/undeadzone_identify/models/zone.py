@@ -29,6 +29,12 @@ class WidthLimits(NamedTuple):
     zone: bool = True
     tied: bool = False
 
+    @property
+    def free(self) -> list[bool]:
+        """Return whether d_r, and d_l, is a free parameter."""
+        is_left_fixed = self.tied or not self.zone or self.left[0] == self.left[1]
+        return [self.right[0] != self.right[1], not is_left_fixed]
+
     def clip_widths(self, right: float, left: float) -> tuple[float, float]:
         """Clip widths to these limits."""
         right = min(max(right, self.right[0]), self.right[1])
@@ -66,20 +72,13 @@ class ZoneObjective:
         self.readings = self.data.select_readings(use)
         rms = likelihood.root_mean_square(self.data.y[self.data.ok])
         self.x0_weight = 1 / (3 * rms + 1e-12) ** 2
-        self.free: Integers = np.flatnonzero(~self._constant_places())
+        free = np.ones(self.layout.parameter_count, bool)
+        free[self.layout.right : self.layout.right + 2] = self.limits.free
+        self.free: Integers = np.flatnonzero(free)
 
     def objective_along(self, data: RecordData) -> ZoneObjective:
         """Return the same likelihood for other records."""
         return ZoneObjective(self.simulator.simulator_along(data), self.kind, self.limits)
-
-    def _constant_places(self) -> Flags:
-        """Return the flags of constant parameters in theta (P)."""
-        right = self.layout.right
-        fixed = np.zeros(self.layout.parameter_count, bool)
-        fixed[right] = self.limits.right[0] == self.limits.right[1]
-        fixed[right + 1] = not self.limits.zone or self.limits.left[0] == self.limits.left[1]
-        fixed[right + 1] |= self.limits.tied
-        return fixed
 
     def zone_noise(self, theta: Floats) -> likelihood.ZoneNoise:
         """Return widths and rms in theta."""

@@ -23,6 +23,9 @@ SAYS = (NAMED, MEASURED, INDICATED, BOUNDED)  # grades with a number or a bound
 LEADS = {MEASURED: "Measured: ", INDICATED: "Indicated, not certain: "}
 
 
+SURE, LESS, SHOWS = 3.0, 0.9, 0.75  # deviations and share of the straight plant's rms, or a share
+# alone, below which an effect is worth a number
+
 INPUT, OUTPUT, TIME, NONE = range(4)  # ends of whose units numbers are
 STEPS = "steps of several sizes up and down past both edges, each held until the reading rests"
 TURNS = "ten slow reversals or more, in both directions"
@@ -46,7 +49,7 @@ class Effect(NamedTuple):
 
 
 KEEP = "keep commands inside these limits"
-ADD_EDGE = "add the edge to each command that shall move it: u + upper, u - lower"
+ADD_EDGE = "count the part of a command that shall move it from the edge on its side"
 ADD_GAP = "add the gap after each reversal of the command"
 EFFECTS = {
     "input loss": Effect("a band of the input moves nothing", ADD_EDGE, INPUT),
@@ -75,7 +78,7 @@ EFFECTS = {
     ),
     "output threshold": Effect(
         "the reading is silent up to a threshold",
-        "take a silent reading as an interval; other readings are right as they are",
+        "take a silent reading as an interval. Other readings are right as they are",
         OUTPUT,
     ),
     "output reversal": Effect(
@@ -142,6 +145,12 @@ class Buys(NamedTuple):
     def share(self) -> float:
         """Return the share of the squared error that the effect takes away."""
         return 1 - (self.remaining / max(self.without, 1e-300)) ** 2
+
+    @property
+    def is_worth(self) -> bool:
+        """Return whether the effect improves the simulation so much that its number counts."""
+        is_sure = self.deviations > SURE and self.remaining < LESS * self.without
+        return is_sure or self.remaining < SHOWS * self.without
 
 
 Numbers = dict[str, Interval]

@@ -34,7 +34,6 @@ from undeadzone_identify.selection.decision import (
     VALVE,
     Case,
     Feedback,
-    build_verdict,
     detect_feedback,
 )
 from undeadzone_identify.selection.decision import (
@@ -51,6 +50,7 @@ from undeadzone_identify.selection.orders import (
 from undeadzone_identify.selection.valve import ValveFindings
 from undeadzone_identify.selection.widths import (
     FEW_VISITS,
+    SIDES,
     Excitation,
     WidthEstimates,
     find_widths,
@@ -60,14 +60,17 @@ from undeadzone_identify.selection.widths import (
 )
 from undeadzone_identify.servo.gap import ServoGap
 
+DRIFT_BLOCKS, LEAST_IN_BLOCK = 16, 8  # parts of a log, and readings of each, that show a drift
+ALIKE = 0.5  # von Neumann's ratio of their means, below which they drift: 1e-4 by chance
 SURE = 0.999  # level of the ranges that an observer is told
 WITHHELD = ("undecided", "unclear")  # words that withhold a name
 ODDS_OF = {"operating_point": "none", "unreached": "dead_zone"}  # words with odds of another
 CLOSED = (
-    "the input answers to the readings: the log is of a closed loop, where the interval of a play"
-    " may be too narrow"
+    "the input answers to the readings: the log is of a closed loop, in which the interval "
+    "of a play may be too narrow"
 )
 LEAST = 1e-6  # of a width, by which its range is wide at least
+BOTH = ("width", "centre")  # numbers of both edges
 
 DisplayedWidths = dict[str, Interval | None]  # right, left, width, centre
 
@@ -84,10 +87,10 @@ class Disturbance(NamedTuple):
     """
 
     rms: float
-    correlation_time: float | None
-    white: float | None
-    model: str | None
-    ahead: bool
+    correlation_time: float | None = None
+    white: float | None = None
+    model: str | None = None
+    ahead: bool = True
 
 
 class Answer(NamedTuple):
@@ -148,8 +151,7 @@ class Answer(NamedTuple):
     @property
     def servo(self) -> ServoGap | None:
         """Return the servo behind a play; None if the element is not a servo."""
-        fit = None if self.element is None else self.element.fit
-        return fit if isinstance(fit, ServoGap) else None
+        return None if self.element is None else self.element.servo
 
     @property
     def z(self) -> Floats:
@@ -240,25 +242,22 @@ class Answer(NamedTuple):
         element = self.element
         fit = self.fit
         if element is not None and element.is_at_rest:
-            return Disturbance(element.rms * scale, None, None, None, False)
+            return Disturbance(element.rms * scale, ahead=False)
         if element is not None:
             phi = 0.0 if element.ahead is None else element.ahead.phi
             time = -step / math.log(phi) if phi > 0 else None
             model = None if element.ahead is None else NAMES[AT_INPUT]
-            return Disturbance(
-                element.disturbance_rms * scale, time, element.noise * scale, model, True
-            )
+            return Disturbance(element.disturbance_rms * scale, time, element.noise * scale, model)
         time = -step / math.log(fit.rho) if 0.05 < fit.rho < 1 else None
         if fit.objective.kind == "behind":  # the climb to s ends early at a zone without width
             left = fit.objective.unexplained_readings(fit.theta)[fit.objective.readings.ok]
             rms = root_mean_square(left)
-            return Disturbance(rms * scale, time, None, None, False)
+            return Disturbance(rms * scale, time, ahead=False)
+        ahead = Disturbance(fit.disturbance_rms * scale, time)
         if not self.found.kalman:
-            return Disturbance(fit.disturbance_rms * scale, time, None, None, True)
+            return ahead
         best = self.found.kalman[0]
-        return Disturbance(
-            fit.disturbance_rms * scale, time, best.white_rms * scale, NAMES[best.model], True
-        )
+        return ahead._replace(white=best.white_rms * scale, model=NAMES[best.model])
 
 
 # --- From what was found
@@ -277,8 +276,7 @@ def to_answer(case: Case, found: Findings) -> Answer:
         or _doubt_of_zero(element.input)
     )
     if doubt:
-        verdict = build_verdict("undecided", doubt, *found.verdict.reasons)
-        found = found._replace(element=None, verdict=verdict, odds={})
+        found = found.without_name("undecided", doubt, *found.verdict.reasons)
     found = found._replace(odds=_odds_of_word(case, found))
     data = case.record_data
     chosen = _validate_findings(case, found)
@@ -326,8 +324,7 @@ def _with_valve(answer: Answer, valve: ValveFindings) -> Answer:
     is_faulty = answer.verdict in VALVE
     doubt = _doubt_of_zero({"width": valve.stick}) if is_faulty else ""
     if doubt:
-        found = answer.found._replace(odds={})
-        return answer._replace(verdict="undecided", reasons=[doubt], found=found)
+        return _with_doubt(answer, doubt)
     return answer._replace(width=valve.stick if is_faulty else None)
 
 
@@ -341,7 +338,7 @@ def _odds_of_word(case: Case, found: Findings) -> dict[str, float]:
     odds = found.odds
     if case.has_limits_as(word):
         return {}  # they are those of what lies between the limits
-    if isinstance(found.element and found.element.fit, ServoGap) or not odds:
+    if (found.element and found.element.servo) or not odds:
         return odds
     if word == "undecided":
         return odds if found.verdict.reasons[0].startswith(CANNOT_TELL) else {}
@@ -367,7 +364,7 @@ def withhold_poor_fit(found: Findings, share: float) -> Findings:
         return found
     part = f"{100 * max(share, 0.0):.0f} % of the held-out readings"
     reason = f"{MODELS[ODDS_OF.get(word, word)]}, the likeliest, explains {part}"
-    return found._replace(verdict=build_verdict("unclear", reason), element=None, odds={})
+    return found.without_name("unclear", reason)
 
 
 def _validate_findings(case: Case, found: Findings) -> OrderFit:
@@ -389,12 +386,44 @@ def _add_edges(answer: Answer) -> Answer:
     intervals = _jump_widths(answer.case) or _log_unit_widths(answer, 2.0 if has_residual else 1.0)
     remarks = [*_delay_remarks(answer), *_edge_remarks(answer, intervals, has_residual)]
     _widen_rare_edges(answer, intervals)
+    remarks += _widen_by_drift(answer, intervals)
     doubt = _doubt_of_zero(intervals) or _doubt_of_unmoved(answer, intervals)
     if doubt:
-        found = answer.found._replace(odds={})  # the likeliest model's own test denies it
-        return answer._replace(verdict="undecided", reasons=[doubt], found=found)
+        return _with_doubt(answer, doubt)
     word = "unreached" if answer.case.unreached else answer.verdict
     return _set_widths(answer, intervals, remarks)._replace(verdict=word)
+
+
+def _with_doubt(answer: Answer, doubt: str) -> Answer:
+    """Return the answer without a name: the likeliest model's own test denies it."""
+    found = answer.found._replace(odds={})
+    return answer._replace(verdict="undecided", reasons=[doubt], found=found)
+
+
+def _widen_by_drift(answer: Answer, intervals: DisplayedWidths) -> list[str]:
+    """Widen both edges to the zero of any time, in place, and return the remark on its drift.
+
+    Mean residuals beyond the edges follow a zero that drifts, less its mean, which the fitted edges
+    hold. They are a drift if neighbours are much more alike than any two (von Neumann's ratio).
+    """
+    right, left, unit = intervals["right"], intervals["left"], answer.case.grid.output_unit
+    if right is None or left is None or not math.isfinite(left.high + right.high):
+        return []
+    z, grid = answer.z * answer.scale, answer.case.grid
+    beyond = np.flatnonzero(grid.ok & ((z > right.value) | (z < -left.value)))
+    if beyond.size < DRIFT_BLOCKS * LEAST_IN_BLOCK:
+        return []
+    residual = grid.y - (z - np.clip(z, -left.value, right.value))
+    means = np.array([residual[one].mean() for one in np.array_split(beyond, DRIFT_BLOCKS)])
+    reach = 0.5 * float(np.abs(np.diff(means)).max())  # from the middle of a part to its end
+    low, high = float(means.min()) - reach, float(means.max()) + reach
+    alike = np.sum(np.diff(means) ** 2) < ALIKE * np.sum((means - means.mean()) ** 2)
+    if not alike or high - low < max(right.half_width, left.half_width):
+        return []
+    intervals["right"] = right._replace(low=right.low - high, high=right.high - low)
+    intervals["left"] = left._replace(low=left.low + low, high=left.high + high)
+    words = f"the zero drifts by {high - low:.3g}{' ' * (unit != '1')}{unit * (unit != '1')}"
+    return [f"{words} along the log: both edges are given for any time of it, and their sum holds"]
 
 
 def _doubt_of_zero(intervals: dict[str, Any]) -> str:
@@ -408,7 +437,7 @@ def _doubt_of_zero(intervals: dict[str, Any]) -> str:
 
 def _doubt_of_unmoved(answer: Answer, intervals: DisplayedWidths) -> str:
     """Return the remark that an edge moves no reading; empty if each does or is known."""
-    for name in ("right", "left"):
+    for name in SIDES:
         low, high = answer.case.options.parse_bounds(name)
         edge = intervals[name]
         if edge is not None and low < high and edge.low == edge.high:
@@ -418,9 +447,8 @@ def _doubt_of_unmoved(answer: Answer, intervals: DisplayedWidths) -> str:
 
 def _set_widths(answer: Answer, intervals: DisplayedWidths, remarks: list[str]) -> Answer:
     """Return the answer with widths and further remarks."""
-    right, left, width, centre = (intervals[name] for name in DIRECTIONS)
-    remarks = [*answer.remarks, *remarks]
-    return answer._replace(right=right, left=left, width=width, centre=centre, remarks=remarks)
+    changed: dict[str, Any] = {**intervals, "remarks": [*answer.remarks, *remarks]}
+    return answer._replace(**changed)
 
 
 def _has_white_innovations(kalman: KalmanFit, held_out: float) -> bool:
@@ -466,7 +494,7 @@ def _reference_remarks(grid: Grid, ok: Flags, loop: Feedback) -> list[str]:
     ):
         return []
     words = "the reference answers to the readings as well: an outer loop makes it, or columns are"
-    return [f"{words} exchanged (--columns); then nothing of this holds"]
+    return [f"{words} exchanged (--columns). Then nothing of this holds"]
 
 
 def _edge_remarks(answer: Answer, intervals: DisplayedWidths, has_residual: bool) -> list[str]:
@@ -480,8 +508,8 @@ def _edge_remarks(answer: Answer, intervals: DisplayedWidths, has_residual: bool
     remarks = [] if answer.case.jump_edges else list(answer.widths.remarks)
     if has_residual:
         remarks.append(
-            "past inputs explain part of the one-step residual: a delay, or too few poles; the"
-            " plant model does not fit, and the intervals are doubled; try a higher --order, or"
+            "past inputs explain part of the one-step residual: a delay, or too few poles. The"
+            " plant model does not fit, and the intervals are doubled. Try a higher --order, or"
             " shift the input by the delay"
         )
     for name in absent_edges(answer.case):
@@ -489,9 +517,9 @@ def _edge_remarks(answer: Answer, intervals: DisplayedWidths, has_residual: bool
     if _has_tied_edges(answer):
         remarks.append(
             "z of an integrating plant has no zero of its own: it counts from the middle of the"
-            " zone, so both edges are half of the width; the place of the zone is not asked"
+            " zone, so both edges are half of the width. The place of the zone is not tested"
         )
-    for name in ("right", "left"):
+    for name in SIDES:
         edge = intervals[name]
         if edge is not None and edge.value < 0:
             remarks.append(
@@ -510,7 +538,7 @@ def _widen_rare_edges(answer: Answer, intervals: DisplayedWidths) -> None:
     """Widen the intervals of rarely passed edges in place, by their profile likelihood."""
     if answer.case.jump_edges or _has_tied_edges(answer):
         return
-    for name, visits in zip(("right", "left"), answer.excitation.visits, strict=True):
+    for name, visits in zip(SIDES, answer.excitation.visits, strict=True):
         edge = intervals[name]
         if not 0 < visits < FEW_VISITS or edge is None or not edge.low < edge.high < math.inf:
             continue
@@ -531,22 +559,15 @@ def _jump_widths(case: Case) -> DisplayedWidths:
     """
     if case.jump_edges is None:
         return {}
-    scale = case.record_data.y_scale
-    intervals = []
-    for bound in case.jump_edges:
-        # A reading is rounded by up to half a quantum. A known width stays as it is.
-        rounding = 0.5 * case.grid.quantum if bound.high > bound.low else 0.0
-        low = bound.low * scale - rounding
-        high = bound.high * scale + rounding
-        intervals.append(Interval(bound.value * scale, low, high))
-    right, left = intervals
-    if absent_edges(case):
-        unknown: DisplayedWidths = dict.fromkeys(DIRECTIONS)
-        by_side = zip(("right", "left"), intervals, strict=True)
-        return unknown | dict(filter(lambda side: side[0] not in absent_edges(case), by_side))
-    width = Interval(right.value + left.value, right.low + left.low, right.high + left.high)
-    difference = Interval(right.value - left.value, right.low - left.high, right.high - left.low)
-    return {"right": right, "left": left, "width": width, "centre": difference.scale_by(0.5)}
+    edges = np.array([(one.value, one.low, one.high) for one in case.jump_edges])
+    # A reading is rounded by up to half a quantum. A known width stays as it is.
+    rounding = 0.5 * case.grid.quantum * (edges[:, 2:] > edges[:, 1:2])
+    right, left = edges * case.record_data.y_scale + rounding * [0, -1, 1]
+    rows = (right, left, right + left, (right - left[[0, 2, 1]]) / 2)
+    absent = absent_edges(case)
+    unknown: DisplayedWidths = dict.fromkeys([*absent, *BOTH] if absent else ())
+    intervals = (Interval(*row.tolist()) for row in rows)
+    return dict(zip(DIRECTIONS, intervals, strict=True)) | unknown
 
 
 def absent_edges(case: Case) -> list[str]:
@@ -556,7 +577,7 @@ def absent_edges(case: Case) -> list[str]:
         case: the log.
     """
     sides = []
-    for k, side in enumerate(("right", "left")):
+    for k, side in enumerate(SIDES):
         is_far = case.jump_edges is not None and case.jump_edges[k].value == FAR_EDGE
         if is_far or case.options.parse_bounds(side)[0] == math.inf:
             sides.append(side)
@@ -570,19 +591,18 @@ def _log_unit_widths(answer: Answer, wider: float) -> DisplayedWidths:
     intervals: DisplayedWidths = {}
     for name in DIRECTIONS:
         intervals[name] = getattr(answer.widths, name).scale_by(scale).stretch_by(wider)
-    for name in ("right", "left"):
+    unknown = ["centre"] * _has_tied_edges(answer)
+    for name in SIDES:
         low, high = case.options.parse_bounds(name)
         if low == high:
-            intervals[name] = None if low == math.inf else Interval(low, low, high)
+            intervals[name] = Interval(low, low, high)
         if low == math.inf:
-            intervals["width"] = intervals["centre"] = None
-    if _has_tied_edges(answer):
-        intervals["centre"] = None
+            unknown += [name, *BOTH]
     for name in case.unreached:
         bound = lower_width_bound(case.chosen.fit, name) * scale
         intervals[name] = Interval(bound, bound, math.inf)
-        intervals["width"] = intervals["centre"] = None
-    return intervals
+        unknown += BOTH
+    return intervals | dict.fromkeys(unknown)
 
 
 # --- What an observer is told
@@ -607,8 +627,7 @@ def prior_width_range(answer: Answer, side: str) -> tuple[float, float]:
     """
     if side in absent_edges(answer.case):
         return 0.5 * FAR_EDGE * answer.scale, 1.5 * FAR_EDGE * answer.scale
-    edge = answer.right if side == "right" else answer.left
-    assert isinstance(edge, Interval)
+    edge: Interval = getattr(answer, side)
     low, high = answer.case.options.parse_bounds(side)
     prior = _interval_of_prior(answer, side, edge)
     low = max(prior.low, low, 0.0)
@@ -644,8 +663,7 @@ def _interval_of_prior(answer: Answer, side: str, edge: Interval) -> Interval:
     jumps = answer.case.jump_edges
     element = answer.element
     if jumps is not None:
-        jump = jumps[0] if side == "right" else jumps[1]
-        below = edge.value - edge.low + (jump.low - jump.lowest) * answer.scale
-        return edge.stretch_by(1.0)._replace(low=edge.value - below)
+        jump = jumps[SIDES.index(side)]
+        return edge.extend_by((jump.low - jump.lowest) * answer.scale, 0.0)
     degrees = answer.widths.degrees[side] if element is None else element.degrees
     return edge.stretch_by(_interval_growth(degrees))

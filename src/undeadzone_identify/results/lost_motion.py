@@ -14,6 +14,7 @@ from undeadzone.util.text import HALF_95, bracket_interval
 from undeadzone_identify.models.estimates import Interval
 from undeadzone_identify.results.account import Account
 from undeadzone_identify.results.formats import unit_suffix
+from undeadzone_identify.results.lines import measure_lines
 from undeadzone_identify.results.result import Spoken
 from undeadzone_identify.results.speech import account_of_motion
 from undeadzone_identify.results.words import describe_shares
@@ -83,7 +84,7 @@ class IdentifiedMotion(Spoken):
         width = self.width
         half = HALF_95 * one.gain_error
         parts = one.parts
-        return dict(
+        numbers = dict(
             to_json_value(
                 {
                     "zone": False,
@@ -116,6 +117,7 @@ class IdentifiedMotion(Spoken):
                 }
             )
         )
+        return numbers | {"lines": measure_lines(numbers, None, one.data.u)}
 
     def summary(self) -> dict[str, Any]:
         """Return the answer in words, as the command prints."""

@@ -19,7 +19,19 @@ from undeadzone_identify.results.to_continuous import observer_matrices
 from undeadzone_identify.selection.alternatives import AHEAD
 
 LINEAR = ("none", "operating_point")
-SENSORS = {"dead_zone": sensor.deadzone, "jump": sensor.jump}
+
+
+def follow_play(z: Floats, right: float, left: float) -> Floats:
+    """Return the level that z moves through a gap, from 0 (N).
+
+    Args:
+        z: its input (N).
+        right, left: half gaps c_r, c_l.
+    """
+    return levels(z[:, None], np.array([right]), np.array([left]), np.zeros(1))[:, 0]
+
+
+SENSORS = {"dead_zone": sensor.deadzone, "jump": sensor.jump, "play": follow_play}
 
 
 class Simulated(NamedTuple):
@@ -79,30 +91,18 @@ def simulate_answer(answer: Answer, u: Any) -> Simulated:
     y: Floats = z
     if answer.verdict in SENSORS:
         y = SENSORS[answer.verdict](z, right, left)
-    if answer.verdict == "play":
-        y = follow_play(z, right, left)
     t = answer.case.grid.step * np.arange(z.size)
     return Simulated(t, z + y_rest, np.asarray(y) + y_rest)
-
-
-def follow_play(z: Floats, right: float, left: float) -> Floats:
-    """Return the level that z moves through a gap, from 0 (N).
-
-    Args:
-        z: its input (N).
-        right, left: half gaps c_r, c_l.
-    """
-    return levels(z[:, None], np.array([right]), np.array([left]), np.zeros(1))[:, 0]
 
 
 def _require_widths(answer: Answer) -> tuple[float, float]:
     """Return both widths of the answer's nonlinearity. Raise InputError."""
     if answer.verdict in LINEAR:
         return 0.0, 0.0
-    if answer.verdict not in (*SENSORS, *AHEAD, "play"):
+    if answer.verdict not in (*SENSORS, *AHEAD):
         raise InputError(
             f"simulate: the verdict is {answer.verdict}, and no model of it is simulated. "
-            "`--kind` and `--place` of identify ask for another one"
+            "`--kind` and `--place` of identify select another one"
         )
     right = answer.right
     left = answer.left

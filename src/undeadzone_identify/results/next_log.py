@@ -128,7 +128,7 @@ def best_next_log(answer: Answer, account: Account) -> NextLog:
     best = min(_score_by_interval(answer, name, model), key=lambda one: one.left, default=None)
     if best is None or best.left >= GAINS:
         raise InputError(
-            f"next: no input within the amplitude and the rate of this log's tells more of {name}."
+            f"next: no input within the amplitude and the rate of this log's narrows {name}."
             " Record with a larger or a faster one"
         )
     return best
@@ -139,13 +139,15 @@ def best_next_log(answer: Answer, account: Account) -> NextLog:
 
 def _least_known_width(answer: Answer, account: Account) -> tuple[str, ModelAccount]:
     """Return the least known width and its model. Raise InputError without a width."""
-    servo, element = answer.case.servo, answer.element
+    servo = answer.case.servo
+    element = answer.element
     if element is None and servo is not None and servo.has_few_reversals:
         element = build_servo_element(answer.case, servo)
     numbers: Mapping[str, Interval | None] = next(iter(account.effects.values()), {})
     model = _zone_account(answer.fit)
     if element is not None:
-        model, numbers = _element_account(element), element.widths
+        model = _element_account(element)
+        numbers = element.widths
     elif answer.verdict != "dead_zone":
         words = (word for word, effect in EFFECT_OF.items() if effect in account.effects)
         fits = (fit_of(answer.case, answer.found, word) for word in words)

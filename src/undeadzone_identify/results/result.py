@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
+from scipy.signal import dlsim
 
 from undeadzone.errors import InputError
 from undeadzone.util import shown
@@ -24,6 +25,7 @@ from undeadzone_identify.models.kalman_fit import smooth_with_deviation
 from undeadzone_identify.models.plant import PlantSimulator
 from undeadzone_identify.results.account import GRADES, MEASURED, Account
 from undeadzone_identify.results.assemble import Answer
+from undeadzone_identify.results.lines import command_along, measure_lines
 from undeadzone_identify.results.model import (
     Predicted,
     Simulated,
@@ -49,8 +51,8 @@ WRITTEN = (
 
 UNWRITTEN = {
     "input_curve": "a curve of the input has no widths, and no inverse is written for it",
-    "input_rate": "a limit of the input's rate is no element of a scenario",
-    "stiction": "no observer holds a valve that sticks; its play alone would be another valve",
+    "input_rate": "a scenario has no limit of the input's rate",
+    "stiction": "no observer holds a valve that sticks. Its play alone would be another valve",
 }
 
 
@@ -357,7 +359,14 @@ class Identified(Spoken):
 
     def numbers(self) -> dict[str, Any]:
         """Return all numbers of the answer, as `--json` prints."""
-        return dict(to_json_value(answer_numbers(self.answer, self.account)))
+        numbers = answer_numbers(self.answer, self.account)
+        return dict(to_json_value(numbers | self._lines(numbers)))
+
+    def _lines(self, numbers: dict[str, Any]) -> dict[str, Any]:
+        """Return the errors without and with the few lines that compensate what is named."""
+        if not self.account.is_certain:
+            return {"lines": None}
+        return {"lines": measure_lines(numbers, self.answer, command_along(self.answer))}
 
     def summary(self) -> dict[str, Any]:
         """Return the answer in words, as the command prints."""
@@ -371,15 +380,10 @@ def _simulate_states(simulator: PlantSimulator, theta: Floats) -> Floats:
     layout = simulator.layout
     data = simulator.data
     F, B, _ = observer_matrices(theta[layout.denominator], theta[layout.numerators], layout)
-    drive = data.u @ B.T
     x0 = theta[layout.x0].reshape(layout.records, layout.n)
-    x = np.empty((data.y.size, layout.n))
-    for part, state in zip(data.record_slices(), x0, strict=True):
-        now = state
-        for t in range(part.start, part.stop):
-            x[t] = now
-            now = F @ now + drive[t]
-    return x
+    system = (F, B, np.eye(layout.n), np.zeros(B.shape), 1.0)
+    parts = zip(data.record_slices(), x0, strict=True)
+    return np.vstack([dlsim(system, data.u[part], x0=state)[2] for part, state in parts])
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)

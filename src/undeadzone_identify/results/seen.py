@@ -34,6 +34,7 @@ FLAT = (  # effects of a name that a flat part of the map shows as well
     "friction",
 )
 EDGES = {"left": "lower", "right": "upper"}
+INPUT_LOSS = {"loss", "input threshold"}  # effects of a map that shows a band of the input
 
 
 def account_of_looks(log: Log, looks: Looks) -> Account | None:
@@ -56,7 +57,7 @@ def account_of_looks(log: Log, looks: Looks) -> Account | None:
         return Account(_grade(looks.valley), effects, "least readings of sweeps up and down", units)
     if looks.at_rest is not None:
         return _account_of_map(looks.at_rest, "map at rest", units)
-    if looks.of_rate is not None:
+    if looks.of_rate is not None and looks.of_rate.flats:  # its bound is one of the steady rate
         return _account_of_map(looks.of_rate, "map of the rate at rest", units)
     return None
 
@@ -118,6 +119,12 @@ def needs_no_plant(seen: Account, looks: Looks) -> bool:
     return seen.grade in (MEASURED, INDICATED) or one.rows.how == "table"
 
 
+def rests_in_holds(looks: Looks) -> bool:
+    """Return whether a flat part is seen while the command stays at each of its levels."""
+    one = looks.at_rest
+    return one is not None and bool(one.flats) and one.rows.how == "holds"
+
+
 def choose_account(
     fitted: Account, seen: Account | None, looks: Looks, knows_the_end: Callable[[], bool]
 ) -> Account:
@@ -133,7 +140,8 @@ def choose_account(
     named = fitted.effects.keys() if fitted.grade == NAMED else set()
     is_seen = seen is not None and bool(seen.effects)
     is_seen &= seen is not None and (seen.grade == MEASURED or fitted.grade in (OPEN, BOUNDED))
-    if seen is not None and is_seen and not (named & {*FLAT} and knows_the_end()):
+    is_flat = named & {*FLAT} and knows_the_end() and not _contradicts(fitted, seen)
+    if seen is not None and is_seen and not is_flat:
         others = {key: one for key, one in fitted.effects.items() if key not in seen.effects}
         return seen._replace(others=others | fitted.others)
     if seen is not None and fitted.grade == OPEN and seen.grade == BOUNDED:
@@ -143,3 +151,16 @@ def choose_account(
     for effect, bound in fitted.limits.items():
         limits[effect] = max(bound, still.get(EFFECTS[effect].end, 0.0))
     return fitted._replace(limits=limits)
+
+
+def _contradicts(fitted: Account, seen: Account | None) -> bool:
+    """Return whether a band of the input is wider or narrower by its fit than in a map."""
+    band = INPUT_LOSS & (seen.effects.keys() if seen is not None else set())
+    own = fitted.effects.get("input loss", {}).get("width")
+    if own is None or seen is None or not band:
+        return False
+    edges = seen.effects[band.pop()]
+    if len(edges) < len(EDGES):
+        return False
+    low, high = edges["lower"], edges["upper"]
+    return own.high < high.low - low.high or own.low > high.high - low.low

@@ -20,6 +20,7 @@ from undeadzone_identify.results.account import (
     INDICATED,
     NAMED,
     OPEN,
+    SHOWS,
     Account,
     Buys,
     Numbers,
@@ -39,6 +40,7 @@ from undeadzone_identify.selection.decision import MEMORY, VALVE
 from undeadzone_identify.selection.lost_motion import LostMotionAnswer
 
 DYNAMICS = "plant and nonlinearity, fitted together"
+NO_BETTER = "a straight plant simulates held-out readings about as well"
 BOTH_POSITIONS = "one position along the other"
 EFFECT_OF = {  # words of the verdict
     "dead_zone": "output loss",
@@ -84,8 +86,6 @@ SIZES = ("width", "gap", "level")
 OTHERS = 2  # effects that are printed beside the first
 LOSS = "output loss"
 CLOSE = 1.05  # of the rms, up to which a zone of the input simulates as well as one of the sensor
-SURE, LESS, SHOWS = 3.0, 0.9, 0.75  # deviations and share of the straight plant's rms, or a share
-# alone, below which an effect is worth a number
 EXPLAINED = 0.5  # share of the held-out readings, from which a straight plant bounds an effect
 
 
@@ -120,6 +120,8 @@ def account_of_answer(answer: Answer) -> Account:
     limits = {} if effects else _find_limits(answer)
     buys = _buys_of_word(answer) if answer.servo is None else None
     unmet = answer.case.unreached
+    if buys is not None and answer.found.valve is None and not buys.is_worth:
+        return Account(INDICATED, effects, DYNAMICS, units, buys, doubts=(NO_BETTER,), unmet=unmet)
     return Account(
         NAMED, effects, DYNAMICS, units, buys, unmet=unmet, limits=limits, name=NAMES[word]
     )
@@ -297,7 +299,8 @@ def _account_of_fits(answer: Answer, units: tuple[str, str]) -> Account:
         there = None if word in answer.found.denied else _compare(answer, word)
         if there is not None and _is_comparable(there[0], line):
             rows.append(there[0])
-    rows = sorted(filter(lambda one: _is_worth(one, line), rows), key=lambda one: one.rms)
+    worth = [one for one in rows if one.compare_to(line, test, answer.scale).is_worth]
+    rows = sorted(worth, key=lambda one: one.rms)
     positive = [one for one in rows if one.is_positive]
     if not positive:
         return _bound(answer, units, line, test)
@@ -318,12 +321,6 @@ def _is_comparable(one: Compared, line: Compared) -> bool:
     """Return whether a model has the readings of the straight plant, and one element alone."""
     is_single = getattr(one.fit.model, "shape", None) is not limited_zone_map
     return is_single and one.has_readings_of(line)
-
-
-def _is_worth(one: Compared, line: Compared) -> bool:
-    """Return whether a model simulates held-out data so much better that its number counts."""
-    is_sure = one.deviations_before(line) > SURE and one.rms < LESS * line.rms
-    return is_sure or one.rms < SHOWS * line.rms
 
 
 def _bound(answer: Answer, units: tuple[str, str], line: Compared, test: Flags) -> Account:

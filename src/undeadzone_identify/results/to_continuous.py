@@ -49,40 +49,19 @@ def to_continuous_plant(a: Floats, b: Floats, layout: Layout, step: float) -> Ma
         A, B, C = undo_zoh(sampled, step)
     except InputError as error:
         raise InputError(f"{error}. Try another --order, or sample faster") from None
-    polynomial = _characteristic_polynomial(A, layout.integrators)
-    if layout.m == 1:
-        return _controller_companion(A, B, C, polynomial)
-    return _observer_companion(A, B, C, polynomial)
-
-
-def _characteristic_polynomial(A: Floats, integrators: int) -> Floats:
-    """Return the characteristic polynomial, highest power first; its integrators exact."""
-    polynomial = np.real(np.poly(A))
-    if integrators:
-        polynomial[-integrators:] = 0.0
-    return polynomial
-
-
-def _controller_companion(A: Floats, B: Floats, C: Floats, polynomial: Floats) -> Matrices:
-    """Return A with -alpha in the last row, B = [0 ... 0 g], C = numerator over g."""
-    n = A.shape[0]
-    markov = [float((C @ np.linalg.matrix_power(A, k) @ B)[0, 0]) for k in range(n)]
-    numerator = np.convolve(polynomial, markov)[:n][::-1]  # lowest power first
+    n = layout.n
+    polynomial = np.real(np.poly(A))  # highest power first
+    polynomial[n + 1 - layout.integrators :] = 0.0
+    # Of the free motion z, z', ...; times B, the Markov parameters.
+    T = np.vstack([C @ np.linalg.matrix_power(A, k) for k in range(n)])
+    if layout.m > 1:
+        return companion_form(polynomial[:0:-1])._replace(B=T @ B, C=np.eye(1, n))
+    numerator = np.convolve(polynomial, (T @ B)[:, 0])[:n][::-1]  # lowest power first
     rates = np.abs(np.roots(polynomial)).max()
     reach = np.abs(numerator) * rates ** np.arange(n)
     scale = numerator[0] if abs(numerator[0]) > SMALL * reach.max() else 1.0
     form = companion_form(polynomial[:0:-1], numerator / scale)
     return form._replace(B=np.where(form.B > 0, scale, 0.0))
-
-
-def _observer_companion(A: Floats, B: Floats, C: Floats, polynomial: Floats) -> Matrices:
-    """Return the plant in the states z, z', ... of the free motion:
-
-    A companion, C = [1 0 ... 0].
-    """
-    n = A.shape[0]
-    T = np.vstack([C @ np.linalg.matrix_power(A, k) for k in range(n)])
-    return companion_form(polynomial[:0:-1])._replace(B=T @ B, C=np.eye(1, n))
 
 
 def continuous_with_spread(
@@ -102,8 +81,8 @@ def continuous_with_spread(
     """
     plant = to_continuous_plant(a, b, layout, step)
     values, vectors = np.linalg.eigh(0.5 * (V + V.T))
-    variance_A = np.zeros_like(plant.A)
-    variance_B = np.zeros_like(plant.B)
+    entries = np.hstack(plant[:2])
+    variance = np.zeros(entries.shape)
     for value, vector in zip(values, vectors.T, strict=True):
         if value <= 0:
             continue
@@ -112,16 +91,7 @@ def continuous_with_spread(
             moved = to_continuous_plant(a + move[: a.size], b + move[a.size :], layout, step)
         except InputError:
             continue
-        variance_A += ((moved.A - plant.A) / 0.05) ** 2
-        variance_B += ((moved.B - plant.B) / 0.05) ** 2
-    return (
-        plant,
-        _relative_deviations(variance_A, plant.A),
-        _relative_deviations(variance_B, plant.B),
-    )
-
-
-def _relative_deviations(variance: Floats, entries: Floats) -> Floats:
-    """Return standard deviations over entries [1]; 0 if an entry is 0."""
+        variance += ((np.hstack(moved[:2]) - entries) / 0.05) ** 2
     size = np.abs(entries)
-    return np.where(size > 0, np.sqrt(variance) / np.maximum(size, 1e-300), 0.0)
+    spread = np.divide(np.sqrt(variance), size, out=np.zeros(size.shape), where=size > 0)
+    return plant, spread[:, : layout.n], spread[:, layout.n :]

@@ -31,9 +31,8 @@ from undeadzone_identify.results.formats import describe_ends
 from undeadzone_identify.results.to_continuous import continuous_with_spread
 from undeadzone_identify.selection.alternatives import UNSEEN, Element
 from undeadzone_identify.selection.decision import MEMORY
-from undeadzone_identify.servo.gap import ServoGap
+from undeadzone_identify.selection.widths import SIDES
 
-SIDES = ("right", "left")
 REPEATED = 0.02  # of the noise: of coarser steps one reading in 200 repeats the one before
 FINEST = 1e-6  # rms of y: noise that is told is no smaller, where there is any
 # tolerance of an entry
@@ -61,6 +60,7 @@ def scenario_text(answers: Sequence[Answer], title: str) -> str:
     first = answers[0]
     plant = _join_plants(plants)
     step = first.case.grid.step
+    frequency = _reference_frequency(first, plant.A)
     driven = plant.B.shape[1] >= len(answers)
     words: dict[str, Any] = {
         "title": json.dumps(title, ensure_ascii=False),
@@ -76,19 +76,19 @@ def scenario_text(answers: Sequence[Answer], title: str) -> str:
         "range": _range_field(answers),
         "driven": driven,
         "amplitude": _toml_numbers(np.quantile(np.abs(one.z_from_rest), 0.98) for one in answers),
-        "frequency": _to_toml(_reference_frequency(first, plant.A)),
+        "frequency": _to_toml(frequency),
         **_disturbance_fields(answers),
         "tolerance": _tolerance_table(
             block_diag(*spreads_A), np.vstack(spreads_B), first.verdict == "input_play"
         ),
-        "duration": _to_toml(_run_duration(answers, plant.A)),
+        "duration": _to_toml(_run_duration(step, frequency)),
         "step": repr(float(f"{step:.12g}")),
         "output": _toml_text(first.case.grid.output_unit),
         "input": _toml_text(first.case.grid.input_unit),
     }
     remarks = list(dict.fromkeys(itertools.chain(*[answer.remarks for answer in answers])))
     if not driven:
-        remarks.append("fewer inputs than outputs: no controller follows references; for logs only")
+        remarks.append("fewer inputs than outputs: no controller follows references: for logs only")
     words["cautions"] = "".join(f"# {escape_controls(remark)}\n" for remark in remarks)
     template = files("undeadzone_identify.results").joinpath("scenario.toml")
     return fill_words(template.read_text(encoding="utf-8"), words)
@@ -103,13 +103,12 @@ def _point_fields(answers: Sequence[Answer]) -> dict[str, str]:
     points = [one.at_rest or (0.0, 0.0) for one in answers]
     if not np.any(points):
         return {"rest_output": ""}
-    first, *others = (u for u, _ in points)
-    for other in others:
-        if other != first:
-            raise InputError(
-                f"scenario: one output is at rest under an input of {first:.6g}, another under"
-                f" {other:.6g}. Identify each alone: a scenario has one operating point"
-            )
+    first, *others = dict.fromkeys(u for u, _ in points)
+    if others:
+        raise InputError(
+            f"scenario: one output is at rest under an input of {first:.6g}, another under"
+            f" {others[0]:.6g}. Identify each alone: a scenario has one operating point"
+        )
     inputs = [first] + [0.0] * (answers[0].case.grid.u.shape[1] - 1)
     return {"rest_input": f"{inputs}", "rest_output": f"{[output for _, output in points]}"}
 
@@ -121,29 +120,28 @@ def _zone_fields(answers: Sequence[Answer]) -> dict[str, str]:
         InputError: a width that no scenario has.
     """
     first = answers[0]
-    none = ("", "")
+    fields = dict.fromkeys(("sensor", "told_sensor", "actuator", "told_actuator"), "")
     if first.verdict == "input_play":
-        empty = dict.fromkeys(("sensor", "told_sensor", "told_actuator"), "")
-        return empty | {"actuator": _gap_of_actuator(first)}
-    own = _width_lines(list(map(_require_edges, answers))), _prior_range_lines(answers)
-    sensor, actuator = (none, own) if first.verdict == "input_zone" else (own, none)
+        return fields | {"actuator": _gap_of_actuator(first)}
+    place = "actuator" if first.verdict == "input_zone" else "sensor"
+    fields[place] = _width_lines([_require_edges(answer) for answer in answers])
+    fields[f"told_{place}"] = _prior_range_lines(answers)
     if first.verdict == "input_zone" and first.at_rest is not None:
-        lines, ranges = actuator
         ends = describe_ends(first.case.grid.zero or 0.0, *reversed(_require_edges(first)))
-        actuator = f"{lines}\n# {ends}", ranges
+        fields[place] += f"\n# {ends}"
     if first.element is not None and first.element.input:
         right, left = (first.element.input[side] for side in SIDES)
         prior = [[prior_element_range(first.element, edge)] for edge in (right, left)]
-        actuator = _width_lines([_require_nonnegative(first, right, left)]), _range_lines(prior)
-    names = ("sensor", "told_sensor", "actuator", "told_actuator")
-    return dict(zip(names, (*sensor, *actuator), strict=True))
+        fields["actuator"] = _width_lines([_require_nonnegative(first, right, left)])
+        fields["told_actuator"] = _range_lines(prior)
+    return fields
 
 
 def _gap_of_actuator(answer: Answer) -> str:
     """Return the lines of an actuator's play. Raise InputError without its gap or its plant."""
     gap = answer.width
     if gap is None or answer.element is None:
-        raise InputError("scenario: no plant that settles fits behind the play; record longer")
+        raise InputError("scenario: no plant that settles fits behind the play. Record longer")
     half = _to_toml(gap.value / 2)
     first_line = (
         f"right = {half}  # gap {gap.value:.6g}, 95 %: {_interval_remark([gap])}; even sides"
@@ -160,16 +158,14 @@ def _shape_fields(answers: Sequence[Answer]) -> dict[str, str]:
     shapes = [answer.shape for answer in answers if answer.shape is not None]
     if len(shapes) < len(answers):
         return dict.fromkeys(("rounding", "slope_std", "lag"), "")
-    values = {
-        "rounding": [(one.rounding, 0.0) for one in shapes],
-        "slope_std": [(one.slope, 1.0) for one in shapes],
-        "lag": [(one.lag, 0.0) for one in shapes],
-    }
-    fields = dict.fromkeys(values, "")
-    for name, rows in values.items():
-        stds = [math.hypot(one.value - usual, one.half_width / 2) for one, usual in rows]
-        if all(map(math.isfinite, stds)):
-            fields[name] = _toml_numbers(stds)
+    fields = {}
+    # The fields of a shape: rounding, slope, lag.
+    names = zip(
+        ("rounding", "slope_std", "lag"), (0.0, 1.0, 0.0), zip(*shapes, strict=True), strict=True
+    )
+    for name, usual, own in names:
+        stds = [math.hypot(one.value - usual, one.half_width / 2) for one in own]
+        fields[name] = bool(np.isfinite(stds).all()) * _toml_numbers(stds)
     return fields
 
 
@@ -225,8 +221,10 @@ def _plant_with_spread(answer: Answer) -> tuple[Matrices, Floats, Floats]:
 
 def _common_delay(answers: Sequence[Answer]) -> int:
     """Return the samples of the plant's delay, not its recording's. Raise InputError."""
-    found = (one.found.delay * (one.case.options.delay == "auto") for one in answers)
-    late = {one.case.options.recorded_delay + own for one, own in zip(answers, found, strict=True)}
+    late = set()
+    for one in answers:
+        found = one.found.delay * (one.case.options.delay == "auto")
+        late.add(one.case.options.recorded_delay + found)
     if len(late) > 1:
         raise InputError(
             f"scenario: inputs act {min(late)} to {max(late)} samples late on different outputs,"
@@ -237,11 +235,8 @@ def _common_delay(answers: Sequence[Answer]) -> int:
 
 def _join_plants(plants: Sequence[Matrices]) -> Matrices:
     """Join plants side by side, with the same inputs."""
-    return Matrices(
-        block_diag(*[plant.A for plant in plants]),
-        np.vstack([plant.B for plant in plants]),
-        block_diag(*[plant.C for plant in plants]),
-    )
+    A, B, C = zip(*plants, strict=True)
+    return Matrices(block_diag(*A), np.vstack(B), block_diag(*C))
 
 
 def _toml_numbers(values: Iterable[Any]) -> str:
@@ -252,22 +247,17 @@ def _toml_numbers(values: Iterable[Any]) -> str:
 def _interval_remark(edges: Sequence[Interval]) -> str:
     """Return the 95 % intervals of all outputs, for a remark."""
     if all(edge.low == edge.high for edge in edges):
-        return "none: it is known, or so far away that it is no edge"
+        return "none: it is known, or so far away that no reading lies beyond it"
     return "; ".join(f"{edge.low:.6g} to {edge.high:.6g}" for edge in edges)
 
 
 def _require_edges(answer: Answer) -> tuple[Interval, Interval]:
     """Return both widths. Raise InputError if a width is unknown."""
-    right = answer.right
-    left = answer.left
+    pair = (answer.right, answer.left)
     if answer.element is not None and answer.element.edges is not None:
-        right, left = answer.element.edges
-    absent = absent_edges(answer.case)
-    far = Interval(*[FAR_EDGE * answer.scale] * 3)
-    if right is None and "right" in absent:
-        right = far
-    if left is None and "left" in absent:
-        left = far
+        pair = answer.element.edges
+    far = dict.fromkeys(absent_edges(answer.case), Interval(*[FAR_EDGE * answer.scale] * 3))
+    right, left = (edge or far.get(side) for side, edge in zip(SIDES, pair, strict=True))
     if right is None or left is None:
         raise InputError("scenario: both widths must be known")
     return _require_nonnegative(answer, right, left)
@@ -277,7 +267,8 @@ def _require_nonnegative(
     answer: Answer, right: Interval, left: Interval
 ) -> tuple[Interval, Interval]:
     """Return widths that a scenario may have. Raise InputError."""
-    for name, edge in (("right", right), ("left", left)):
+    edges = {"right": right, "left": left}
+    for name, edge in edges.items():
         if not math.isfinite(edge.value):
             raise InputError(
                 f"scenario: the {name} edge is never reached in the log. Give it by --{name}"
@@ -355,11 +346,9 @@ def _rate_of_output(answer: Answer) -> float:
     return float(np.std(np.diff(answer.z))) / (grid.step * around) if around else 0.02 / grid.step
 
 
-def _run_duration(answers: Sequence[Answer], A: Floats) -> float:
+def _run_duration(step: float, frequency: float) -> float:
     """Return a whole number of steps with 20 periods of the reference, 20,000 at most [s]."""
-    step = answers[0].case.grid.step
-    periods = 20 / _reference_frequency(answers[0], A)
-    return float(f"{step * math.ceil(min(periods / step, 20000)):.12g}")
+    return float(f"{step * math.ceil(min(20 / frequency / step, 20000)):.12g}")
 
 
 def _disturbance_fields(answers: Sequence[Answer]) -> dict[str, str]:
@@ -379,20 +368,20 @@ def _disturbance_prior(answer: Answer) -> tuple[float, float] | None:
     step = answer.case.grid.step
     kalman = answer.found.kalman
     data = answer.fit.objective.data
-    if answer.element is not None and isinstance(answer.element.fit, ServoGap):
-        return answer.element.fit.motor_disturbance
+    if answer.servo is not None:
+        return answer.servo.motor_disturbance
     if answer.element is not None:
         return _element_disturbance_prior(answer.element, step, float(data.u_scale[0]))
     if not kalman:
         return (0.0, 0.5 * step) if answer.chosen.white else None
     best = kalman[0]
     phi = best.disturbance_memory
-    rms = best.driving_rms / math.sqrt(1 - phi * phi) * float(data.u_scale[0])
+    rms = best.driving_rms / math.sqrt(1 - phi * phi)
+    scale = float(data.u_scale[0])
     if best.model == AT_OUTPUT:
         layout, a, b, _ = answer.plant_numbers
-        at_z = best.driving_rms / math.sqrt(1 - phi * phi) * answer.scale
-        rms = at_z / math.sqrt(input_noise_gain(a, b[: layout.n], layout.n, phi))
-    return rms, _correlation_time(phi, step)
+        scale = answer.scale / math.sqrt(input_noise_gain(a, b[: layout.n], layout.n, phi))
+    return rms * scale, _correlation_time(phi, step)
 
 
 def _correlation_time(phi: float, step: float) -> float:

@@ -18,6 +18,7 @@ from undeadzone_identify.models.shape import SensorShape
 from undeadzone_identify.results.account import Account
 from undeadzone_identify.results.assemble import Answer
 from undeadzone_identify.results.formats import describe_ends, describe_interval, unit_suffix
+from undeadzone_identify.results.lines import rest_noise
 from undeadzone_identify.results.loop_words import loop_numbers, shape_in_words
 from undeadzone_identify.selection.decision import MODELS
 from undeadzone_identify.selection.odds import nats_behind_best
@@ -190,6 +191,7 @@ def answer_numbers(answer: Answer, account: Account) -> dict[str, Any]:
             "records": int(grid.start.size),
             "step": grid.step,
             "quantum": grid.quantum,
+            "rest_noise": rest_noise(answer),
         },
         "input_zero": grid.zero,
         "output_zero": answer.case.options.zero or None,
@@ -243,7 +245,8 @@ def summarise_answer(answer: Answer, account: Account) -> dict[str, Any]:
 
 def _describe_shape(shape: SensorShape, unit: str) -> str:
     """Describe rounding, slopes and lag of a sensor."""
-    rounding, slope = describe_interval(shape.rounding, unit), describe_interval(shape.slope, "")
+    rounding = describe_interval(shape.rounding, unit)
+    slope = describe_interval(shape.slope, "")
     lag = describe_interval(shape.lag, " s")
     return f"edges round over {rounding}; slope of the left side over the right {slope}; lag {lag}"
 

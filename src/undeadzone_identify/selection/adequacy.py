@@ -17,11 +17,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial.hermite_e import hermegauss
-from scipy.signal import lfilter
 
 from undeadzone.util.arrays import Flags, Floats, rows_since_start, shift_rows
 from undeadzone_identify.models import least_squares
-from undeadzone_identify.models.chain import ChainModel, limit_rates
+from undeadzone_identify.models.chain import ChainModel, lag_columns, limit_rates
 from undeadzone_identify.models.least_squares import (
     CHANCE,
     LEAST_ODD,
@@ -46,9 +45,9 @@ AT_LEVELS = 16  # of the input, so that they show its steps
 RATES = (0.1, 0.25, 0.5, 1.0, 2.0)  # rms of a signal's changes, that its rate may be limited to
 BEHIND = 5  # lags of the readings
 WIDER = (1.0, 1.06, 1.12, 1.18)  # times a fitted jump: steps that may be behind it
-AHEAD = (1.0, 3.0, 8.0)  # time constants of a lag ahead of the input's element [samples]
+AHEAD = np.exp(-1 / np.array([1.0, 3.0, 8.0]))  # poles of a lag ahead of the input's element
 VANISHING = 1e-6  # of a column: one that the model's own numbers explain
-NONE_EXPLAINS = "none of the known models explains this log"
+NONE_EXPLAINS = "no known model explains this log"
 SURE = 2.0  # deviations, from which a weight counts
 ALIKE = 1e-3  # of the largest singular value: columns that say the same
 DEPENDS = {
@@ -64,7 +63,7 @@ DEPENDS = {
     "rate of the input": "how fast the input changes",
     "rate of the output": "how fast the output changes",
     "time": "the time",
-    "steps": "where the output lies between equal steps",
+    "steps": "the place of the output between equal steps",
 }
 COARSE = {  # least share of models that are coarse themselves, by direction
     # It holds the plant by the sample, when it turns and where it rests.
@@ -73,31 +72,31 @@ COARSE = {  # least share of models that are coarse themselves, by direction
     "jump": dict.fromkeys(DEPENDS, 0.25) | {"behind": math.inf, "steps": 0.05},
 }
 SEEN = {
-    "input": "the input may act by a curve that is not known here; record steps to several levels"
+    "input": "the input may act by a curve that is not known here. Record steps to several levels"
     " of it, each held until the readings settle, and the curve can be read off",
-    "levels of the input": "the input may act in coarse steps, as behind a converter or a relay;"
-    " record what leaves it as the input",
-    "output": "the sensor may have a curve that is not known here; record slow ramps through its"
+    "levels of the input": "the input may act in coarse steps, as behind a converter or a relay."
+    " Record its output as the input",
+    "output": "the sensor may have a curve that is not known here. Record slow ramps through its"
     " whole range",
-    "turns of the input": "there may be play or sticking between the input and the plant; record"
+    "turns of the input": "there may be play or sticking between the input and the plant. Record"
     " slow triangles of the input, of several amplitudes",
-    "turns of the output": "there may be hysteresis behind the plant; record slow triangles of the"
+    "turns of the output": "there may be hysteresis behind the plant. Record slow triangles of the"
     " input, of several amplitudes",
-    "behind": "the sensor may smooth its readings; record them with its filter off",
-    "ahead": "a drive may delay the input ahead of its zone or curve; record what leaves"
-    " it as the input, or hold each level of the input until the readings settle",
+    "behind": "the sensor may smooth its readings. Record them with its filter off",
+    "ahead": "a drive may delay the input ahead of its zone or curve. Record its output as the "
+    "input, or hold each level of the input until the readings settle",
     "beside": "a part of the input may reach the plant beside its zone, or the zone may only be a"
-    " flatter piece of a curve; record steps to several levels of the input within and outside it,"
+    " flatter piece of a curve. Record steps to several levels of the input within and outside it,"
     " each held until the readings settle, and the curve can be read off",
-    "spring": "the plant may bend: a spring that stiffens, or an outlet whose flow is no line;"
-    " record with a smaller input",
-    "rate of the input": "the drive of the input may be limited in its rate; record with an input"
+    "spring": "the plant may bend: a spring that stiffens, or an outlet of nonlinear flow."
+    " Record with a smaller input",
+    "rate of the input": "the drive of the input may be limited in its rate. Record with an input"
     " that changes more slowly",
-    "rate of the output": "the sensor may be limited in its rate, or slower one way than the other;"
-    " record with an input that changes more slowly",
-    "steps": "the sensor may round its readings to coarse steps; record slow ramps through its"
+    "rate of the output": "the sensor may be limited in its rate, or slower one way than the other."
+    " Record with an input that changes more slowly",
+    "steps": "the sensor may round its readings to coarse steps. Record slow ramps through its"
     " whole range",
-    "time": "the plant or the sensor may drift; identify a shorter part of the log",
+    "time": "the plant or the sensor may drift. Identify a shorter part of the log",
 }
 
 
@@ -135,7 +134,7 @@ class Remainder(NamedTuple):
         """
         on = f"{DEPENDS[self.on]} ({100 * self.share:.0f} % of it, {describe_p_value(self.chance)})"
         seen = f"the residual of the best one, {model}, depends on {on}"
-        finding = f"{NONE_EXPLAINS}: {seen}; nothing is named"
+        finding = f"{NONE_EXPLAINS}: {seen}. Nothing is named"
         return finding, SEEN[self.on]
 
 
@@ -220,7 +219,9 @@ def _blurred_readings(fit: FittedModel[Model]) -> Floats:
     A disturbance rounds the corners of a zone or of limits in the mean. There is no column for a
     model whose edges are round, or whose residual is larger than that of a disturbance.
     """
-    model, z, rms = fit.model, fit.model.output(fit.theta), fit.density.rms
+    model = fit.model
+    z = fit.model.output(fit.theta)
+    rms = fit.density.rms
     if rms > BLURRED or (isinstance(model, ChainModel) and model.shaped):
         return np.empty((z.size, 0))
     nodes, weights = hermegauss(NODES)
@@ -269,17 +270,22 @@ def _left_over(own: Floats, columns: Floats) -> tuple[Floats, Floats]:
     if not kept.any():
         return left[:, kept], as_own[:, kept]
     basis, sizes, turn = np.linalg.svd(left[:, kept] / scale[kept], full_matrices=False)
-    most, root = sizes > ALIKE * sizes[0], math.sqrt(len(left))
+    most = sizes > ALIKE * sizes[0]
+    root = math.sqrt(len(left))
     return basis[:, most] * root, (as_own[:, kept] / scale[kept] @ turn.T / sizes)[:, most] * root
 
 
 def _directions(fit: FittedModel[Model]) -> dict[str, Floats]:
     """Return the traces of wrong models, by direction (N x K each)."""
-    model, theta = fit.model, fit.theta
-    data, z = model.simulator.data, model.output(theta)
+    model = fit.model
+    theta = fit.theta
+    data = model.simulator.data
+    z = model.output(theta)
     through_plant = model.simulator.respond_from_rest
-    read, u = model.noise_free_readings(z, theta), data.u[:, 0]
-    turn_u, turn_z = last_turn(u), last_turn(z)
+    read = model.noise_free_readings(z, theta)
+    u = data.u[:, 0]
+    turn_u = last_turn(u)
+    turn_z = last_turn(z)
     t = np.linspace(-1.0, 1.0, z.size)
     directions = {
         "input": through_plant(theta, hat_columns(u, AT_INPUT)),
@@ -301,7 +307,7 @@ def _directions(fit: FittedModel[Model]) -> dict[str, Floats]:
     if isinstance(model, ChainModel | PlaceModel):
         passed = model.pass_input(u, theta)
         if float(np.std(passed - u)) > 0:
-            behind = [model.pass_input(_lag_by(u, one), theta) - passed for one in AHEAD]
+            behind = [model.pass_input(lag_columns(u, pole), theta) - passed for pole in AHEAD]
             directions["ahead"] = through_plant(theta, np.column_stack(behind))
             if isinstance(model, PlaceModel):  # one column finds what the hats of the input share
                 directions["beside"] = through_plant(theta, u[:, None])
@@ -339,9 +345,3 @@ def _late_by_rate(signal: Floats) -> Floats:
     speed = np.abs(np.diff(signal, prepend=signal[0]))  # a lag that differs by direction
     late = limit_rates(signal, usual * np.array(RATES)) - signal[:, None]
     return np.column_stack([late, speed])
-
-
-def _lag_by(signal: Floats, samples: float) -> Floats:
-    """Return a signal behind a lag of first order (N)."""
-    keep = math.exp(-1 / samples)
-    return np.asarray(lfilter([1 - keep], [1.0, -keep], signal, zi=[keep * signal[0]])[0])

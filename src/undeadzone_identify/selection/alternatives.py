@@ -8,7 +8,7 @@ disturbs the plant, as long as u does not answer to it.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -32,7 +32,7 @@ from undeadzone_identify.models.least_squares import (
     LeastSquares,
 )
 from undeadzone_identify.models.likelihood import root_mean_square
-from undeadzone_identify.models.measured import Measured, measure_fit
+from undeadzone_identify.models.measured import measure_fit
 from undeadzone_identify.models.motion import white_noise_rms
 from undeadzone_identify.models.place import (
     PlaceFit,
@@ -110,11 +110,11 @@ STORED = 3.0  # quanta of the readings, from which the least change is none of r
 AT_ONCE_POLE = math.exp(-1)  # of a sampled plant, whose time constant is a sample
 SAME_AT_ONCE = (
     f"{CANNOT_TELL} friction from a play of twice its level: the readings follow within a sample,"
-    " and then both are the same; if you know that it is a play, use --kind play"
+    " and then both are the same. If you know that it is a play, use --kind play"
 )
 BEYOND, LEAST_BEYOND = 3.0, 0.05  # rms beyond limits, over that of white noise, and over y's
 PASSES_LIMITS = (
-    f"{NONE_EXPLAINS}: readings exceed the fitted limits of the saturation; record slow ramps"
+    f"{NONE_EXPLAINS}: readings exceed the fitted limits of the saturation. Record slow ramps"
     " through the whole range"
 )
 ON_EACH = 0.05  # of the readings, that each of two levels has at least
@@ -181,6 +181,11 @@ class Element(NamedTuple):
     level: float = 0.0
 
     @property
+    def servo(self) -> ServoGap | None:
+        """Return the servo behind a play; None if the element is not a servo."""
+        return self.fit if isinstance(self.fit, ServoGap) else None
+
+    @property
     def is_at_rest(self) -> bool:
         """Return whether only white noise shows of the disturbance of such a model."""
         return self.kind in OF_THEIR_OWN and (
@@ -193,18 +198,6 @@ class Element(NamedTuple):
         return self.rms if self.ahead is None else self.ahead.rms
 
 
-class PlayFits(NamedTuple):
-    """Fits of a play, and of a play with a dead zone, as far as available.
-
-    Attributes:
-        fits: by the verdict's word, play or both.
-        whole: all records.
-    """
-
-    fits: dict[str, PlayFit]
-    whole: plant.RecordData
-
-
 class Findings(NamedTuple):
     """Findings on a case so far.
 
@@ -213,7 +206,7 @@ class Findings(NamedTuple):
         delay: samples by which the input acts late; of a play in the records as they are none.
         models: every model that was fitted, those of the same readings together.
         odds: by the verdict's words, largest first.
-        plays: with a memory; None: not looked for.
+        plays: with a memory by word, play or both; None: none was found.
         places: models of the zone's place by word; empty if that was not asked.
         chains: models of the input's curve or play, and of a filter, by word.
         shaped: a zone with slopes of its sides, round edges and a lag; None: not fitted.
@@ -229,7 +222,7 @@ class Findings(NamedTuple):
     delay: int
     models: tuple[Family, ...]
     odds: dict[str, float]
-    plays: PlayFits | None = None
+    plays: dict[str, PlayFit] | None = None
     places: dict[str, PlaceFit] = {}
     chains: dict[str, ChainFit] = {}
     shaped: ChainFit | None = None
@@ -249,14 +242,17 @@ class Findings(NamedTuple):
         found = self._replace(models=every, odds=odds)
         return found._replace(verdict=found.classify(case))
 
+    def without_name(self, word: str, *reasons: str) -> Findings:
+        """Return the findings with a verdict that withholds the name, for these reasons."""
+        return self._replace(verdict=build_verdict(word, *reasons), element=None, odds={})
+
     def classify(self, case: Case) -> Verdict:
         """Return the verdict by the odds.
 
         Args:
             case: the log.
         """
-        plays = {} if self.plays is None else self.plays.fits
-        fits = dict(self.places) | dict(self.chains) | dict(plays)
+        fits = dict(self.places) | dict(self.chains) | dict(self.plays or {})
         return classify_by_probabilities(case, self.odds, self.models, fits)
 
 
@@ -328,11 +324,11 @@ def add_play(case: Case, found: Findings) -> Findings:
         return found
     late = case.options.delay == "auto" and case.fitted.delay  # a play is late, so it may be one
     logs = [case.recorded, case.record_data] if late else [case.record_data]
-    plays = [PlayFits(_fit_plays(case, data), data) for data in logs]
-    best = min(plays, key=lambda one: min((fit.bic for fit in one.fits.values()), default=math.inf))
-    if not best.fits:
+    plays = [_fit_plays(case, data) for data in logs]
+    best = min(plays, key=lambda fits: min((fit.bic for fit in fits.values()), default=math.inf))
+    if not best:
         return found
-    models = {"none": case.rivals["none"]} | {word: fit.density for word, fit in best.fits.items()}
+    models = {"none": case.rivals["none"]} | {word: fit.density for word, fit in best.items()}
     return found._replace(plays=best).add_models(case, models)
 
 
@@ -380,26 +376,23 @@ def add_play_gap(case: Case, found: Findings) -> Findings:
         found: named a play, or both.
     """
     assert found.plays is not None
-    fit, whole = found.plays.fits[found.verdict.word], found.plays.whole
+    fit = found.plays[found.verdict.word]
+    whole = _records_of(case, fit)
     gap = find_play_gap(fit, case.quantum, detect_feedback(case).is_closed)
     case.advance(1)
     names = ("width", "zone") if fit.model.zone else ("width",)
-    if not all(is_surely_positive(gap.intervals[name]) for name in names):
+    shown = [gap.intervals[name] for name in names]
+    if not all(one.low > 0 and one.value > LEAST_GAP for one in shown):
         if not (fit.model.zone or gap.sure):
             assert gap.ahead is not None
             reason = _describe_hidden_gap(gap.ahead.rms * whole.y_scale)
-            return found._replace(verdict=build_verdict("undecided", reason), odds={})
+            return found.without_name("undecided", reason)
         smaller = {"both"} if fit.model.zone else set(MEMORY)
         found = found.add_models(case, without=smaller)
         return add_play_gap(case, found) if found.verdict.word in MEMORY else found
     element = build_play_element(gap, whole, case.offset_prior)
     delay = case.fitted.delay if whole is case.record_data else 0
     return found._replace(element=element, delay=delay)
-
-
-def is_surely_positive(interval: Interval) -> bool:
-    """Return whether a gap is above 0 with certainty, and large enough to matter."""
-    return interval.low > 0 and interval.value > LEAST_GAP
 
 
 # --- A play, and perhaps a dead zone after it
@@ -428,9 +421,17 @@ def build_play_element(gap: PlayGap, whole: plant.RecordData, offset: float | No
     if gap.ahead is not None and not gap.sure:
         element.remarks.append(_describe_hidden_gap(gap.ahead.rms * whole.y_scale))
     elif model.zone:
-        element = _add_zone_widths(element, gap, whole.y_scale)
+        shown = {name: interval.scale_by(whole.y_scale) for name, interval in gap.intervals.items()}
+        element = element._replace(
+            widths=element.widths | {"width": shown["width"]},
+            zone=shown["zone"],
+            edges=(shown["zone_right"], shown["zone_left"]),
+            remarks=["of both centres only the sum shows"],
+        )
     else:
-        element = element._replace(widths=_play_widths(gap, offset))
+        widths = _intervals_with_offset(gap.intervals, whole.y_scale, offset)
+        known = widths | {"centre": None} if model.tied else widths
+        element = element._replace(widths=dict(known))
     if model.simulator.layout.integrators:
         element.remarks.append(f"z of an integrating plant has no zero of its own: {EVEN}")
     return element
@@ -442,7 +443,8 @@ def _extend_to_records(
     """Return the model of a fit and its parameters for all records; at rest at first if a part was
     fitted.
     """
-    old, model = fit.model, fit.model.along(whole)
+    old = fit.model
+    model = fit.model.along(whole)
     if old.simulator.data.y.size == whole.y.size:
         return model, theta
     return model, model.simulator.layout.at_rest(old.simulator.layout, theta)
@@ -452,33 +454,8 @@ def _describe_hidden_gap(rms: float) -> str:
     """Return the remark that a disturbance of a given rms ahead of a play hides its gap [y]."""
     return (
         f"a disturbance of rms {rms:.3g} moves z ahead of the play, and turns that no input"
-        " made hide the gap: no width is given; record with a larger input"
+        " made hide the gap: no width is given. Record with a larger input"
     )
-
-
-def _add_zone_widths(element: Element, gap: PlayGap, scale: float) -> Element:
-    """Return the element with the widths of a play and of the dead zone after it."""
-    shown = {name: interval.scale_by(scale) for name, interval in gap.intervals.items()}
-    return element._replace(
-        widths=element.widths | {"width": shown["width"]},
-        zone=shown["zone"],
-        edges=(shown["zone_right"], shown["zone_left"]),
-        remarks=["of both centres only the sum shows"],
-    )
-
-
-def _play_widths(gap: PlayGap, offset: float | None) -> dict[str, Interval | None]:
-    """Return the play's widths [y]; an output offset widens its sides and its centre."""
-    shown: dict[str, Interval | None] = {}
-    for name, row in DIRECTIONS.items():
-        interval = gap.intervals[name]
-        half = widen_by_offset(interval.half_width, row, offset)
-        shown[name] = Interval.from_half_width(interval.value, half).scale_by(
-            gap.fit.model.data.y_scale
-        )
-    if gap.fit.model.tied:
-        shown["centre"] = None
-    return shown
 
 
 # --- Readings that are stored only on change, or those of a switch
@@ -498,14 +475,13 @@ def withhold_hidden_readings(case: Case, found: Findings) -> Findings:
     """
     seen = (
         f"the readings repeat, and else move by {find_stored_step(case):.3g} or more: a recorder"
-        " that stores changes only, or something that sticks; nothing is named"
+        " that stores changes only, or something that sticks. Nothing is named"
     )
     cure = "record every sample, with the dead band (exception, compression) of the recorder at 0"
     if is_switch(case):
-        seen = "the readings have two levels alone, as those of a switch; nothing is named"
-        cure = "record what the switch measures, with a sensor that reads it in between"
-    verdict = build_verdict("unclear", seen, cure)
-    return found._replace(verdict=verdict, odds={}, element=None, valve=None, friction=None)
+        seen = "the readings have two levels alone, as those of a switch. Nothing is named"
+        cure = "record the signal ahead of the switch, with a sensor that reads it in between"
+    return found.without_name("unclear", seen, cure)._replace(valve=None, friction=None)
 
 
 def is_switch(case: Case) -> bool:
@@ -519,7 +495,8 @@ def _has_two_levels(values: Floats) -> bool:
     above = values > (values.min() + values.max()) / 2
     if not ON_EACH < above.mean() < 1 - ON_EACH:
         return False
-    high, low = np.median(values[above]), np.median(values[~above])
+    high = np.median(values[above])
+    low = np.median(values[~above])
     away = np.abs(values - np.where(above, high, low))
     spread = float(np.median(away))
     return spread < SPREAD * (high - low) and bool(np.mean(away > FAR_AWAY * spread) < BETWEEN)
@@ -548,9 +525,11 @@ def _measure_input_zone(
     case: Case, fit: FittedModel[Any], misfits: Sequence[Floats]
 ) -> tuple[dict[str, Interval], float]:
     """Return the widths of the input's zone [u], and their least degrees of freedom."""
-    data, model = fit.model.simulator.data, fit.model
+    data = fit.model.simulator.data
+    model = fit.model
     measured = measure_fit(fit, misfits, lambda theta: model.part_numbers(theta, "input"))
-    u, scale = data.u[:, 0], float(data.u_scale[0])
+    u = data.u[:, 0]
+    scale = float(data.u_scale[0])
     passed = model.pass_input(u, fit.theta)
     return _bound_unpassed(measured.scale_by(scale), scale * u, passed), measured.degrees
 
@@ -579,18 +558,19 @@ def _bound_unpassed(widths: dict[str, Interval], u: Floats, passed: Floats) -> d
 
 
 def _intervals_with_offset(
-    measured: Measured, scale: float, offset: float | None
+    measured: Mapping[str, Interval], scale: float, offset: float | None
 ) -> dict[str, Interval]:
-    """Return the widths of a zone in units of the log.
+    """Return the widths of an element in units of the log.
 
     Args:
-        measured: the widths.
+        measured: the widths by direction.
         scale: of their signal.
         offset: rms of an unknown offset, scaled; None: free.
     """
     widths = {}
-    for name, one in measured.intervals.items():
-        half = widen_by_offset(one.half_width, DIRECTIONS[name], offset)
+    for name, row in DIRECTIONS.items():
+        one = measured[name]
+        half = widen_by_offset(one.half_width, row, offset)
         widths[name] = Interval.from_half_width(one.value, half).scale_by(scale)
     return widths
 
@@ -625,7 +605,8 @@ def add_named_element(case: Case, found: Findings) -> Findings:
     element = _element_of_fit(word, fit, model, theta)._replace(widths=widths, degrees=degrees)
     if word == "two_zones":
         element = element._replace(input=_measure_input_zone(case, fit, misfits)[0])
-    width, friction = element.widths["width"], None
+    width = element.widths["width"]
+    friction = None
     if word == "friction" and width is not None:
         friction = width.scale_by(0.5)
         element = element._replace(widths=element.widths | {"width": None})
@@ -685,7 +666,9 @@ def measure_word(
         if word == "friction":
             widths = {name: one.stretch_by(WIDER) for name, one in widths.items()}
     else:
-        widths = _intervals_with_offset(measured, case.record_data.y_scale, case.offset_prior)
+        widths = _intervals_with_offset(
+            measured.intervals, case.record_data.y_scale, case.offset_prior
+        )
     return none | {name: widths[name] for name in MEASURED[word]}, measured.degrees
 
 
@@ -698,7 +681,9 @@ def _element_of_fit(word: str, fit: FittedModel[Any], model: Any, theta: Floats)
         model: along all records.
         theta: parameters of it.
     """
-    whole, z, layout = model.simulator.data, model.output(theta), model.simulator.layout
+    whole = model.simulator.data
+    z = model.output(theta)
+    layout = model.simulator.layout
     read = model.noise_free_readings(z, theta)
     e = np.where(whole.ok, whole.y - read, 0.0)
     level = float(e[whole.ok].mean()) if model.has_level else 0.0
@@ -743,16 +728,17 @@ def fit_of(case: Case, found: Findings, word: str) -> FittedModel[Any] | None:
     """
     if word == "saturation" and case.limited is not None:
         return case.limited
-    plays = {} if found.plays is None else found.plays.fits
-    there = [fits.get(word) for fits in (case.maps, found.places, found.chains, plays)]
+    tables = (case.maps, found.places, found.chains, found.plays or {})
+    there = [fits.get(word) for fits in tables]
     fits: Iterable[FittedModel[Any]] = filter(None, there)
     return min(fits, key=lambda one: one.density.bic / one.density.value.size, default=None)
 
 
 def has_a_model(case: Case, found: Findings) -> bool:
     """Return whether a name is given, or odds are, and no servo's own tests stand behind it."""
-    of_servo = found.element is not None and isinstance(found.element.fit, ServoGap)
-    word, top = found.verdict.word, next(iter(found.odds), "")
+    of_servo = found.element is not None and found.element.servo is not None
+    word = found.verdict.word
+    top = next(iter(found.odds), "")
     is_said = word == "other" and top != "other"  # why nothing is named
     if word == "unclear":  # a plant that does not settle leaves traces of everything
         is_said |= UNSETTLED in found.verdict.reasons or not case.fitted.prepared.settles
@@ -782,7 +768,7 @@ def with_adequacy(case: Case, found: Findings) -> Findings:
     if remainder is not None:
         reasons = remainder.in_words(MODELS[word])
     elif fit is not None and linear is not None and _may_bend(word, linear, fit):
-        less = f"a plant that bends leaves less than {MODELS[word]}; nothing is named"
+        less = f"a plant that bends leaves less than {MODELS[word]}. Nothing is named"
         reasons = (f"{NONE_EXPLAINS}: {less}", SEEN["spring"])
     else:
         return _in_numbers(case, found._replace(remainders=remainders))
@@ -801,28 +787,30 @@ def _may_bend(word: str, linear: FittedModel[Any], fit: FittedModel[Any]) -> boo
 
 def _in_numbers(case: Case, found: Findings) -> Findings:
     """Add the numbers of a chain or of limits that are named to the findings."""
-    word, verdict, data = found.verdict.word, found.verdict, case.record_data
+    word = found.verdict.word
+    verdict = found.verdict
+    data = case.record_data
     if word == "friction" and _follows_at_once(fit_of(case, found, word)):
-        return found._replace(verdict=build_verdict("undecided", SAME_AT_ONCE), odds={})
+        return found.without_name("undecided", SAME_AT_ONCE)
     one = fit_of(case, found, word) if word in (*CHAINED, "other", "saturation") else None
     if one is not None and isinstance(one.model, MapModel):
         is_open = word == "saturation" and not case.fitted.prepared.ends.has_ends
         if is_open and _passes_limits(one, case.quantum):
-            return found._replace(verdict=build_verdict("unclear", PASSES_LIMITS), odds={})
+            return found.without_name("unclear", PASSES_LIMITS)
         limits = filter(None, [one.model.describe_limits(one.theta, data.y_scale)])
         return found._replace(verdict=verdict._replace(reasons=[*verdict.reasons, *limits]))
     if one is None or not isinstance(one.model, ChainModel):
         return found
     description = one.model.in_words(one.theta, float(data.u_scale[0]), data.y_scale)
     if one.model.is_at_bound(one.theta):
-        seen = f"the best model is at the end of what it models: {description}; nothing is named"
+        seen = f"the best model is at the limit of its numbers: {description}. Nothing is named"
         return found._replace(verdict=build_verdict("unclear", seen, SEEN["input"]))
     if _may_be_neutral(one):
         reason = (
             f"{CANNOT_TELL} {MODELS[word]} from a straight line: the 95 % intervals of its numbers"
             f" hold one ({description}); record for longer, or with a larger input"
         )
-        return found._replace(verdict=build_verdict("undecided", reason), odds={})
+        return found.without_name("undecided", reason)
     return found._replace(verdict=verdict._replace(reasons=[description]))
 
 
@@ -830,14 +818,14 @@ def _follows_at_once(fit: FittedModel[Any] | None) -> bool:
     """Return whether a plant settles within a sample: friction in it shifts its output alone."""
     if fit is None:
         return False
-    layout = fit.model.simulator.layout
-    poles = np.roots(layout.full_denominator(fit.theta[layout.denominator]))
+    poles = fit.model.simulator.plant_poles(fit.theta)
     return bool(np.abs(poles).max(initial=0.0) < AT_ONCE_POLE)
 
 
 def _passes_limits(fit: FittedModel[MapModel], quantum: float) -> bool:
     """Return whether readings lie far beyond the limits that hold them by the fit."""
-    model, data = fit.model, fit.squares.data
+    model = fit.model
+    data = fit.squares.data
     read = model.noise_free_readings(model.output(fit.theta), fit.theta)
     above = data.y - read
     above -= above[data.ok].mean() * model.has_level
@@ -920,9 +908,9 @@ def without_needless(case: Case, found: Findings) -> Findings:
             rest = "the other all" if total < 0 else "but only by chance, perhaps, all"
             reason = (
                 f"{CANNOT_TELL} {MODELS[word]} from {MODELS[name]}: one predicts a sample better,"
-                f" {rest} that had no part in the fit; record for longer"
+                f" {rest} that had no part in the fit. Record for longer"
             )
-            return found._replace(verdict=build_verdict("undecided", reason), odds={})
+            return found.without_name("undecided", reason)
         again = found._replace(denied=found.denied | {word}).add_models(case)
         return without_needless(case, again) if holds_more(case, again) else again
     return found
@@ -963,12 +951,21 @@ def held_out_residual(fit: FittedModel[Any], held_out: float) -> tuple[Floats, F
         fit: the model.
         held_out: share of the samples that are held out.
     """
+    theta, test = train_fit(fit, held_out)
+    return fit.squares.reading_residual(theta), test
+
+
+def train_fit(fit: FittedModel[Any], held_out: float) -> tuple[Floats, Flags]:
+    """Return the parameters of a fit to the training samples, and the held-out samples (N).
+
+    Args:
+        fit, held_out: as of `held_out_residual`.
+    """
     data = fit.squares.data
     train = training_samples(data, held_out)
     trained = LeastSquares(fit.model.along(data._replace(ok=data.ok & train, climbs=None)))
     top = best_maximum(trained, [fit.theta], fit.model.first, LONGEST)
-    theta = fit.theta if top is None else top.theta
-    return fit.squares.reading_residual(theta), data.ok & ~train
+    return fit.theta if top is None else top.theta, data.ok & ~train
 
 
 def _validate_servo(element: Element, gap: ServoGap, held_out: float) -> HeldOutScore:
@@ -982,12 +979,14 @@ def _validate_servo(element: Element, gap: ServoGap, held_out: float) -> HeldOut
         gap: the fitted servo, in its own units.
         held_out: share of the samples that are held out.
     """
-    data, log = element.simulator.data, gap.log
+    data = element.simulator.data
+    log = gap.log
     test = data.ok & ~training_samples(data, held_out)
     fit = gap.fit_to_samples(~test)
     # The servo counts readings from the first one, in its own scale.
     predictions = gap.predict_readings(fit)[1] * (log.y_scale / data.y_scale) + data.y[data.ok][0]
-    in_errors, first_sample = log.error_samples(False), np.zeros(1, int)
+    in_errors = log.error_samples(False)
+    first_sample = np.zeros(1, int)
     normalised = gap.normalised_errors(fit)
     residuals = predict_one_step(
         normalised, test[in_errors], np.ones(normalised.size, bool), first_sample

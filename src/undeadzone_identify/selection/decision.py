@@ -60,13 +60,13 @@ CALM = 0.3  # of the readings' rms, that of held-out ones that hardly move
 GROWS = 10.0  # logarithm of what a pole does along the log, from which it is unstable
 UNSETTLED = (
     "the plant seems to integrate, or to ring longer than the record: its state at the start and"
-    " an offset or a sine cannot be separated; use --integrators 1 if it is the position of a"
-    " motor, or the like; else record for longer"
+    " an offset or a sine cannot be separated. Use --integrators 1 if it is the position of a"
+    " motor, or the like. Else record for longer"
 )
-CANNOT_TELL = "this record cannot tell"
+CANNOT_TELL = "this record cannot decide"
 TOO_SHORT = (
     "the plant does not settle within a record: the log is shorter than about six of its time"
-    " constants, and a slow pole beside an integrator looks like any curve; record for"
+    " constants, and a slow pole beside an integrator looks like any curve. Record for"
     " longer"
 )
 MODELS = {
@@ -200,7 +200,8 @@ class Feedback(NamedTuple):
 
 def detect_feedback(case: Case) -> Feedback:
     """Detect feedback: by residuals, or with certainty by a recorded reference."""
-    grid, share = case.grid, None
+    grid = case.grid
+    share = None
     # No controller makes an input that acts in its own row from the reading of that row.
     u = shift_rows(case.recorded.u, min(case.options.recorded_delay, 0), case.recorded.start)
     chance = orders.loop_p_value(case.chosen.fit, u) if case.chosen.white else 1.0
@@ -265,7 +266,8 @@ def _verdict_at_range_ends(case: Case, word: str, odds: dict[str, float]) -> Ver
     """Return saturation if readings stick at the range ends, undecided for a memory there, or
     None.
     """
-    ends, clipped = case.fitted.prepared.ends, odds.get("none", 0.0) + odds.get("saturation", 0.0)
+    ends = case.fitted.prepared.ends
+    clipped = odds.get("none", 0.0) + odds.get("saturation", 0.0)
     if not ends.has_ends:
         return None
     mostly = case.record_data.ok.sum() < MOSTLY * case.grid.ok.sum()
@@ -273,7 +275,7 @@ def _verdict_at_range_ends(case: Case, word: str, odds: dict[str, float]) -> Ver
     if case.limited is not None and (word in LIMITED or (mostly and word in (*MEMORY, *CHAINED))):
         return build_verdict("saturation", f"{stick}, and limits explain all of them")
     if word in LIMITED and (mostly or clipped > UNLIKELY):
-        return build_verdict("saturation", f"{stick}; the odds are those of what lies between")
+        return build_verdict("saturation", f"{stick}. The odds are those of the parts between")
     if mostly and word in (*MEMORY, *CHAINED):
         return build_verdict(
             "undecided", f"most {stick}, and between them {MODELS[word]} is a guess"
@@ -350,19 +352,21 @@ def _verdict_without_zone(case: Case, odds: dict[str, float]) -> Verdict:
     if _is_below_rounding(case):
         steps = "the readings are rounded to steps that are larger than any zone"
         return build_verdict("none", f"{steps} ({case.grid.quantum:.3g})")
-    chance, behind = case.no_zone.chance, case.chosen.fit.objective.kind == "behind"
+    chance = case.no_zone.chance
+    behind = case.chosen.fit.objective.kind == "behind"
     if not behind or chance >= DOUBT:
         return build_verdict("none", f"readings need no zone (p = {chance:.2g})")
     # The test takes what disturbs the plant as it is; the odds whiten it first.
     if odds.get("none", 0.0) >= SURELY_NONE and chance > CONTRADICTED:
         return build_verdict("none", "readings need no zone, for the colour of their disturbance")
     tested = f"a zone explains more than chance does (p = {chance:.2g}), and no model of one is"
-    return build_verdict("undecided", f"{tested} likely; record for longer")
+    return build_verdict("undecided", f"{tested} likely. Record for longer")
 
 
 def _find_unclear(case: Case, word: str, best: Density, fits: Fits) -> Verdict | None:
     """Return an unclear verdict with reasons, or None if a decision is possible."""
-    chosen, data = case.chosen, case.record_data
+    chosen = case.chosen
+    data = case.record_data
     within = 1 - best.rms / float(data.y[data.ok].std())
     share = chosen.share if word in FITTED else within
     reasons = []
@@ -372,7 +376,7 @@ def _find_unclear(case: Case, word: str, best: Density, fits: Fits) -> Verdict |
         changes = f", and {100 * within:.0f} % of all: it changes, or another input acts"
         others = chosen.error / max(1 - chosen.share, 1e-12)
         if others < CALM * float(data.y[data.ok].std()):  # as after a single step
-            changes = ", which hardly move: nothing tests a fit; record several steps up and down,"
+            changes = ", which hardly move: nothing tests a fit. Record several steps up and down,"
             changes += " each held until the readings settle"
         unstable = _describe_instability(case) if within <= LEAST else None
         if unstable is not None:
@@ -381,9 +385,11 @@ def _find_unclear(case: Case, word: str, best: Density, fits: Fits) -> Verdict |
     fit = chosen.fit
     if word == "none":
         fit = fit_linear(fit.objective.simulator, fit.objective.readings.ok)
-    plant, theta = fit.objective.simulator, fit.theta
+    plant = fit.objective.simulator
+    theta = fit.theta
     if word not in FITTED and word in fits:
-        plant, theta = fits[word].model.simulator, fits[word].theta
+        plant = fits[word].model.simulator
+        theta = fits[word].theta
     if (reasons or word in {*FITTED, *fits}) and plant.is_at_limit(theta):
         reasons.append(UNSETTLED)
     return build_verdict("unclear", *reasons) if reasons else None
@@ -427,7 +433,7 @@ def withdraw_zone_with_offset(verdict: Verdict, fit: ZoneFit) -> Verdict:
         value = offset * fit.objective.data.y_scale
         reason = (
             f"the readings inside the zone lie about {value:.4g}, not 0: a constant offset behind"
-            f" the zone; take it away by --zero {value:.4g}"
+            f" the zone. Take it away by --zero {value:.4g}"
         )
         return build_verdict("other", reason)
     return verdict
@@ -442,7 +448,8 @@ def mean_inside_zone(fit: ZoneFit) -> float | None:
     """
     if fit.objective.kind != "behind" or fit.objective.layout.integrators:
         return None
-    z, margin = fit.z, WELL_INSIDE * fit.disturbance_rms
+    z = fit.z
+    margin = WELL_INSIDE * fit.disturbance_rms
     inside = fit.objective.readings.ok & (z < fit.right - margin) & (z > -fit.left + margin)
     y = fit.objective.data.y[inside]
     if y.size < 50:

@@ -7,15 +7,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from functools import cache
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from undeadzone.errors import InputError
 from undeadzone.util.arrays import Floats, Integers
 from undeadzone_identify.logs.log import MOST_LATE
-from undeadzone_identify.logs.prepare import FAR_EDGE, PreparedLog
+from undeadzone_identify.logs.prepare import FAR_EDGE, SIDES, PreparedLog
 from undeadzone_identify.models.estimates import maximise_likelihood
+from undeadzone_identify.models.likelihood import LOG_ROOT
 from undeadzone_identify.models.plant import PlantSimulator, busiest_stretches, delay_inputs
 from undeadzone_identify.models.zone_fit import ZoneFit, fit_linear, nearest_numbers
 from undeadzone_identify.selection.orders import (
@@ -45,24 +47,23 @@ def drop_unvisited_edges(prepared: PreparedLog) -> tuple[PreparedLog, tuple[str,
     Raises:
         InputError: the plant integrates, so that one edge alone tells nothing.
     """
-    data, limits = prepared.data, prepared.limits
+    data = prepared.data
+    limits = prepared.limits
     if not data.silent_zeros or prepared.jumps is not None:
         return prepared, ()
     unreached = []
-    bounds = {"right": limits.right, "left": limits.left}
-    for name, sign in (("right", 1), ("left", -1)):
-        free = bounds[name][0] != bounds[name][1]
-        if free and not np.any(data.side[data.ok] == sign):
+    for name, sign in SIDES.items():
+        low, high = getattr(limits, name)
+        if low != high and not np.any(data.side[data.ok] == sign):
             unreached.append(name)
-            bounds[name] = (FAR_EDGE, FAR_EDGE)
     if unreached and limits.tied:
         raise InputError(
             f"log: no reading lies beyond the {' or the '.join(unreached)} edge: z of an"
             " integrating plant has no zero, so nothing is known of the zone: record with a larger"
             " input"
         )
-    changed = limits._replace(right=bounds["right"], left=bounds["left"])
-    return prepared._replace(limits=changed), tuple(unreached)
+    far: dict[str, Any] = dict.fromkeys(unreached, (FAR_EDGE, FAR_EDGE))
+    return prepared._replace(limits=limits._replace(**far)), tuple(unreached)
 
 
 class FittedOrders(NamedTuple):
@@ -123,7 +124,8 @@ def _fit_near_delay(
     found: FittedOrders, first: int, advance: Callable[[int], None]
 ) -> FittedOrders:
     """Fit with the best delay near a first guess; the delay allows no more poles."""
-    prepared, most = found.prepared, best_order(found.fits).n
+    prepared = found.prepared
+    most = best_order(found.fits).n
     fewer = [n for n in prepared.orders if n <= most]
     shifted = prepared._replace(data=delay_inputs(prepared.data, first), orders=fewer)
     late = _fit_without_glitches(shifted, advance)
@@ -141,8 +143,10 @@ def _fit_without_glitches(
 ) -> FittedOrders:
     """Fit every order, and again if a few readings turn out to be glitches."""
     for _ in range(3):
-        data, limits = prepared.data, prepared.limits
-        held_out, integrators = prepared.options.held_out, prepared.options.integrators
+        data = prepared.data
+        limits = prepared.limits
+        held_out = prepared.options.held_out
+        integrators = prepared.options.integrators
         fits = fit_orders(data, prepared.orders, limits, held_out, advance, integrators, begun)
         if not fits:
             raise InputError(
@@ -169,7 +173,7 @@ def _find_glitches(chosen: OrderFit) -> Integers:
     fit = chosen.fit
     ok = fit.objective.readings.ok
     density = fit.objective.z_and_terms(fit.theta)[1].value
-    normal = -0.5 * math.log(2 * math.pi) - math.log(fit.disturbance_rms)
+    normal = -LOG_ROOT - math.log(fit.disturbance_rms)
     silent = ok & (fit.objective.readings.side == 0) & fit.objective.data.silent_zeros
     unusual = density - np.where(silent, 0.0, normal) < -0.5 * GLITCH**2
     places = np.flatnonzero(ok & unusual)
@@ -191,20 +195,23 @@ def likely_delay(fits: list[OrderFit]) -> int:
         Samples; 0 if none is better.
     """
     objective = fits[0].fit.objective
-    data, integrators = objective.data, objective.layout.integrators
+    data = objective.data
+    integrators = objective.layout.integrators
     order = max(SCREENED, integrators + 1)
-    left: dict[int, float] = {}
 
+    @cache
     def scan(samples: int) -> float:
         """Return the residual rms of a linear plant with a delay, scaled."""
-        if samples not in left:
-            fit = fit_linear(PlantSimulator(delay_inputs(data, samples), order, integrators))
-            left[samples] = fit.disturbance_rms
-        return left[samples]
+        delayed = PlantSimulator(delay_inputs(data, samples), order, integrators)
+        return fit_linear(delayed).disturbance_rms
 
-    best = min(PROBES, key=scan)
-    while True:  # to the least next to it
-        near = min((max(best - 1, 0), best, best + 1), key=scan)
+    return _descend(min(PROBES, key=scan), scan)
+
+
+def _descend(best: int, cost: Callable[[int], float]) -> int:
+    """Return the delay that costs less than those next to it, from one on."""
+    while True:
+        near = min((max(best - 1, 0), best, min(best + 1, MOST_LATE)), key=cost)
         if near == best:
             return best
         best = near
@@ -227,7 +234,7 @@ def is_delay_better(fits: list[OrderFit], late: list[OrderFit]) -> bool:
 
 
 def refine_delay(late: list[OrderFit], samples: int) -> int:
-    """Refine the delay by BIC, in steps of a sample while the BIC falls.
+    """Refine the delay by BIC, in steps of a sample while it falls.
 
     Args:
         late: fits with a delay, one an order.
@@ -235,15 +242,15 @@ def refine_delay(late: list[OrderFit], samples: int) -> int:
     """
     best = best_order(late)
     smaller = [one.fit for one in late if one.n <= best.n][-2:]
-    known = {samples: best.fit.bic}
-    for direction in (-1, 1):
-        trial = samples + direction
-        while 0 <= trial <= MOST_LATE:
-            known[trial] = min(_refit_with_delay(fit, trial - samples).bic for fit in smaller)
-            if known[trial] >= known[trial - direction]:
-                break
-            trial += direction
-    return min(known, key=lambda trial: known[trial])
+
+    @cache
+    def scan(trial: int) -> float:
+        """Return the BIC of fits with a delay."""
+        if trial == samples:
+            return best.fit.bic
+        return min(_refit_with_delay(fit, trial - samples).bic for fit in smaller)
+
+    return _descend(samples, scan)
 
 
 def find_equivalents(fits: list[OrderFit], late: list[OrderFit]) -> list[OrderFit]:
@@ -265,10 +272,7 @@ def delay_fits(fits: list[OrderFit], samples: int) -> list[OrderFit]:
         fits: one an order.
         samples: by how many.
     """
-    moved = []
-    for one in fits:
-        moved.append(one._replace(fit=_refit_with_delay(one.fit, samples)))
-    return moved
+    return [one._replace(fit=_refit_with_delay(one.fit, samples)) for one in fits]
 
 
 def _refit_with_delay(fit: ZoneFit, samples: int) -> ZoneFit:

@@ -13,6 +13,7 @@ from undeadzone_identify.models.place import (
     PlaceShape,
     PlaceStarts,
     fit_place,
+    join_place_numbers,
     raise_order,
 )
 from undeadzone_identify.models.zone_fit import ZoneFit
@@ -45,7 +46,8 @@ def find_zone_locations(
     found = best_of_each((_word_of(one), one.density.bic, one) for one in fits)
     top: PlaceFit | None = min(found.values(), key=lambda one: one.density.bic)
     while top is not None and top.model.shape.input and top.model.n + 1 in orders:
-        word, bic = _word_of(top), top.density.bic
+        word = _word_of(top)
+        bic = top.density.bic
         top = raise_order(top)
         if top is None or top.density.bic > bic or _word_of(top) != word:
             break
@@ -55,7 +57,8 @@ def find_zone_locations(
 
 def _word_of(one: PlaceFit) -> str:
     """Return the verdict's word; an element that vanishes counts for none."""
-    model, theta = one.model, one.theta
+    model = one.model
+    theta = one.theta
     shape = model.shape
     sensor = shape.sensor and model.part_numbers(theta, "sensor").sum() > VANISHING
     driven = shape.input and model.part_numbers(theta, "input").sum() > VANISHING
@@ -66,7 +69,8 @@ def _word_of(one: PlaceFit) -> str:
 
 def _is_rounding_zone(one: PlaceFit, quantum: float) -> bool:
     """Return whether rounding explains the sensor zone of a model with a second zone."""
-    shape, sensor = one.model.shape, one.model.part_numbers(one.theta, "sensor")
+    shape = one.model.shape
+    sensor = one.model.part_numbers(one.theta, "sensor")
     return bool(shape.sensor and (shape.input or shape.inner) and sensor.sum() < STEPS * quantum)
 
 
@@ -97,10 +101,14 @@ def _fit_all_locations(fit: ZoneFit) -> dict[str, PlaceFit]:
         if fitted is not None:
             fits[shape.name] = fitted
 
-    enter(PlaceShape("none"), starts.without_zone())
-    enter(PlaceShape("sensor", sensor=True), starts.zone_at_sensor())
+    plants = (starts.linear_plant, starts.plant)
+    enter(PlaceShape("none"), [join_place_numbers(plant, starts.n) for plant in plants])
+    zone = join_place_numbers(starts.plant, starts.n, sensor=starts.widths)
+    enter(PlaceShape("sensor", sensor=True), [zone])
     if starts.simulator.layout.m == 1:
-        enter(PlaceShape("input", input=True), starts.zone_at_input())
+        begun = starts.input_levels()
+        zones = [join_place_numbers(plant, starts.n, input=level) for plant, level in begun]
+        enter(PlaceShape("input", input=True), zones)
     enter(PlaceShape("friction", inner=True), starts.friction_at_input())
     shape = PlaceShape("friction of a position", inner=True, position=True)
     enter(shape, starts.friction_at_input())

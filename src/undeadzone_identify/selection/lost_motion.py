@@ -295,7 +295,7 @@ def without_drive(log: Log) -> Log:
 
 def _has_goal(log: Log) -> bool:
     """Return whether the input is the goal of a servo."""
-    return log.input_kinds[0] in ("goal", "sp")
+    return log.input_kinds[0] in ("goal", "sp") and log.output_kinds[0] != "speed"
 
 
 def _is_alike(log: Log) -> bool:
@@ -414,11 +414,11 @@ def _described(answer: LostMotionAnswer, explained: float, white: bool) -> LostM
     elif answer.verdict == "play":
         reasons.append(f"what turns round loses motion: {about}")
         if answer.parts is not None:
-            reasons.append("gap and friction are told apart by the current of a proportional loop")
+            reasons.append("gap and friction are separated by the current of a proportional loop")
         elif answer.is_goal:
             reasons.append(
                 "gap of the gears and friction of the servo (2 f / kp) lose motion alike: their sum"
-                " is known. Record the current as a third column to tell them apart"
+                " is known. Record the current as a third column to separate them"
             )
     elif answer.verdict == "none":
         reasons.append(f"one position follows the other: {about}")
@@ -427,7 +427,7 @@ def _described(answer: LostMotionAnswer, explained: float, white: bool) -> LostM
         )
     else:
         reasons.append(
-            f"lost motion explains {100 * max(explained, 0.0):.3g} % of y, and what it leaves"
+            f"lost motion explains {100 * max(explained, 0.0):.3g} % of y, and its residual"
             f" {'is noise' if white else 'depends on the past'}: nothing is named"
         )
     if found.structure.bent:

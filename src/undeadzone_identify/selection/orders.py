@@ -88,7 +88,8 @@ def fit_orders(
     for n in orders:
         if start_by_order and n not in start_by_order:
             continue
-        simulator, start = PlantSimulator(data, n, integrators), start_by_order.get(n)
+        simulator = PlantSimulator(data, n, integrators)
+        start = start_by_order.get(n)
         fit = (
             zone_fit.fit_zone(simulator, limits)
             if start is None
@@ -113,23 +114,17 @@ def _improve_orders(fits: list[OrderFit], train: Flags) -> list[OrderFit]:
             break
         fewer = fits[place - 1]
         begun = zone_fit.remove_odd_poles(fits[place].fit, fewer.fit.objective.simulator)
-        fits[place - 1] = _improve_order(fewer, begun, train)
+        fit = zone_fit.improve_fit(fewer.fit, begun)
+        if fit.value >= fewer.fit.value + GAINED:
+            fits[place - 1] = OrderFit(fewer.n, fit, *validate_fit(fit, train))
     return fits
-
-
-def _improve_order(one: OrderFit, theta: Floats, train: Flags) -> OrderFit:
-    """Return the fit of an order, or a better fit from other start parameters."""
-    fit = zone_fit.improve_fit(one.fit, theta)
-    if fit.value < one.fit.value + GAINED:
-        return one
-    return OrderFit(one.n, fit, *validate_fit(fit, train))
 
 
 def _has_finite_derivatives(fit: zone_fit.ZoneFit) -> bool:
     """Return whether a fit has a likelihood with finite derivatives."""
-    if not math.isfinite(fit.value):
-        return False
-    return all(np.isfinite(part).all() for part in fit.objective.quadratic_model(fit.theta))
+    return math.isfinite(fit.value) and all(
+        np.isfinite(part).all() for part in fit.objective.quadratic_model(fit.theta)
+    )
 
 
 def training_samples(data: RecordData, held_out: float) -> Flags:
@@ -333,20 +328,16 @@ def feedback_share(
         r: what else makes it, now and before (N x k), NaN if it is missing.
         start: first sample of each record (R).
     """
-    wanted, lagged = (
-        _lag_columns(r, range(PAST_INPUTS + 1)),
-        _lag_columns(y[:, None], range(FEEDBACK_LAGS)),
-    )
+    wanted = _lag_columns(r, range(PAST_INPUTS + 1))
+    lagged = _lag_columns(y[:, None], range(FEEDBACK_LAGS))
     own = np.hstack([np.ones((y.size, 1)), _lag_columns(moved), wanted])
     known = np.isfinite(np.hstack([own, moved])).all(axis=1)
     known &= _lag_columns(1.0 * ok[:, None], range(FEEDBACK_LAGS)).all(axis=1)
     known &= rows_since_start(start, y.size) >= PAST_INPUTS
     found = [(0.0, 1.0)]
     for column in moved[known].T:
-        left, reference = (
-            regression_residual(own[known], column),
-            regression_residual(own[known], lagged[known]),
-        )
+        left = regression_residual(own[known], column)
+        reference = regression_residual(own[known], lagged[known])
         if np.std(left) > ALONE * np.std(column):
             found.append(regress_residual(reference, left)[2:])
     return min(reversed(found), key=lambda one: one[1])
@@ -394,12 +385,14 @@ def compare_with_no_zone(fit: zone_fit.ZoneFit) -> ZoneTest:
     if objective.kind != "behind":
         return ZoneTest(0.0, fit)
     linear = zone_fit.fit_linear(objective.simulator, objective.readings.ok)
-    begun, widths = linear.theta.copy(), slice(objective.layout.right, objective.layout.right + 2)
+    begun = linear.theta.copy()
+    widths = slice(objective.layout.right, objective.layout.right + 2)
     begun[widths] = zone_fit.widths_about_level(linear, 0.05)
     best = zone_fit.improve_fit(fit, begun)
     spread = best.objective.robust_covariance(best.theta)
     row = best.objective.width_weights(1.0, 1.0)
-    robust, naive = float(row @ spread.V @ row), float(row @ spread.naive @ row)
+    robust = float(row @ spread.V @ row)
+    naive = float(row @ spread.naive @ row)
     ratio = 2 * max(best.value - linear.value, 0.0) / max(1.0, robust / max(naive, 1e-300))
     chance = float(chi2.sf(ratio, 1))  # of the width; the level has its number in both
     return ZoneTest(chance, best)

@@ -69,7 +69,7 @@ AT_MOTOR = (
     " the encoder is there, a gap behind it is not excluded"
 )
 BURSTS = (
-    "what a motor leaves comes in bursts, as strikes of a load make that is free in a gap, or"
+    "the residual of a motor comes in bursts, as strikes of a load make that is free in a gap, or"
     " friction that changes: no gap is not certain. Record an encoder on either side of the gears"
 )
 WITHOUT_MEMORY = (
@@ -371,7 +371,8 @@ def find_repetition(servo: ServoGap) -> str | None:
         return None
     period = 2 * np.pi / rates[np.argmax(shares)] * servo.log.y_scale
     return (
-        f"what a motor leaves repeats itself every {period:.3g} of its way ({100 * share:.0f} % of"
+        f"the residual of a motor repeats itself every {period:.3g} of its way "
+        f"({100 * share:.0f} % of"
         " it), as cogging or an eccentric gear does: no gap is not certain. Record with a larger"
         " input"
     )
@@ -471,8 +472,8 @@ def describe_servo(servo: ServoGap) -> str:
     parts = [names[part] for part in sorted(one.structure.parts)]
     with_parts = f" with {', '.join(parts)}" if parts else ""
     return (
-        f"{name}{with_parts} behind gear play explains the readings;"
-        f" median gap over {servo.crossings.gap.size} reversals:"
+        f"{name}{with_parts} behind gear play explains the readings."
+        f" Median gap over {servo.crossings.gap.size} reversals:"
         f" {servo.crossings.median_gap:.4g} (+- {2 * servo.crossings.median_error:.2g})"
     )
 

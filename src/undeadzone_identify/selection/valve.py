@@ -379,7 +379,7 @@ def _verdict_of(odds: dict[str, float], valve: ValveFindings) -> Verdict:
         cautions = [f"{MODELS[other]} is not excluded ({100 * odds[other]:.0f} %)"]
     elif share < LIKELY:
         likely = [MODELS[one] for one, p in odds.items() if p >= UNLIKELY]
-        return build_verdict("undecided", f"this record cannot tell {' from '.join(likely)}")
+        return build_verdict("undecided", f"this record cannot decide {' from '.join(likely)}")
     if word in VALVE and valve.held_out.error >= valve.without:
         kept = "but predicts held-out readings no better than u itself"
         return build_verdict("undecided", f"{MODELS[word]} is the likeliest, {kept}")
@@ -388,6 +388,6 @@ def _verdict_of(odds: dict[str, float], valve: ValveFindings) -> Verdict:
         return build_verdict("undecided", f"{seen} where it turns a valve that sticks shows")
     if word == "none" and valve.hidden < CHANCE:
         reason = f"{MODELS[word]} is the likeliest, but the position of a valve with play foretells"
-        seen = f"{reason} what it leaves ({describe_p_value(valve.hidden)})"
+        seen = f"{reason} its residual ({describe_p_value(valve.hidden)})"
         return build_verdict("undecided", seen)
     return build_verdict(word, f"{MODELS[word]} explains the log best").add_cautions(*cautions)

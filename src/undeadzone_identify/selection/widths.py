@@ -28,8 +28,8 @@ POINTS = 8  # of a profile, on each side of the edge
 STEPS = 10  # of each climb of a profile
 SINGULAR = 20.0  # ratio of half intervals, from which the Hessian of the wider one is singular
 APART = (
-    "fits of single samples and of the filter disagree: the plant or what disturbs it does not fit;"
-    " the intervals are widened by the difference"
+    "fits of single samples and of the filter disagree: the plant or its disturbance does not fit."
+    " The intervals are widened by the difference"
 )
 SIDES = ("right", "left")
 REACH = 4.0  # usual half intervals, within which its ends are sought
@@ -79,7 +79,8 @@ def find_widths(
     intervals, degrees, apart = {}, {}, False
     for name, row in DIRECTIONS.items():
         widest = _widest_stage(stages, name)
-        gap, half = abs(float(np.dot(row, np.subtract(last, first)))), widest.halves[name]
+        gap = abs(float(np.dot(row, np.subtract(last, first))))
+        half = widest.halves[name]
         degrees[name] = widest.degrees[name]
         apart |= name != "centre" and gap > half > 0
         if half > 0:  # no score shows the spread over credible orders
@@ -133,7 +134,9 @@ def _widest_stage(stages: Collection[_Stage], name: str) -> _Stage:
 
 def _to_stage(fit: ZoneFit | KalmanFit) -> _Stage:
     """Convert a fit to its estimates of the widths."""
-    spread, halves, degrees = fit.objective.robust_covariance(fit.theta), {}, {}
+    spread = fit.objective.robust_covariance(fit.theta)
+    halves = {}
+    degrees = {}
     for name, weights in DIRECTIONS.items():
         row = fit.objective.width_weights(*weights)
         halves[name], degrees[name] = spread.half_and_degrees(row)
@@ -142,7 +145,8 @@ def _to_stage(fit: ZoneFit | KalmanFit) -> _Stage:
 
 def _width_difference(row: tuple[float, float], other: OrderFit, chosen: OrderFit) -> float:
     """Return the excess of a width in another fit, scaled."""
-    one, own = other.fit, chosen.fit
+    one = other.fit
+    own = chosen.fit
     return float(np.dot(row, (one.right - own.right, one.left - own.left)))
 
 
@@ -170,7 +174,8 @@ def lower_width_bound(fit: ZoneFit, side: str) -> float:
             return -math.inf
         return float(single_densities(readings, z, own).value.sum()) - base + drop
 
-    low, high = reach - 6 * fit.disturbance_rms, reach + 6 * fit.disturbance_rms
+    low = reach - 6 * fit.disturbance_rms
+    high = reach + 6 * fit.disturbance_rms
     for _ in range(60):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if above_drop(middle) < 0 else (low, middle)

@@ -415,7 +415,7 @@ def _collect_gap_doubts(found: ServoGap, gaps: Floats) -> list[str]:
         )
     elif gap.half_width > WIDEST * gap.value:
         reasons.append(
-            f"the gap lies between {gap.low:.3g} and {gap.high:.3g}, which is hardly known; record"
+            f"the gap lies between {gap.low:.3g} and {gap.high:.3g}, which is hardly known. Record"
             " for longer, or with more reversals"
         )
     if gap.low > 0 and np.max(np.abs(gaps * found.log.y_scale - fitted)) > SCATTERS * fitted:
@@ -431,7 +431,7 @@ def _collect_motion_doubts(found: ServoGap, spread: _GapUncertainty) -> list[str
     if found.reversals < REVERSALS:
         reasons.append(
             f"the readings turn {found.reversals} times, and each crossing shows the gap once:"
-            f" {REVERSALS} are the least; record with an input that reverses more often"
+            f" {REVERSALS} are the least. Record with an input that reverses more often"
         )
     if _slow_torque_rms(found.servo) > HIDING:
         reasons.append("slow torques are as strong as half of the input: they hide the gap")
@@ -441,7 +441,7 @@ def _collect_motion_doubts(found: ServoGap, spread: _GapUncertainty) -> list[str
     allowed = DISAGREES * error + margin * log.y_scale + CLOSE * fitted
     if abs(crossings.median_gap - fitted) > allowed:
         reasons.append(
-            f"the crossings one by one say a gap of {crossings.median_gap:.4g}, all together"
+            f"the crossings one by one give a gap of {crossings.median_gap:.4g}, all together"
             f" {fitted:.4g}: the motor's motion is not fully held"
         )
     return reasons

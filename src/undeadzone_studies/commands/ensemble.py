@@ -31,7 +31,7 @@ from undeadzone.util.progress import terminal_progress as progress
     "--cluster",
     "ADDRESS",
     "Compute on the Dask cluster whose scheduler is there, such as tcp://10.0.0.1:8786 "
-    "(needs the extra dask; docs/security.md says what is trusted).",
+    "(needs the extra dask, see docs/security.md).",
 )
 @flag_option("--parquet", "Write runs.parquet instead of runs.npz (needs the extra parquet).")
 @add_scenario_options

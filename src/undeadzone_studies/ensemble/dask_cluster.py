@@ -88,7 +88,7 @@ def _open_client(cluster: str) -> Iterator[Any]:
         from distributed import Client
     except ImportError:
         raise InputError(
-            "cluster: the package distributed is missing; pip install 'undeadzone[dask]'"
+            "cluster: the package distributed is missing: pip install 'undeadzone[dask]'"
         ) from None
     from distributed.utils import silence_logging_cmgr
 

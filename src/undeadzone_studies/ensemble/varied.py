@@ -331,7 +331,7 @@ def _quantities_of_part(
         return names
     why = _advice_for_address(part, problem)
     if extent := entries_there(part, known):
-        why = f"no entry {part}; there is {extent}"
+        why = f"no entry {part}. There is {extent}"
     why = why or f"nothing of that name can vary. {similar(part, known, 'These can:')}"
     raise InputError(f"{TABLE.entry_name(address)}: {why}")
 
@@ -346,7 +346,7 @@ def _advice_for_address(part: str, problem: Problem) -> str | None:
             )
         case ["reference", "amplitude"]:
             return (
-                "the reference has no single amplitude about 0; vary reference.scale, "
+                "the reference has no single amplitude about 0. Vary reference.scale, "
                 "a factor on the whole of it"
             )
         case ["disturbance", *_] if problem.scenario.disturbance is None:
@@ -356,13 +356,13 @@ def _advice_for_address(part: str, problem: Problem) -> str | None:
             )
         case ["disturbance", "amplitude" | "rms" | "bias" | "offset"]:
             return (
-                "the disturbance is proportional to no such number, or that is 0; give it an "
+                "the disturbance is proportional to no such number, or that is 0. Give it an "
                 "amplitude or rms of any size but 0 and nothing else (a bias: a step), "
                 "or vary disturbance.scale, a factor on the whole of it"
             )
         case ["model", *_]:
             return (
-                "the design stays as it is for the nominal [model]; vary plant.A, the truth, "
+                "the design stays as it is for the nominal [model]. Vary plant.A, the truth, "
                 "or observer.model.A, what the observer believes"
             )
         case ["plant", "second_order" | "companion" | "transfer_function" | "integrators", *_]:

@@ -67,7 +67,7 @@ def _describe_shares(info: Info, summary: dict[str, Any], lost: int) -> dict[str
     which = ""
     if diverged["runs"]:
         runs = _list_runs(diverged["runs"], lost)
-        which = f": {runs}; left out of what follows"
+        which = f": {runs}. Left out below"
     return {
         "settled": (
             f"{_format_share(summary['settled'])}: |z - r| within "

@@ -30,13 +30,13 @@ if TYPE_CHECKING:
 
 CAPTIONS: Final = {
     "distributions": "Above: how the runs are distributed. Below: the share of runs beyond each "
-    "value, within its 95 % interval. Runs that diverged are left out; a run that did not settle "
-    "stays beyond any settling time.",
+    "value, within its 95 % interval. Runs that diverged are left out, and a run that did not "
+    "settle stays beyond any settling time.",
     "over_time": "At each instant the median of the recorded runs and what 90 % and 98 % of them "
     "keep to. A band is not the course of any one run. Runs that diverged count as infinitely far "
     "off.",
     "tornado": "Left: what each entry adds, all others held, by ranks. Right: the share of the "
-    "variance that vanishes if the entry is known; beyond the dashed line it is more than chance. "
+    "variance that vanishes if the entry is known: beyond the dashed line it is more than chance. "
     "Whiskers: 95 % intervals.",
     "influence": "Each dot is a run. A run whose error lies at the median is marked for comparison "
     "with the worst.",
@@ -147,7 +147,7 @@ def _metric_tables(result: Ensemble, summary: Mapping[str, Any]) -> list[html.Ht
             rows.append(_metric_row(name, values, result.unit(name), result.info.duration))
     beyond = 100 * summary["metrics"][MAIN]["max"]["beyond"]
     note = (
-        "In parentheses: 95 % intervals; a dash is a value that these runs do not bound. "
+        "In parentheses: 95 % intervals. A dash is a value that these runs do not bound. "
         f"At most {beyond:.2g} % of all runs lie beyond the largest value found, "
         "with 95 % confidence. Runs that diverged are counted above and averaged nowhere."
     )
@@ -190,7 +190,7 @@ def _sensitivity_table(summary: Mapping[str, Any]) -> list[html.Html]:
     """Return the table of the contributions of all entries, with a note."""
     sensitivities = summary["sensitivities"]
     if not sensitivities:
-        return [html.build_paragraph("These runs do not tell: they are too few, or all alike.")]
+        return [html.build_paragraph("These runs do not decide: they are too few, or all alike.")]
     columns = {
         "spearman": "rank correlation",
         "partial": "the same, others held",
@@ -228,7 +228,7 @@ def _worst_runs(result: Ensemble, summary: Mapping[str, Any]) -> list[html.Html]
         parts.append(html.build_paragraph("For comparison the run at the median:"))
         parts.append(html.build_table(head, [_run_row(result.row(typical))]))
     command = f"undeadzone run runs.npz --replay {summary['worst'][0]['run']}"
-    note = f"Each can be seen in full, bit for bit what it was, by its number: {command}"
+    note = f"Each can be seen in full, bit for bit, by its number: {command}"
     return [*parts, html.build_paragraph(note, "note")]
 
 

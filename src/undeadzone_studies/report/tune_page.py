@@ -64,7 +64,7 @@ def tune_page(result: Tuned, images: dict[str, bytes], origin: html.Origin | Non
     paragraph = (
         f"Made small: {what.statistic} of {what.metric} over {what.runs} runs, with "
         f"{len(result.trials)} candidates of {what.budget}. Held-out runs are others than those "
-        "tuned on: they tell what the numbers are worth. In parentheses: 95 % intervals."
+        "tuned on: they show the worth of the numbers. In parentheses: 95 % intervals."
     )
     return html.build_page(
         f"Tuned: {result.scenario.title}",
@@ -72,10 +72,8 @@ def tune_page(result: Tuned, images: dict[str, bytes], origin: html.Origin | Non
         html.build_section(
             "Numbers", *_number_table(result), *html.pick_pictures(pictures, "history")
         ),
-        html.build_section(
-            "What they are worth", html.build_paragraph(paragraph), _held_out_table(result)
-        ),
-        html.build_section("Around what was found", *html.pick_pictures(pictures, "around")),
+        html.build_section("Their worth", html.build_paragraph(paragraph), _held_out_table(result)),
+        html.build_section("Around the best numbers", *html.pick_pictures(pictures, "around")),
         html.build_section(
             "The tuned scenario",
             html.fold_section("tuned.toml", html.source_html(toml.to_toml(result.scenario))),
@@ -185,7 +183,7 @@ def plot_sweeps(result: Tuned, sweeps: dict[str, Sweep]) -> Figure:
     names = list(sweeps)
     rows = [names[i : i + COLUMNS] for i in range(0, len(names), COLUMNS)]
     rows[-1] += [rows[-1][-1]] * (len(rows[0]) - len(rows[-1]))
-    title = "Around what was found, on held-out runs, the other numbers unchanged"
+    title = "Around the best numbers, on held-out runs, the other numbers unchanged"
     figure, panels = create_panels(rows, title, height=3.0)
     for parameter, value in zip(result.parameters, result.values, strict=True):
         axes = panels[parameter.name]

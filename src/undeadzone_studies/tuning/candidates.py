@@ -29,6 +29,7 @@ from undeadzone.simulation.packed import changed_params, graph, pack_problem
 from undeadzone.simulation.sample_by_sample import run_sample_by_sample
 from undeadzone.simulation.simulate import close_problem
 from undeadzone.util.arrays import Floats, Integers
+from undeadzone.util.text import suggest_name
 from undeadzone_studies.ensemble import metrics
 from undeadzone_studies.ensemble.batch import Batch, prepare_batch
 from undeadzone_studies.ensemble.binding import Lanes, bind_ensemble
@@ -375,7 +376,8 @@ def _require_metric(metric: str, problem: Problem) -> None:
     for i in range(problem.plant.p):
         known += [f"d_{edge}_error[{i}]" for edge in EDGES]
     if metric not in known:
-        raise InputError(f"tune.metric: expected one of {', '.join(known)}, found {metric!r}")
+        advice = suggest_name(metric, known, "Expected one of")
+        raise InputError(f"tune.metric: found {metric!r}. {advice}")
 
 
 def loss_statistic(name: str, lost: Floats) -> Floats:

@@ -90,9 +90,9 @@ def _explain_unknown_address(address: str, known: Mapping[str, Number]) -> str:
         return f"no number of that name in the options. {similar(address, known, 'There are')}"
     if key in known and known[key].value is None:
         return (
-            f"the scenario gives no {key}; write it there, entry by entry, or name another number"
+            f"the scenario gives no {key}. Write it there, entry by entry, or name another number"
         )
-    return f"no such entry; there is {extent}"
+    return f"no such entry. There is {extent}"
 
 
 def resolve_parameters(entries: Mapping[str, Range], scenario: Scenario) -> tuple[Parameter, ...]:

@@ -1,4 +1,5 @@
-"""What can be known: verdicts against brute force, deviations against filters, cures that cure."""
+"""Identifiable widths: verdicts against brute force, deviations against filters, cures that "
+"cure."""
 
 from __future__ import annotations
 
@@ -112,7 +113,7 @@ def test_verdict_of_each_visit(plant: Matrices, right: bool, left: bool) -> None
         right and left and not integrator,
     )
     assert sum("never reached" in reason for reason in found.reasons) == (not right) + (not left)
-    assert ("cannot be told from a shift" in " ".join(found.reasons)) == (
+    assert ("cannot be separated from a shift" in " ".join(found.reasons)) == (
         integrator and right != left
     )
 
@@ -139,7 +140,7 @@ def test_an_unknown_bias_hides_the_centre_unless_the_output_does_not_feel_it(
         (found,) = width_identifiability(model, visiting([True], [True], Ts), bias=model.B)
         assert flags(found) == (not felt, not felt, True, not felt)
         assert (
-            "constant input bias, centre and bias cannot be told apart" in " ".join(found.reasons)
+            "constant input bias, centre and bias cannot be separated" in " ".join(found.reasons)
         ) == felt
 
 
@@ -473,7 +474,7 @@ def test_remedies_of_a_constant_reference_and_of_an_integrator() -> None:
     assert "let output 0 move: a swing of 1.05 about 0" in cure.text
     (cure,) = find_remedies(CHAIN, visiting([True], [True]))
     assert (cure.factor, cure.shift) == (None, None)
-    assert cure.text.startswith("no reference can: let the plant pass a place where z is known")
+    assert cure.text.startswith("no reference can: let the plant pass a place of known z")
     (cure,) = find_remedies(PAPER_PLANT.linear, visiting([True], [True]), bias=PAPER_PLANT.linear.B)
     assert "calibrate the input" in cure.text
 

@@ -377,7 +377,7 @@ def test_what_else_is_unknown_costs_the_centre() -> None:
     (found,) = run.verdicts(bias=np.eye(1))
     assert (found.width, found.centre) == (True, False)
     assert found.reasons == (
-        "the centre is not identifiable: constant input bias, centre and bias cannot be told apart",
+        "the centre is not identifiable: constant input bias, centre and bias cannot be separated",
     )
     (found,) = run.verdicts(uncertain=["s0"])
     assert (found.width, found.centre) == (True, False)

@@ -384,7 +384,7 @@ def test_check_and_run_say_the_same_in_words() -> None:
     verdict, run = uz.check(scenario), simulate(scenario)
     for text in (str(verdict), str(run)):
         assert "right NO, left NO, width yes, centre NO" in text
-        assert "cannot be told from one of the zone" in text
+        assert "cannot be separated from one of the zone" in text
     assert "model.play = [c_r, c_l]" in str(verdict)
     assert verdict.states == (True, True)  # what mixes the centres moves no state
     known = uz.check(both({"noise": 0.02}, KALMAN))
@@ -394,7 +394,7 @@ def test_check_and_run_say_the_same_in_words() -> None:
 def test_known_gaps_that_exclude_the_truth_are_reported() -> None:
     scenario = both({"noise": 0.02}, KALMAN, model={"play": [0.6, 0.3]})
     for known in (simulate(scenario).info.identifiable[0]["reasons"], uz.check(scenario).reasons):
-        assert any("a false claim: model.play" in reason for reason in known)
+        assert any("a false assumption: model.play" in reason for reason in known)
     assert not uz.check(scenario).affirmed
 
 

@@ -161,7 +161,7 @@ def test_a_mark_that_may_be_either_counts_as_unreadable(tmp_path: Path) -> None:
     rows = "".join(f"0.0{k}\t{3 * k}\t{'1,301' if k == 4 else 995}\n" for k in range(10))
     reader, samples = read(tmp_path / "a.csv", "t\tu\ty\n" + rows)
     assert np.flatnonzero(np.isnan(samples.y)).tolist() == [4]
-    assert "nothing tells whether the mark in '1,301' is the decimal mark" in reader.faults.why
+    assert "it is not clear if the mark in '1,301' is the decimal mark" in reader.faults.why
     groups = rows.replace("0.09\t27", "0.09\t2,027.5")
     _, samples = read(tmp_path / "b.csv", "t\tu\ty\n" + groups)
     assert samples.y[4] == 1301

@@ -331,12 +331,12 @@ def in_header(cases: list[Case], folder: Path) -> Floats:
     return run_header(ANY, [case.line() for case in cases], folder)
 
 
-def run_header(main: str, lines: Iterable[Any], folder: Path, *options: str) -> Floats:
+def run_header(main: str, lines: Iterable[Any], folder: Path) -> Floats:
     """Rows that a program prints of lines; it takes the header, compiled with all warnings."""
     header = files("undeadzone.numerics") / "deadzone_update.h"
     (folder / "deadzone_update.h").write_text(header.read_text())
     (folder / "main.c").write_text(main)
-    flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-O1", *options]
+    flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-O1"]
     program = once.program(["deadzone_update", *flags, "main.c"], folder)
     text = "\n".join(map(str, lines))
     done = subprocess.run([program], input=text, capture_output=True, text=True, check=True)
@@ -420,97 +420,6 @@ def test_both_refuse_what_cannot_be(folder: Path) -> None:
     for case in cases:
         with pytest.raises(uz.InputError, match=r"mean|cov"):
             case.update()
-
-
-MAIN = """
-#define DEADZONE_REAL double
-#include "deadzone_update.h"
-#include <stdio.h>
-int main(void) {
-  double C[] = {1, 0, 0, 0}, x[] = {0, 0, 1.15, 1.15}, P[16] = {0}, work[8], y;
-  DeadzoneSensor s = {C, {2, AT_LEFT}, {0, 0.8}, NOISE, BEFORE, 2, 5};
-  DeadzoneMemory memory = {0};
-  P[0] = 25; P[5] = 1; P[10] = P[15] = 0.24;
-  while (scanf("%lf", &y) == 1) {
-    int side = deadzone_update(&memory, &s, 4, x, P, y, work);
-    printf("%d", side);
-    for (int i = 0; i < 4; i++) printf(" %.17g", x[i]);
-    for (int i = 0; i < 16; i++) printf(" %.17g", P[i]);
-    printf("\\n");
-    for (int i = 0; i < 4; i++) P[5 * i] += 0.001 * (i < 2);
-    x[0] += 0.01 * x[1];
-  }
-  return 0;
-}
-"""
-
-
-@pytest.mark.parametrize(
-    ("at_left", "noise", "before"), [(3, 0.02, 0.0), (-1, 0.02, 0.01), (3, 0.0, 0.05)]
-)
-def test_the_header_computes_the_same(
-    at_left: int, noise: float, before: float, tmp_path: Path
-) -> None:
-    """To rounding, over readings of both sides, silent and missing ones."""
-    rng = np.random.default_rng(1)
-    z = 2 * np.sin(0.05 * np.arange(300)) + before * rng.normal(size=300)
-    readings = deadzone(z, 1.0, 0.8, 2.0) + noise * rng.normal(size=300)
-    readings[::17] = np.nan
-    rows = in_c(readings, at_left, noise, before, tmp_path)
-    x, P, memory = np.array([0, 0, 1.15, 1.15]), np.diag([25, 1, 0.24, 0.24]), DeadzoneMemory()
-    eye = np.eye(4)
-    for y, row in zip(readings, rows, strict=True):
-        left: Any = eye[3] if at_left > 0 else 0.8
-        options = {
-            "noise": noise,
-            "noise_before": before,
-            "slope": 2.0,
-            "memory": memory,
-            "rest": 5,
-        }
-        updated = deadzone_update(x, P, eye[0], y, right=eye[2], left=left, **options)
-        x, P, memory = updated.mean, updated.cov, updated.memory
-        assert row[0] == updated.side
-        assert row[1:5] == pytest.approx(x, rel=1e-6, abs=1e-8)
-        assert row[5:] == pytest.approx(P.ravel(), rel=1e-5, abs=1e-8)
-        P = P + np.diag([0.001, 0.001, 0, 0])
-        x = x + np.array([0.01 * x[1], 0, 0, 0])
-
-
-def test_the_old_header_has_the_same_names(tmp_path: Path) -> None:
-    """Each name of `ear.h` that was public, in double precision."""
-    folder = files("undeadzone.numerics")
-    for name in ("ear.h", "deadzone_update.h"):
-        (tmp_path / name).write_text((folder / name).read_text())
-    old = {
-        "deadzone_update(": "ear_hear(",
-        "deadzone_update.h": "ear.h",
-        "DeadzoneMemory": "Ear",
-        "DeadzoneSensor": "EarSensor",
-        "DEADZONE_REAL": "EAR_REAL",
-    }
-    text = ANY
-    for current, name in old.items():
-        assert current in text
-        text = text.replace(current, name)
-    (tmp_path / "main.c").write_text(text)
-    flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-O1"]
-    program = once.program(["ear", *flags, "main.c"], tmp_path)
-    case = Case(np.zeros(3), np.full((3, 3), math.nan))
-    done = subprocess.run([program], input=case.line(), capture_output=True, text=True, check=False)
-    assert float(done.stdout.split()[0]) == 2.0
-
-
-def test_the_old_names_of_the_memory_warn_and_work() -> None:
-    options: dict[str, Any] = {"right": 1.0, "left": 1.0, "noise": 0.1, "rest": 5}
-    memory = DeadzoneMemory(0.3, 0.2)
-    with pytest.warns(DeprecationWarning, match="deadzone_update: ear is now memory") as record:
-        updated = uz.deadzone_update([0.0], np.eye(1), [1.0], 0.4, ear=memory, **options)
-    assert record[0].filename == __file__
-    assert updated.memory.previous == 0.3
-    with pytest.warns(DeprecationWarning, match=r"DeadzoneUpdate\.ear is now memory") as record:
-        assert updated.ear == updated.memory
-    assert record[0].filename == __file__
 
 
 SHAPED = """
@@ -609,10 +518,3 @@ def test_columns_are_how_far_a_mean_moves_with_the_sensor(name: str) -> None:
     moved = (follow(y + h * other)[0] - mean) / h
     assert np.abs(moved[1:] - columns[1:, place]).max() < 0.2 * np.abs(columns[1:, place]).max()
     assert np.linalg.eigvalsh(wide)[0] > -1e-12 < np.trace(wide)
-
-
-def in_c(readings: Floats, at_left: int, noise: float, before: float, folder: Path) -> Floats:
-    """What the header makes of readings, compiled with all warnings: (side, x, P) a row."""
-    words = {"AT_LEFT": at_left, "NOISE": noise, "BEFORE": before}
-    defined = [f"-D{name}={value}" for name, value in words.items()]
-    return run_header(MAIN, readings, folder, *defined)

@@ -51,7 +51,7 @@ def test_the_likeliest_is_described_in_full_and_the_others_by_name() -> None:
     gust = f"{ASSUMPTION_CHECKS['gust'].words}: {ASSUMPTION_CHECKS['gust'].cure()}"
     assert describe_rejected_assumptions(["gust"]) == [gust]
     described = describe_rejected_assumptions(["gust", "noise", "range"])
-    assert described == [gust, "the same readings speak against noise, range"]
+    assert described == [gust, "the same readings contradict noise, range"]
 
 
 def test_no_option_is_advised_that_the_method_does_not_have() -> None:

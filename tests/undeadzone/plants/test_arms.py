@@ -347,7 +347,7 @@ def test_figures_of_an_arm_have_their_panels(both: tuple[Run, Run]) -> None:
     figure = run_figures.plot_tip(*both)
     assert [axes.get_title(loc="left") for axes in figure.axes] == [
         "The tip, last half of the run",
-        "Distance of the tip from where it should be",
+        "Distance of the tip from its desired place",
         "Torques",
     ]
     assert [text.get_text() for text in figure.legends[0].get_texts()] == [

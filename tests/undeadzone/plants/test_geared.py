@@ -235,7 +235,7 @@ def test_readme_path_holds_the_second_joint_on_one_flank(known: uz.Run) -> None:
     assert first["width"]
     assert not second["width"]
     (reason,) = second["reasons"]
-    assert reason.startswith("held on one flank: its gap cannot be known; swing it through ")
+    assert reason.startswith("held on one flank: its gap cannot be known. Swing it through ")
     place = float(reason.partition("through ")[2].split()[0])
     mean = known.x[:, 2].mean()
     assert np.cos(mean + place) == pytest.approx(0.0, abs=0.02)  # where the link hangs

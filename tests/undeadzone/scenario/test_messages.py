@@ -73,10 +73,10 @@ def test_an_unknown_table_gets_no_wild_guess() -> None:
 @pytest.mark.parametrize(
     ("name", "content", "expected"),
     [
-        ("log.csv", "t,u,y\n0,1,2\n", "a log goes to undeadzone identify"),
-        ("a.py", "import undeadzone\n", "run a program with python"),
+        ("log.csv", "t,u,y\n0,1,2\n", "A log goes to undeadzone identify"),
+        ("a.py", "import undeadzone\n", "Run a program with python"),
         ("a.urdf", "<robot/>\n", "undeadzone arm shows a robot"),
-        ("a.json", "{}\n", "a scenario is a TOML file"),
+        ("a.json", "{}\n", "A scenario is a TOML file"),
         ("a.toml", "title = 'Kühler'".encode("latin-1"), "Save it as UTF-8"),
         ("b.toml", TEMPLATE.encode("utf-16"), "Save it as UTF-8"),
     ],
@@ -111,13 +111,13 @@ def test_what_editors_do_changes_nothing(tmp_path: Path, content: bytes) -> None
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["mine.toml"], "to run this scenario: undeadzone run mine.toml"),
+        (["mine.toml"], "To run this scenario: undeadzone run mine.toml"),
         (["simulate", "mine.toml"], "Did you mean 'run'?"),
         (["indentify", "log.csv"], "Did you mean 'identify'?"),
         (["arenas"], "No such command 'arenas'. Did you mean 'arena'?"),
         (["fly", "away"], "No such command 'fly'."),
         (["identify", "mine.toml"], "this is a scenario, no log"),
-        (["estimate", "log.csv", "mine.toml"], "a log goes to undeadzone identify"),
+        (["estimate", "log.csv", "mine.toml"], "undeadzone estimate mine.toml log.csv"),
     ],
 )
 def test_a_mistake_on_the_command_line_names_its_cure(
@@ -265,7 +265,7 @@ def test_a_range_that_excludes_the_truth_is_reported() -> None:
     assert not verdict["right"]
     assert verdict["left"]
     assert verdict["reasons"] == [
-        "a false claim: the right width is 1, observer.right says 0 to 0.5"
+        "a false assumption: the right width is 1, observer.right says 0 to 0.5"
     ]
     assert uz.simulate(parse(TEMPLATE)).fully_identifiable
 
@@ -275,7 +275,10 @@ def test_an_actuator_range_that_excludes_the_truth_is_reported() -> None:
     path = EXAMPLES / "valve_both_ends.toml"
     valve = parse(path.read_text()) | {"simulation": {"duration": 3.0}}
     assert valve.actuator.right == 1.2
-    message, short = "a false claim: model.actuator excludes", {"simulation": {"duration": 3.0}}
+    message, short = (
+        "a false assumption: model.actuator excludes",
+        {"simulation": {"duration": 3.0}},
+    )
     for width, is_false in (([0.0, 1.0], True), (1.0, True), ([0.0, 3.0], False), (1.2, False)):
         left = 0.8 if isinstance(width, float) else [0.0, 3.0]
         assumptions = {"model": {"actuator": {"right": width, "left": left}}}

@@ -285,7 +285,7 @@ def test_what_a_design_writes(knee: tuple[Path, Done]) -> None:
         "The gains",
         "What is guaranteed",
         "How fast",
-        "What can be known",
+        "Identifiable widths",
         "The trade",
         "eigenvalues of P, all positive",
     ):

@@ -129,7 +129,7 @@ def test_a_server_that_is_no_scheduler(tmp_path: Path, monkeypatch: pytest.Monke
 
 def test_without_distributed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
-    words = r"the package distributed is missing; pip install 'undeadzone\[dask\]'"
+    words = r"the package distributed is missing: pip install 'undeadzone\[dask\]'"
     with pytest.raises(InputError, match=words):
         run_blocks.compute_job(
             functools.partial(sines, 605), tmp_path / "runs.partial", cluster="tcp://127.0.0.1:9"

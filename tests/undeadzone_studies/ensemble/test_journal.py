@@ -269,7 +269,7 @@ def test_nothing_is_written_through_links(tmp_path: Path, link: str) -> None:
     if link == "hardlink_to":
         outside.write_bytes(b"")
     getattr(path, link)(outside)
-    with pytest.raises(FileError, match=r"runs\.partial: cannot write: it is .* delete it, or"):
+    with pytest.raises(FileError, match=r"runs\.partial: cannot write: it is .* Delete it, or"):
         journal.open_store(path, sines(605).layout)
     assert not outside.exists() or outside.read_bytes() == b""
 

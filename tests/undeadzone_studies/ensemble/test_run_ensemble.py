@@ -406,7 +406,7 @@ def test_some_diverged_is_exit_code_1(undeadzone: Call, study: Path, tmp_path: P
     study.write_text(to_toml(vary(small("sampled"), unstable, 100)))
     done = undeadzone("ensemble", study, "--no-figures", "--out", tmp_path / "out")
     assert done.code == 1, done.err
-    assert "left out of what follows" in done.out
+    assert "Left out below" in done.out
 
 
 @pytest.mark.parametrize(

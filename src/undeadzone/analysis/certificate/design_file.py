@@ -320,7 +320,7 @@ def describe_margin(margin: float, frequency: float | None) -> str:
     where = "for large frequencies"
     if frequency is not None and math.isfinite(frequency):
         where = f"at {frequency:.4g} rad/s"
-    return f"yes, margin {margin:.4g} {where}: V never rises, whatever the sides do"
+    return f"yes, margin {margin:.4g} {where}: V never rises, on any side"
 
 
 def format_gains(gains: list[Any]) -> str:

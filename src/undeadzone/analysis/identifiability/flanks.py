@@ -5,11 +5,12 @@ joint has to meet three conditions. Its link has to cross the gap. The strike ha
 readings of the encoder, against its noise and the unknown torque of the motor. And its coupling to
 others must be weak enough to tell their effects on its link, in their gaps, from its own: joint by
 joint they were noise, a gap of zero foretold best, and a Panda's gaps came out as zero
-(docs/robots.md). A joint that moves with one that is lost for its coupling is lost, too: the second
-gap of an xArm came out 4.2 deviations off. Of a link that others push to and fro most crossings
-have to show: it was lost by its filter where it floats, and the first gap of a Kinova came out 14
-deviations off. No motor may be too light for the sample time: friction of 0.4 N m on 1.4e-4 kg m^2
-made the filters of an xArm chaotic, and two gaps of other joints came out 13 and 14 deviations off.
+(docs/robot_gears.md). A joint that moves with one that is lost for its coupling is lost, too: the
+second gap of an xArm came out 4.2 deviations off. Of a link that others push to and fro most
+crossings have to show: it was lost by its filter where it floats, and the first gap of a Kinova
+came out 14 deviations off. No motor may be too light for the sample time: friction of 0.4 N m on
+1.4e-4 kg m^2 made the filters of an xArm chaotic, and two gaps of other joints came out 13 and 14
+deviations off.
 """
 
 from __future__ import annotations
@@ -261,7 +262,7 @@ def gap_identifiability(
         elif found.rows.size:
             why = _strike_reason(float(strikes.max()), unit, "m" if body.chain.slides else "rad")
         elif visits[i].right and visits[i].left:
-            why = "its link never crossed the gap: its gap cannot be known; turn it faster"
+            why = "its link never crossed the gap: its gap cannot be known. Turn it faster"
         else:
             place = torque_free_position(body, links, path[:, 0].mean(axis=0), i)
             why = _gap_reasons(place, "" if body.chain.slides else " rad")
@@ -300,7 +301,7 @@ def _lost_partner_reason(partner: str, ratio: float) -> str:
     """Describe that a joint moves with one whose filter is lost."""
     return (
         f"moves with {partner} (coupling {ratio:.3g}), whose own gap cannot be known for its "
-        "coupling: neither can this one; move where its axis is apart from all others"
+        "coupling, as this one. Move to a posture in which its axis is apart from all others"
     )
 
 
@@ -308,7 +309,7 @@ def _light_reason(joint: str, inertia: float, samples: float) -> str:
     """Describe that friction stops a motor too soon for the sample time."""
     return (
         f"friction stops the light motor of {joint} (inertia {inertia:.2g}) within {samples:.2g} "
-        "samples, which disturbs every filter: no gap can be known; check its inertia and "
+        "samples, which disturbs every filter: no gap can be known. Check its inertia and "
         "friction, or sample faster"
     )
 
@@ -316,8 +317,8 @@ def _light_reason(joint: str, inertia: float, samples: float) -> str:
 def _floating_reason(detected: int, crossed: int) -> str:
     """Describe that a link of an arm also drifts across its gap without a strike that shows."""
     return (
-        f"{crossed - detected} of {crossed} crossings show no strike: its link floats in the gap, "
-        "where joint by joint it is lost: its gap cannot be known; turn it faster, or load it"
+        f"{crossed - detected} of {crossed} crossings show no strike: its link floats in the "
+        "gap, and joint by joint it is lost: its gap cannot be known. Turn it faster, or load it"
     )
 
 
@@ -326,7 +327,7 @@ def _strike_reason(jump: float, unit: float, name: str) -> str:
     return (
         f"a strike changes the speed of its motor by {jump:.2g} {name}/s at most, which noise and "
         f"unknown torque hide ({unit * jump:.2g} of {DETECTED:g} deviations): its gap cannot be "
-        "known; turn it faster"
+        "known. Turn it faster"
     )
 
 
@@ -337,5 +338,5 @@ def _gap_reasons(place: float | None, unit: str) -> str:
     """
     what = "held on one flank: its gap cannot be known"
     if place is None:
-        return f"{what}, nor does gravity change its load anywhere: turn it to and fro faster"
-    return f"{what}; swing it through {place:.3g}{unit}, where it carries no load"
+        return f"{what}, and gravity changes its load nowhere: turn it to and fro faster"
+    return f"{what}. Swing it through {place:.3g}{unit}, at which it carries no load"

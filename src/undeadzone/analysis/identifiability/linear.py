@@ -68,8 +68,8 @@ def describe_rare_exactness(schedule: Schedule, i: int) -> list[str]:
     if share == 0:
         return ["no reading beyond the edges is exact: all are at a limit of sensor.range"]
     return [
-        f"only {100 * share:.2g} % of the readings beyond the edges are exact: the others are at a "
-        "limit of sensor.range, where they only bound z"
+        f"only {100 * share:.2g} % of the readings beyond the edges are exact: the others are at "
+        f"a limit of sensor.range, and only bound z"
     ]
 
 
@@ -82,7 +82,7 @@ def _reason_not_reached(name: str, edge: str, stays: str) -> str:
         return f"the {name} edge is never reached: the output {stays}"
     return (
         f"the {name} edge is hardly reached: "
-        f"too few readings arrive from beyond {edge} to tell it from the state"
+        f"too few readings arrive from beyond {edge} to separate it from the state"
     )
 
 
@@ -424,13 +424,13 @@ def _confounding_reasons(
     start = "the centre is not identifiable: "
     what = "centre" if len(edges) == 2 else f"{edges[0]} edge"
     if are_edges_known(None):
-        reason = f"{start}constant input bias, {what} and bias cannot be told apart"
+        reason = f"{start}constant input bias, {what} and bias cannot be separated"
         return {reason: "calibrate the input"}
-    rest = f"the {what} cannot be told from a shift of the state"
+    rest = f"the {what} cannot be separated from a shift of the state"
     if len(edges) == 2:
         rest = "only the width d_r + d_l can be known"
     reason = f"{start}A is singular (an integrator), {rest}"
-    return {reason: "let the plant pass a place where z is known"}
+    return {reason: "let the plant pass a place of known z"}
 
 
 def null_space_basis(M: Floats, tolerance: float) -> Floats:

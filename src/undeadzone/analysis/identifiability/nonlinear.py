@@ -67,7 +67,7 @@ def prior_rows(
 
 LIMIT = 1e9  # beyond this a state has diverged
 SHARE = 1e-3  # of the largest change: less is not named
-CURES = "a known start, an absolute reference pulse, a spring or gravity would tell"
+CURES = "a known start, an absolute reference pulse, a spring or gravity would separate them"
 ROUNDING = 1e-12  # singular value, of columns of length 1, of a state that no reading feels
 BLOCK = 64  # steps whose readings are compressed at once, unless
 GROWTH = 5.0  # they may grow more than e^5-fold
@@ -181,11 +181,11 @@ def _confounding_reasons_along(
     number = np.arange(hidden.scale.size)  # of each constant: widths, then biases, then parameters
     of_bias = (number >= 2 * model.p) & (number < 2 * model.p + biases)
     if _is_caused_by(of_bias, hidden, i, edges):
-        return [f"{start}constant input bias, {quantity} and bias cannot be told apart"]
+        return [f"{start}constant input bias, {quantity} and bias cannot be separated"]
     if _is_caused_by(number >= 2 * model.p + biases, hidden, i, edges):
         names = ", ".join(uncertain)
-        return [f"{start}with {names} uncertain the {quantity} cannot be told from them"]
-    remainder = f"the {quantity} cannot be told from a shift of the state"
+        return [f"{start}with {names} uncertain the {quantity} cannot be separated from them"]
+    remainder = f"the {quantity} cannot be separated from a shift of the state"
     if is_width_known:
         remainder = "only the width d_r + d_l can be known"
     return [start + _describe_state_shift(model, known, i, unknown[0], quantity, remainder)]
@@ -222,7 +222,7 @@ def _describe_state_shift(
     change = known.follow @ (hidden.scale * (basis @ basis[row]))
     change = np.where(np.abs(change) > SHARE * np.abs(change).max(), change, 0.0)
     if not change.any():
-        return f"the {quantity}, bias and parameters cannot be told apart"
+        return f"the {quantity}, bias and parameters cannot be separated"
     names = " and ".join(_state_names(model)[j] for j in np.flatnonzero(change))
     if not alone:
         return (
@@ -235,8 +235,8 @@ def _describe_state_shift(
             f"{remainder}; {CURES}"
         )
     return (
-        f"along this run {names} can shift with the edges and no reading changes, {remainder}; "
-        f"another motion may tell, else {CURES}"
+        f"along this run {names} can shift with the edges and no reading changes, {remainder}. "
+        f"Another motion may separate them, else {CURES}"
     )
 
 

@@ -213,7 +213,7 @@ def _single_contact_reason(schedule: Schedule, visited: np.ndarray, i: int) -> l
     seen, other = ("right", "left") if right else ("left", "right")
     return [
         f"beyond the edges the output is read while it moves {seen} alone, never while it moves "
-        f"{other}: the gap cannot be told"
+        f"{other}: the gap cannot be known"
     ]
 
 
@@ -227,10 +227,11 @@ def _describe_asymmetries(
         return []
     if both:
         return [
-            "told are c_r + c_l, d_r + d_l and c_r - c_l + d_r - d_l: a shift of the gap cannot be "
-            "told from one of the zone, and z needs their sum alone"
+            "known are c_r + c_l, d_r + d_l and c_r - c_l + d_r - d_l: a shift of the gap cannot "
+            "be separated from one of the zone, and z needs their sum alone"
         ]
     return [
-        "told are c_r + c_l and d_r + d_l: the sum of both centres cannot be told from a shift of "
+        "known are c_r + c_l and d_r + d_l: the sum of both centres cannot be separated from a "
+        "shift of "
         "the state"
     ]

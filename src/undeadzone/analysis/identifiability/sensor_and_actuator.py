@@ -107,6 +107,7 @@ def _sensor_actuator_reasons(
     if not all(silent) or not silent:
         return (
             "the inverse never lets the actuator fall silent while the output is read, so a shift "
-            "of its zone cannot be told from one of the sensor's; coast: compensator.coast = 0.4",
+            "of its zone cannot be separated from one of the sensor's; coast: compensator.coast "
+            "= 0.4",
         )
-    return ("a shift of the zones cannot be told from a shift of the state",)
+    return ("a shift of the zones cannot be separated from a shift of the state",)

@@ -1,7 +1,7 @@
 """Kalman filter on the measured branch for `[x; d_r; d_l]` and further unknowns.
 
 A reading after a censored sample that is farther away than z can move in the time between is wrong.
-The mathematics is in docs/filter_equations.md, "Outliers".
+The mathematics is in docs/filter_extensions.md, "Outliers".
 """
 
 from __future__ import annotations

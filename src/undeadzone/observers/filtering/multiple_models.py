@@ -227,7 +227,7 @@ def wider_component_weights(share: Any) -> Any:
     The widest component comes first.
 
     A mixture of deviations has more in its tails than a Gaussian of its variance. These shares make
-    up for it (docs/filter_equations.md, "Bias or centre").
+    up for it (docs/filter_extensions.md, "Bias or centre").
     """
     tails = [ca.sum1(share[k:]) ** 2 for k in range(share.shape[0])]
     return ca.vertcat(*(here - after for here, after in zip(tails, [*tails[1:], 0.0], strict=True)))

@@ -1,6 +1,6 @@
 """Recovery of a filter from a wrong estimate: covariance inflation and reset to the prior.
 
-The mathematics is in docs/filter_equations.md, "Outliers".
+The mathematics is in docs/filter_extensions.md, "Outliers".
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ v in a sample, is
 rho is an unknown constant of the filter. gamma and tau are not, and rho is not in a small filter: a
 column S = d mean / d b of each such doubt b is the shift of the mean if the sensor differed a
 little, and the displayed covariance contains var(b) S S' besides
-(docs/filter_equations.md, "Sensor shape").
+(docs/filter_extensions.md, "Sensor shape").
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Interface between a filter and a smoother of a whole log: moments of each sample and display.
 
 A filter is a bank of members, one at least, whose beliefs a smoother improves one by one. The
-mathematics is in docs/filter_equations.md, "Smoothing".
+mathematics is in docs/filter_extensions.md, "Smoothing".
 """
 
 from __future__ import annotations

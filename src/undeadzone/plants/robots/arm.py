@@ -5,7 +5,6 @@ Their equation is M(q) a + h(q, v) + friction = torque.
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple
@@ -15,6 +14,7 @@ import numpy as np
 
 from undeadzone.errors import InputError
 from undeadzone.util.arrays import Floats, require_number
+from undeadzone.util.text import suggest_name
 
 Numbers = Mapping[str, Any]  # an arm's parameters, by name
 SIGNLESS = r"payload|([mlIJkbf]|half|inertia|friction|viscous|contact)\d*"  # those without a sign
@@ -196,11 +196,8 @@ def change_arm_numbers(
     """
     for name in changes:
         if name not in names:
-            near = difflib.get_close_matches(name, names, 1)
-            advice = f"Did you mean {near[0]!r}? " if near else ""
-            raise InputError(
-                f"{key}.parameters.{name}: unknown. {advice}This arm has {', '.join(names)}"
-            )
+            advice = suggest_name(name, names, "This arm has")
+            raise InputError(f"{key}.parameters.{name}: unknown. {advice}")
     parameters = dict(zip(names, values, strict=True))
     for name, value in changes.items():
         parameters[name] = require_number(f"{key}.parameters.{name}", value)

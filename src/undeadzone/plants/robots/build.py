@@ -180,7 +180,7 @@ def require_geared_start(gears: Geared, x: Array | None, key: str) -> Floats:
     N = gears.joint_count
     if x is not None and np.size(x) == 4 * N:
         return require_vector(key, x, 4 * N).copy()
-    why = "the angles of the links, then their speeds; or motors and links, then their speeds"
+    why = "the angles of the links, then their speeds, or motors and links, then their speeds"
     q, v = np.split(require_vector(key, np.zeros(2 * N) if x is None else x, 2 * N, why), 2)
     return np.concatenate([np.asarray(gears.motors_at_rest(gears.values, q)).ravel(), q, v, v])
 

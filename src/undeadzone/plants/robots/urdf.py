@@ -21,9 +21,9 @@ from undeadzone.plants.robots.urdf_elements import (
     Joint,
     Robot,
     read_urdf,
-    suggest_name,
 )
 from undeadzone.util.arrays import Array, Floats, require_vector
+from undeadzone.util.text import suggest_name
 
 # Entries this close to 0 (cos(pi/2) of a file's digits), or to 1 and -1, become it: each would cost
 # products in every step.
@@ -319,10 +319,12 @@ def select_joints(
     for i, name in enumerate(joints or ()):
         if name not in movable:
             what = "a fixed joint" if name in known else "no joint"
-            advice = suggest_name(name, movable)
+            advice = suggest_name(name, movable, "The file has")
             raise InputError(f"plant.arm.joints[{i}]: {what} {name!r}. {advice}")
     if tip is not None and tip not in robot.links:
-        raise InputError(f"plant.arm.tip: no link {tip!r}. {suggest_name(tip, robot.links)}")
+        raise InputError(
+            f"plant.arm.tip: no link {tip!r}. {suggest_name(tip, robot.links, 'The file has')}"
+        )
     moved = movable if joints is None else joints
     if tip is None:
         tip = _find_arm_end(robot, moved)

@@ -5,9 +5,7 @@ A reader of an element raises ValueError, which names it. `read` adds the key an
 
 from __future__ import annotations
 
-import difflib
 import math
-from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree.ElementTree import Element, ParseError, fromstring
@@ -17,6 +15,7 @@ import numpy as np
 from undeadzone.errors import FileError
 from undeadzone.util.arrays import Floats, to_float_array
 from undeadzone.util.files import failure_reason, read_bytes
+from undeadzone.util.text import suggest_name
 
 MOVABLE = "revolute", "continuous", "prismatic"
 TRIANGLE = 1e-9  # of an inertia's largest principal moment: rounding of the file's digits
@@ -282,13 +281,6 @@ def read_urdf(path: Path) -> Robot:
         raise FileError(f"plant.arm.path: {path}: {error}") from None
 
 
-def suggest_name(name: str, known: Iterable[str]) -> str:
-    """Return advice with the nearest of the known names, or with all of them."""
-    known = list(known)
-    near = difflib.get_close_matches(name, known, 1)
-    return f"Did you mean {near[0]!r}?" if near else f"The file has {', '.join(known) or 'none'}"
-
-
 def _parse_robot(root: Element) -> Robot:
     """Return the tree under <robot>. Raises ValueError."""
     if root.tag != "robot":
@@ -305,7 +297,8 @@ def _parse_robot(root: Element) -> Robot:
     for joint in joints:
         for end in (joint.parent, joint.child):
             if end not in links:
-                raise ValueError(f"joint {joint.name}: no link {end!r}. {suggest_name(end, links)}")
+                advice = suggest_name(end, links, "The file has")
+                raise ValueError(f"joint {joint.name}: no link {end!r}. {advice}")
     _require_tree(list(links), joints)
     return Robot(links, joints)
 

@@ -1,6 +1,6 @@
 """Quadratic programme of moving horizon estimation behind a dead zone.
 
-Its unknowns are in units of standard deviations (docs/methods/moving_horizon.md).
+Its unknowns are in units of standard deviations (docs/methods/nonlinear_filters.md).
 """
 
 from __future__ import annotations

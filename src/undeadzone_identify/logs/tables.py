@@ -1,0 +1,102 @@
+"""Tables without a column for each signal: a line for each value, a trace in blocks, Parquet."""
+
+from __future__ import annotations
+
+import functools
+import io
+import itertools
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from undeadzone.errors import FileError
+from undeadzone.logs.kinds import split_unit, time_rank
+from undeadzone.logs.samples import FIRST, numbers_of_texts
+from undeadzone.logs.stamps import stamps_of
+from undeadzone.logs.text import Text, blocks_of, dialect_of, is_content, parse_cell, split_cells
+from undeadzone.util.arrays import Floats
+from undeadzone.util.files import LARGEST_TABLE, read_bytes, unreadable_file
+
+Arrays = dict[str, Floats]  # by the names of the signals, and their times
+FEWEST_VALUES = 3  # of each signal
+MOST_NUMBERS = 0.9  # share of the cells of a column that are numbers, or of a column of names not
+
+
+def read_parquet(path: Path) -> Arrays:
+    """Read the columns of a Parquet file; a column of lists is a matrix. Raises FileError."""
+    content = read_bytes(path, LARGEST_TABLE)
+    try:
+        from pyarrow import parquet
+
+        table = parquet.read_table(io.BytesIO(content))
+        return {name: _numbers(table[name].to_numpy()) for name in table.column_names}
+    except ImportError:
+        how = "pip install 'undeadzone[parquet]', or save it as CSV"
+        raise FileError(f"{path}: a .parquet file needs pyarrow: {how}") from None
+    except (OSError, ValueError) as error:
+        raise unreadable_file(path, error) from None
+
+
+def _numbers(values: Any) -> Any:
+    """Return a column of lists as a matrix, and dates as seconds after the first."""
+    if values.dtype.kind == "O":
+        return np.stack(values)
+    if values.dtype.kind == "M":
+        return (values - values[0]) / np.timedelta64(1, "s")
+    return values
+
+
+def read_long_table(path: Path) -> Arrays | None:
+    """Read a text with a name, a time and a value in each line; None for any other table.
+
+    A trace of a PLC names its values ahead of them. Other signals count at the times of the one
+    that has most values, as they last were.
+    """
+    text = Text(str(path))
+    blocks = (text.feed(*block) for block in blocks_of(path, LARGEST_TABLE))
+    lines = list(filter(is_content, itertools.chain.from_iterable(blocks)))
+    titles, columns = _columns_of_lines(lines)
+    numbers = [numbers_of_texts(x, functools.partial(parse_cell, mark=".")) for x in columns]
+    stamped = [stamps_of(x[:FIRST]) is not None for x in columns]
+    is_time = [stamped[k] or time_rank(split_unit(titles[k])) >= 0 for k in range(len(columns))]
+    full = [bool(np.isfinite(x).mean() > MOST_NUMBERS) for x in numbers]
+    times = [k for k, one in enumerate(is_time) if one]
+    values = [k for k, one in enumerate(full) if one and k not in times]
+    names = [k for k, one in enumerate(full) if not one and k not in times]
+    if not times or len(values) != 1 or len(names) != 1:
+        return None
+    name = np.array(columns[names[0]])
+    stamps = [" ".join(parts) for parts in zip(*(columns[k] for k in times), strict=True)]
+    t = numbers_of_texts(stamps, functools.partial(parse_cell, mark="."))
+    known = np.isfinite(t) & np.isfinite(numbers[values[0]])
+    different, of, counts = np.unique(name[known], return_inverse=True, return_counts=True)
+    if different.size < 2 or counts.min() < FEWEST_VALUES:
+        return None
+    t, x = t[known], numbers[values[0]][known]
+    base = np.unique(t[of == np.argmax(counts)])
+    late = base + np.median(np.diff(base)) / 2
+    arrays = {titles[times[0]] or "time": base}
+    for k in np.argsort(np.unique(of, return_index=True)[1]):
+        own, order = np.unique(t[of == k], return_index=True)
+        before = np.searchsorted(own, late) - 1
+        arrays[str(different[k])] = np.where(before < 0, np.nan, x[of == k][order][before])
+    return arrays
+
+
+def _columns_of_lines(lines: Sequence[str]) -> tuple[list[str], list[tuple[str, ...]]]:
+    """Return the titles of columns, "" without a header, and their cells."""
+    dialect = dialect_of(lines[:FIRST])
+    width = dialect.width
+    titles = [f"{name} [{unit}]".removesuffix(" []") for name, unit in dialect.titles or ()] or [
+        ""
+    ] * width
+    rows = []
+    name = ""
+    for line in lines[dialect.heads :]:
+        cells = split_cells(line, dialect.separator)
+        if cells[0].endswith(".Variable"):
+            name, width, titles = cells[-1], 3, ["", "t [ms]", ""]
+        rows.append([cells[0] or name, *cells[1:]])
+    return titles, list(zip(*(row for row in rows if len(row) == width), strict=True))
