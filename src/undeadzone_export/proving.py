@@ -15,14 +15,13 @@ from functools import partial
 from typing import Any, Final
 
 import numpy as np
-from scipy.linalg import block_diag, eigh
+from scipy.linalg import block_diag, solve_discrete_lyapunov
 
 from undeadzone.analysis.certificate.passivity import Certificate, certify
-from undeadzone.analysis.dissipation import Inequality, optimise_storage
-from undeadzone.analysis.error_dynamics import balance_dynamics, largest_growth_rate
 from undeadzone.compile.simplify import round_to_type
 from undeadzone.errors import InputError, ProofError
 from undeadzone.linalg.matrices import symmetric_part
+from undeadzone.numerics.semidefinite import minimise_semidefinite, symmetric_matrix
 from undeadzone.observers.certified import Certified
 from undeadzone.scenario.problem import Problem, constant_gains, resolve_scenario
 from undeadzone.scenario.schema import Scenario
@@ -34,23 +33,24 @@ from undeadzone_export.code import build_code
 from undeadzone_export.exported_step import build_step
 from undeadzone_export.source import Labels, Source, build_source
 from undeadzone_proof import (
-    bound_reading_error,
-    compare_step,
-    list_sides,
-    reach_states,
+    Code,
+    Refused,
+    hold,
+    list_modes,
+    map_step,
+    require,
     state_theorem,
     verify_proof,
 )
-from undeadzone_proof.exact import ZERO, Refused, dual_form, hold_exactly, require
-from undeadzone_proof.source import Code
 
 FILE: Final = "proof.json"
-ROOM: Final = 1 + 1e-6  # by which proposed numbers exceed those that are needed
-DECAYS: Final = (0.2, 0.4, 0.6, 0.8, 0.95)  # shares of the fastest decay of V, that are tried
-FALLS: Final = ((0.05, 0.3), (0.2, 0.3), (0.5, 0.8))  # shares of decay and margin, of candidates
-FAIR: Final = 1.25  # of the smallest set of any widths, that the chosen one may have
-PASSES: Final = 8  # of a set's rounding, which grows with the set, at most
+ROOM: Final = 1 + 1e-5  # by which proposed numbers exceed those that are needed
+SLACK: Final = 1e-7  # of the balanced inequality, which the exact one needs
+SHARES: Final = (0.02, 0.06, 0.18, 0.56)  # of the plant's decay: of V on a side, that are tried
+SILENT: Final = 0.5  # the same share in silence
+PASSES: Final = 4  # of a set's rounding, which grows with the set, at most
 LEAST: Final = 1e-9  # of the largest bound from outside, that the others count as, at least
+MODES: Final = ("right", "left", "silent")
 SIGMAS: Final = 4.0  # of a random disturbance, that its bound spans
 RANGE: Final = 2.0  # of states and inputs, in multiples of the largest along the run
 NEEDS: Final[dict[str, Callable[[Any], bool]]] = {
@@ -142,43 +142,33 @@ def propose_sampled(problem: Problem, text: Source, single: bool) -> dict[str, A
     rounded = partial(round_to_type, real="float32" if single else "float64")
     threshold = rounded(sensor.threshold[0])
     widest = rounded(np.ravel(options.width_max)[0])
-    bounds, disturbance = _ranges_of_run(problem)
+    noise = threshold * bool(sensor.noise[0] or sensor.quantum[0])
     own = {"name": text.prefix, "format": "float" if single else "double"}
     content = {
         "source": own | {"texts": [text.code, text.header]},
         "plant": problem.plant.continuous._asdict() | {"Ts": problem.model.Ts},
         "sensor": {"slope": sensor.slope[0], "threshold": threshold, "width_max": widest},
-        "bounds": bounds,
-        "storage": {"P": np.eye(n)},
+        "bounds": _ranges_of_run(problem) | {"noise": noise, "reach": [Fraction(0)] * n},
     }
     proof = _to_exact(content)
     try:
-        code = Code(
-            [text.code, text.header], text.prefix, own["format"], proof["sensor"]["width_max"]
-        )
+        code = Code([text.code, text.header], *own.values(), proof["sensor"]["width_max"])
         proof |= {"constants": code.constants, "operations": code.bodies["step"]}
-        noise = threshold * bool(sensor.noise[0] or sensor.quantum[0])
-        outside = [(noise, disturbance), (noise, disturbance), (0.0, 0 * disturbance)]
-        names = ("any widths", "known widths", "rounding alone")
-        sets = [
-            {"name": name, "noise": noise, "disturbance": push, "width": widest}
-            for name, (noise, push) in zip(names, outside, strict=True)
-        ]
-        proof["sets"] = _to_exact(sets)
-        held = hold_exactly(*(proof["plant"][key] for key in ("A", "B", "Ts")))
-        right, silent, *_ = (
-            compare_step(proof, code, held, [ZERO] * n, *side)
-            for side in list_sides(proof, code, proof["sets"][0])[:2]
-        )
-        proof["gains"] = {"L": [row[n] for row in right[0][:-1]], "gamma": 1 - right[0][-1][n]}
-        proof["storage"] = _choose_storage(found, proof, code, right, silent)
-        proof["sets"] = [one for one in proof["sets"] if _fit_set(proof, code, held, one)]
+        held = hold(proof["plant"])
+        E, _ = map_step(proof, code, held, *list_modes(proof, code)[0][1:4])
+        proof["gains"] = [row[n] for row in E]
+        R = 1 / (1 - float(E[n][n]))
+        P = found.P / found.W / problem.model.Ts
+        proof["storage"] = _to_exact({"P": P, "R": R})
+        tried = [_fit_set(proof, code, held, one) for one in _search_sets(proof, code, held)]
+        require(tried, "a set that no step leaves was found")
+        proof |= min(tried, key=lambda one: one["set"]["radius"])
     except Refused as step:
         raise ProofError(f"proof: {step}") from None
     return _finish(proof)
 
 
-def _ranges_of_run(problem: Problem) -> tuple[dict[str, list[Fraction]], Floats]:
+def _ranges_of_run(problem: Problem) -> dict[str, Any]:
     """Return bounds of states and inputs, twice those of the run, and of the disturbances."""
     run = simulate(problem.scenario, check_step=False)
     random = random_disturbance(problem)
@@ -189,149 +179,109 @@ def _ranges_of_run(problem: Problem) -> tuple[dict[str, list[Fraction]], Floats]
     else:
         push = np.zeros(problem.plant.m)
     sizes = {name: RANGE * np.abs(each).max(axis=0) for name, each in (("x", run.x), ("u", run.u))}
-    return {name: [_round_up(x, 2) for x in size] for name, size in sizes.items()}, push
+    ranges = {name: [_round_up(x, 2) for x in size] for name, size in sizes.items()}
+    return ranges | {"disturbance": push}
 
 
-def _search_storages(found: Certificate) -> Iterator[Floats]:
-    """Iterate over P of V with W = 1: the certificate's, and those of least C P^-1 C'."""
-    Ts = found.dynamics.Ts
-    assert Ts is not None
-    yield found.P / found.W / Ts
-    scaling = balance_dynamics(found.dynamics)
-    errors = scaling.scale_dynamics(found.dynamics)
-    fastest = -largest_growth_rate(errors.A[0], errors.Ts)
-    for decay, slack in FALLS:
-        terms = [(1, 1, np.array([[2 * slack * found.margin]]))]
-        inequality = errors.extend_inequality(
-            np.ones(1), np.zeros((len(errors.L), 0)), terms, decay * fastest
-        )
-        solution = optimise_storage(
-            partial(_same, inequality),
-            -np.ones(1),
-            np.zeros(1),
-            lambda P, q: [P - q[0] * errors.C.T @ errors.C],
-        )
-        if solution is not None:
-            unit = scaling.unscale_weights(np.ones(1))[0] * Ts
-            yield symmetric_part(scaling.unscale_storage(solution.P) / unit)
+def _read_modes(proof: dict[str, Any], code: Code, held: Any) -> dict[str, Any]:
+    """Return E, the bounds of all else, and of widths, readings and disturbances, by mode."""
+    modes = {}
+    for name, *mode, wrong in list_modes(proof, code)[:3]:
+        E, box = (np.array(each, float) for each in map_step(proof, code, held, *mode))
+        outside = np.array([wrong, *proof["bounds"]["disturbance"]], float)
+        outside = np.maximum(outside, LEAST * outside.max())
+        modes[name] = E, box, np.array([code.widest, code.widest, *outside], float)
+    return modes
 
 
-def _same(inequality: Inequality, q: Floats) -> Inequality:
-    """Return the inequality, whatever the multiplier."""
-    return inequality
+def _search_sets(proof: dict[str, Any], code: Code, held: Any) -> Iterator[dict[str, Any]]:
+    """Iterate over sets of least radius that no exact step leaves, one for each decay in SHARES.
 
-
-def _choose_storage(
-    found: Certificate, proof: dict[str, Any], code: Code, right: Any, silent: Any
-) -> dict[str, Any]:
-    """Return V with a small set of known widths, whose set of any widths is among the smallest.
-
-    Args:
-        found: the certificate of the gains.
-        proof: its sets and gains.
-        code: the C.
-        right, silent: `compare_step` on the right side and in silence.
-
-    Raises:
-        Refused: V falls for no candidate, by the numbers of the C.
+    V is the same seen from the left: in x~ and d~r - d~l it has one matrix, in d~r + d~l another.
     """
-    one, n, g = proof["sets"][0], len(silent[1]), float(proof["gains"]["gamma"])
-    outside = _list_outside(proof, code, one)
-    box = np.array(right[1], float)
-    c = np.array(right[0][-1][:n], float) / g
-    trials = []
-    for P in _search_storages(found):
-        modes = [
-            (np.array(right[0], float), block_diag(P, 1 / g)),
-            (np.array(silent[0], float), P),
+    modes = _read_modes(proof, code, held)
+    n = len(proof["storage"]["P"])
+    N, m, w = n + 2, n + 1, len(modes["right"][2]) - 2
+    entries, D = m * (m + 1) // 2, modes["right"][2][0]
+    slowest = 1 - np.abs(np.linalg.eigvals(modes["silent"][0][:n, :n])).max()
+    E = modes["right"][0]
+    drive = E[:n, n:n + 1] * D  # what a width drives
+    decay = SILENT * slowest
+    A = modes["silent"][0][:n, :n] / np.sqrt(1 - decay)
+    X = solve_discrete_lyapunov(A, drive @ drive.T / decay)
+    X += 1e-6 * np.diag(np.diag(X))
+    turn = block_diag(np.eye(n), np.array([[1, 1], [-1, 1]]) / np.sqrt(2))
+    T = turn @ block_diag(np.linalg.cholesky(X), D, D)
+    inverse = np.linalg.inv(T)
+    kick = inverse[:, [n]] / np.linalg.norm(inverse[:, n])  # of a clip, in the coordinates of T
+    signals = block_diag(T[n:] / D, np.eye(w + 1))
+    clip, own = signals[-1] / np.linalg.norm(inverse[:, n]), D * signals[0]
+    c = T.T @ np.append(np.array(proof["plant"]["C"][0], float), [0, 0])
+    c /= np.linalg.norm(c)
+    corners = inverse[:, n:] @ np.array([[D, D], [D, -D]])
+
+    def blocks(x: Floats) -> list[Floats]:
+        """Return the matrices that must be positive semidefinite."""
+        P = block_diag(symmetric_matrix(x[:entries], m), x[entries])
+        multipliers = x[entries + 1 : -1].reshape(2, w + 4)
+        found = [
+            *(1 - np.einsum("ik,ij,jk->k", corners, P, corners)).reshape(2, 1),
+            np.block([[P, c[:, None]], [c[None], x[-1:, None]]]),
+            multipliers.ravel(),
         ]
-        falls = [whole - (F := E[:, : len(whole)]).T @ whole @ F for E, whole in modes]
-        fastest = min(_least_ratio(fall, mode[1]) for fall, mode in zip(falls, modes, strict=True))
-        if not fastest > 0:
-            continue
-        h = np.sqrt(c @ np.linalg.solve(P, c))
-        push = np.sqrt(box @ np.abs(modes[0][1]) @ box)
-        for decay in fastest * np.array(DECAYS):
-            loud = np.zeros(len(outside))
-            for (E, whole), fall in zip(modes, falls, strict=True):
-                own, given = np.split(E, [len(whole)], axis=1)
-                cross = own.T @ whole @ given
-                rest = given.T @ whole @ given
-                rest = rest + cross.T @ np.linalg.solve(fall - decay * whole, cross)
-                loud = np.maximum(loud, np.abs(rest) @ outside / outside * ROOM)
-            K = _absorbing(decay, loud @ outside**2, push)
-            wide = h * np.hypot(K, np.sqrt(2 / g) * float(one["width"]))
-            storage = {"P": P, "R": 1 / g, "decay": decay, "loud": loud}
-            trials.append((wide, h * K * (1 + h**2 / g), storage))
-    require(trials, "V falls, by the numbers of the C")
-    fair = FAIR * min(wide for wide, *_ in trials)
-    _, _, storage = min((one for one in trials if one[0] <= fair), key=lambda one: one[1])
-    return dict(_to_exact(storage))
+        for name, decay, (*loud, toward, back) in zip(("right", "silent"), decays, multipliers, strict=True):
+            E, _, sizes = modes[name]
+            F = np.hstack([inverse @ E @ block_diag(T, np.diag(sizes[2:])), kick])
+            row = np.append(E[n] @ block_diag(T, np.diag(sizes[2:])), 0) + clip
+            sector = np.outer(clip, (toward + back) * row - back * own)
+            M = (signals.T * [*loud, 0]) @ signals + (sector + sector.T) / 2 - SLACK * np.eye(N + w + 1)
+            M += (block_diag((1 - decay) * P, np.zeros((w + 1, w + 1))) - F.T @ P @ F) / decay
+            found += [M, np.array([1 - sum(loud)])]
+        return found
+
+    for share in SHARES:
+        decays = np.array([share, SILENT]) * slowest
+        x = minimise_semidefinite(np.append(np.zeros(entries + 1 + 2 * (w + 4)), 1.0), blocks)
+        if x is not None and np.linalg.eigvalsh(blocks(x)[2])[0] > -SLACK:
+            S = inverse.T @ block_diag(symmetric_matrix(x[:entries], m), x[entries]) @ inverse
+            mirror = block_diag(-np.eye(n), [[0, 1], [1, 0]])
+            multipliers = np.maximum(x[entries + 1 : -1].reshape(2, w + 4), LEAST) * decays[:, None]
+            loud = multipliers[:, :-2] / np.array([modes[k][2] for k in ("right", "silent")]) ** 2
+            right, silent = (
+                {"decay": a, "loud": each, "clip": both}
+                for a, each, both in zip(decays, loud, multipliers[:, -2:], strict=True)
+            )
+            left = right | {"loud": right["loud"][[1, 0, *range(2, w + 2)]]}
+            yield {"S": symmetric_part(S + mirror @ S @ mirror) / 2, "right": right, "left": left, "silent": silent}
 
 
-def _list_outside(proof: dict[str, Any], code: Code, one: dict[str, Any]) -> Floats:
-    """Return bounds of a reading's error and of disturbances in a set, above 0."""
-    bounds = np.array([bound_reading_error(proof, code, one), *one["disturbance"]], float)
-    return np.maximum(bounds, LEAST * bounds.max())
-
-
-def _least_ratio(X: Floats, Y: Floats) -> float:
-    """Return the largest t with X >= t Y, or NaN if Y is not positive definite."""
-    try:
-        return float(eigh(X, Y, eigvals_only=True)[0])
-    except np.linalg.LinAlgError:
-        return np.nan
-
-
-def _absorbing(decay: Any, loud: Any, push: Any) -> float:
-    """Return the least K with sqrt((1 - decay) K^2 + loud) + push <= K."""
-    rest = push**2 * (1 - decay) + decay * loud
-    return float((push + np.sqrt(rest)) / decay)
-
-
-def _fit_set(proof: dict[str, Any], code: Code, held: Any, one: dict[str, Any]) -> bool:
-    """Set the numbers of a set that no step leaves: of any widths, or the least one.
-
-    Returns whether it exists, and has no widths that the C cannot have.
+def _fit_set(proof: dict[str, Any], code: Code, held: Any, one: dict[str, Any]) -> dict[str, Any]:
+    """Return a set large enough for rounding, and how far it reaches.
 
     Args:
-        proof: its plant, gains and V.
+        proof: its plant and bounds.
         code: the C.
         held: `hold` of the plant.
-        one: the set's name and the bounds of what comes from outside.
+        one: the set without rounding.
     """
-    storage, any_widths = proof["storage"], one is proof["sets"][0]
-    P, R, decay, loud = (np.array(each, float) for each in storage.values())
-    outside, g, n = _list_outside(proof, code, one), float(proof["gains"]["gamma"]), len(P)
-    seen = ROOM * float(dual_form(storage["P"], proof["plant"]["C"][0]))  # |z - z^|^2 / V, at most
-    room = 2 * R * float(code.widest) ** 2
-    guess: Any = float(room * any_widths) * 1.01
+    c = np.array([*proof["plant"]["C"], *np.eye(len(proof["bounds"]["x"]))], float)
     for _ in range(PASSES):
-        reach = reach_states(storage["P"], Fraction(guess))
-        K: Any = 0.0
-        wrong: Any = 0.0
-        c = np.zeros(n)
-        for side, ends in list_sides(proof, code, one)[:2]:  # the left mirrors the right
-            E, box = compare_step(proof, code, held, reach, side, ends)
-            size = np.array(box, float)
-            push = np.sqrt(size @ np.abs(block_diag(P, R) if side else P) @ size)
-            K = max(K, _absorbing(decay, loud @ outside**2, push) * ROOM)
-            if side:
-                own, given = np.split(np.array(E[-1], float), [n + 1])
-                wrong = np.sqrt(R) * (size[-1] + np.abs(given) @ outside) / g
-                c = own[:n] / g
-        h = np.sqrt(R * (c @ np.linalg.solve(P, c)))
-        own = ROOM * np.roots([1 - g * h**2, -2 * g * h * wrong, -g * wrong**2 - K**2]).max()
-        rest = ROOM * np.hypot(h * own + wrong, K)
-        width = _round_up(ROOM * (h * rest + wrong) / np.sqrt(R), 4)
-        V = K**2 + room if any_widths else rest**2 + R * float(width) ** 2
-        if guess >= V * ROOM and (any_widths or width < code.widest):
-            least = {} if any_widths else {"K1": own, "width": width}
-            one |= _to_exact(least | {"K": K, "V": V * ROOM})
-            one["radius"] = _round_up(ROOM * np.sqrt(V * seen), 4)
-            return True
-        guess = 1.01 * V
-    return False
+        reach = np.sqrt(np.diag(c @ np.linalg.inv(one["S"])[:-2, :-2] @ c.T))
+        one["radius"], *reach = [_round_up(ROOM * x, 4) for x in reach]
+        bounds = proof["bounds"] | {"reach": reach}
+        scales = [1.0]
+        for name, (_, box, sizes) in _read_modes(proof | {"bounds": bounds}, code, held).items():
+            decay, push = one[name]["decay"], ROOM * np.sqrt(box @ np.abs(one["S"]) @ box)
+            one[name]["push"] = push
+            rest = ROOM * one[name]["loud"] @ sizes**2 - push**2
+            scales.append((decay / (push + np.sqrt(push**2 + max(0, decay * rest)))) ** 2)
+        if min(scales) == 1:
+            break
+        one["S"] *= min(scales) / ROOM
+        for name in MODES:
+            one[name]["loud"] = one[name]["loud"] * min(scales) / ROOM
+            one[name]["clip"] = one[name]["clip"] * min(scales) / ROOM
+    return {"set": _to_exact(one), "bounds": bounds}
 
 
 def _round_up(number: Any, digits: int) -> Fraction:

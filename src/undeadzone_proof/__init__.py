@@ -1,7 +1,6 @@
-"""Check a proof about an observer in exact fractions, with the standard library alone.
+"""Check a proof about the C of an observer in exact fractions, with the standard library alone.
 
-docs/proof.md has the theorem. The file only proposes numbers: `source` reads the C, and every
-inequality is computed here from the C's own constants.
+docs/proof.md has the theorem. The file proposes numbers; each inequality comes from the C itself.
 """
 
 from __future__ import annotations
@@ -9,214 +8,346 @@ from __future__ import annotations
 import json
 import re
 import sys
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from math import nan
 from pathlib import Path
 from typing import Any
 
-from undeadzone_proof.exact import (
-    ONE,
-    ZERO,
-    Matrix,
-    Refused,
-    dual_form,
-    extend_diagonal,
-    hold_exactly,
-    mix_matrices,
-    multiply_matrices,
-    require,
-    require_positive,
-    transpose_rows,
-    upper_norm,
-    upper_root,
-)
-from undeadzone_proof.source import Code, Form
-
-WIDTHS = {1: "state->right[0]", -1: "state->left[0]"}
+Row = list[Fraction]
+FORMATS = {"double": (53, 1074, ""), "float": (24, 149, "f")}  # bits, least exponent, suffix
+GUARDS = ("STDC FP_CONTRACT OFF", 'GCC optimize("fp-contract=off")', "defined(__FAST_MATH__)")
+TOKEN = re.compile(r"(\d[\d.]*(?:e[+-]?\d{1,3})?f?)|([a-z]\w*(?:->\w+\[\d+\])?)|(&&|\|\||\S)")
+ASSIGNMENT = r"(?:const (?:bool|float|double) )?(\w+(?:->\w+\[\d+\])?) = (.*)"
+PYTHON = dict(zip(["(", "?", ":", "&&", "||", *")<+-*"], ["pick(", *",,&|)<+-*"], strict=True))
+WIDTHS = ["state->right[0]", "state->left[0]"]
 
 
-def weigh_sizes(row: list[Fraction], sizes: list[Fraction]) -> Fraction:
-    """Return the largest sum of numbers of these sizes with these factors."""
-    return sum(map(Fraction.__mul__, map(abs, row), sizes), ZERO)
+class Refused(Exception):
+    """Step of a proof that does not hold."""
 
 
-def run_step(
-    code: Code, ranges: dict[str, list[Any]], names: list[str], inputs: list[str]
-) -> tuple[Matrix, list[Fraction]]:
-    """Return the factors of some results of a step in its inputs, and bounds of their rounding.
-
-    As a whole and in halves a step has the same factors. Widths stay in their range, and one that
-    is not among the results stays as it is.
-    """
-    largest, rows = [ZERO] * len(names), list[Matrix]()
-    for functions in (["step"], ["estimate", "advance"]):
-        memory: Any = {key: Form(code, {key: ONE}, ZERO, *ends) for key, ends in ranges.items()}
-        before = dict(memory)
-        for function in functions:
-            code.run_function(function, memory)
-        for key in WIDTHS.values():
-            inside = memory[key].low >= 0 and memory[key].high <= code.widest
-            require(inside, "source: widths stay in their range")
-            rests = memory[key].terms == before[key].terms and not memory[key].error
-            require(key in names or rests, "source: a width without a reading rests")
-        found = [memory[name] for name in names]
-        require(all(form.terms.keys() <= {*inputs} for form in found), "source: known inputs alone")
-        rows.append([[form.terms.get(key, ZERO) for key in inputs] for form in found])
-        largest = [max(a, form.error) for a, form in zip(largest, found, strict=True)]
-    require(rows[0] == rows[1], "source: its halves are the step")
-    return rows[0], largest
+def require(truth: Any, step: str) -> None:
+    """Raise Refused unless a step holds."""
+    if not truth:
+        raise Refused(step)
 
 
-def compare_step(
-    proof: Any, code: Code, held: Any, reach: list[Fraction], side: int, ends: list[Any]
-) -> tuple[Matrix, list[Fraction]]:
-    """Return what a step makes of the error, of a reading's error and of disturbances.
-
-    And bounds of all else, of rounding first of all.
-
-    Args:
-        proof: plant, sensor and bounds.
-        code: the C.
-        held: `hold` of the plant.
-        reach: how far each estimate may be from its state.
-        side: 1 right, -1 left, 0 neither. A row for each state, and for the width of a side.
-        ends: least and largest reading, NaN for a missing one.
-    """
-    (C,), (Phi, Psi, lost) = proof["plant"]["C"], held
-    X, U, has = proof["bounds"]["x"], proof["bounds"]["u"], abs(side)
-    x, u = [f"state->x[{k}]" for k in range(len(X))], [f"in->u[{k}]" for k in range(len(U))]
-    sizes = zip(x + u, [*map(Fraction.__add__, X, reach), *U], strict=True)
-    ranges = {key: [-size, size] for key, size in sizes} | {"in->y[0]": ends}
-    ranges |= {key: [ZERO, code.widest] for key in WIDTHS.values()}
-    ranges |= {key.replace("in->u", "state->held"): [nan, nan] for key in u}
-    names = [*x, *[WIDTHS.get(side, "")] * has]
-    rows, box = run_step(code, ranges, names, [*names, "in->y[0]", *u])
-    true = [[*row, *[ZERO] * has, *given] for row, given in zip(Phi, Psi, strict=True)]
-    true += [[Fraction(key == WIDTHS.get(side)) for key in names + u]] * has
-    seen = [proof["sensor"]["slope"] * y for y in [*C, *[Fraction(-side)] * has]]
-    E = []
-    for k, row in enumerate(rows):
-        own, y, given = row[: len(names)], row[len(names)], row[len(names) + 1 :]
-        known = [a + y * b for a, b in zip(own, seen, strict=True)] + given
-        box[k] += weigh_sizes(mix_matrices([true[k]], [known])[0], [*X, *[code.widest] * has, *U])
-        box[k] += lost * sum([*X, *U, *U])  # disturbances are no larger than inputs
-        E.append([*own, -y, *true[k][len(names) :]])
-    return E, box
+def weigh(row: Row, sizes: Row) -> Fraction:
+    """Return the sum of products of two rows."""
+    return sum(map(Fraction.__mul__, row, sizes), Fraction(0))
 
 
-def check_step(proof: Any, code: Code, one: Any, side: int, E: Matrix, box: list[Fraction]) -> None:
-    """Check that a step on a side does not lead out of a set.
+def multiply(X: list[Row], Y: list[Row]) -> list[Row]:
+    """Return the product of matrices."""
+    columns = list(map(list, zip(*Y, strict=True)))
+    return [[weigh(row, column) for column in columns] for row in X]
 
-    Args:
-        proof, code: as of `compare_step`.
-        one: the set.
-        side: of the step.
-        E, box: result of `compare_step`.
-    """
-    k = len(box)
-    own = {"L": [row[k - 1] for row in E[:-1]], "gamma": 1 - E[-1][k - 1]}
-    require(side < 1 or own == proof["gains"], "gains: those of the C")
-    P, R, decay, loud = (proof["storage"][key] for key in ("P", "R", "decay", "loud"))
-    V, K, D = (one[key] for key in ("V", "K", "width"))
-    outside = [bound_reading_error(proof, code, one), *one["disturbance"]]
-    whole = extend_diagonal(P, [R] * abs(side))
-    room = extend_diagonal(mix_matrices(whole, whole, 1 - decay, 0), loud)
-    require_positive(
-        mix_matrices(room, multiply_matrices(transpose_rows(E), whole, E)),
-        "decay: V falls, but for noise",
-    )
-    push = upper_norm([[abs(x) for x in row] for row in whole], box)
-    rest = (1 - decay) * K**2 + weigh_sizes(loud, [x**2 for x in outside])
-    require(push <= K and rest <= (K - push) ** 2, "set: K absorbs what a step adds")
-    w = R * D**2
-    if code.widest <= D:
-        require(K**2 + 2 * w <= V, "set: V has room for any widths")
-    elif side:
-        *c, kept = E[-1][:k]
-        g, own = 1 - kept, one["K1"]
-        require(0 < g <= 1 and own > 0, "set: widths move towards the reading")
-        h, d = (
-            upper_root(R * dual_form(P, c)) / g,
-            upper_root(R) * (box[-1] + weigh_sizes(E[-1][k:], outside)) / g,
+
+def require_positive(M: list[Row], step: str) -> None:
+    """Raise Refused unless a symmetric matrix has positive pivots."""
+    require(M == list(map(list, zip(*M, strict=True))), f"{step} (symmetric)")
+    while M:
+        (top, *rest), *rows = M
+        require(top > 0, step)
+        M = [[x - row[0] / top * y for x, y in zip(row[1:], rest, strict=True)] for row in rows]
+
+
+@dataclass(frozen=True, eq=False)
+class Number:
+    """Number of the C: a sum of inputs times `terms` up to `error`, between `low` and `high`."""
+
+    code: Code
+    terms: dict[str, Fraction]
+    error: Fraction
+    low: Fraction
+    high: Fraction
+
+    def combine(self, other: Number, a: Fraction, b: Fraction, exact: Any) -> Number:
+        """Return a times it and b times the other, rounded to nearest unless it is exact."""
+        names = self.terms | other.terms
+        require("clip" not in names, "source: nothing is computed from a clipped width")
+        terms = {k: a * self.terms.get(k, 0) + b * other.terms.get(k, 0) for k in names}
+        ends = [sorted((s * x.low, s * x.high)) for s, x in ((a, self), (b, other))]
+        low, high = map(sum, zip(*ends, strict=True))
+        size = max(-low, high)
+        require(exact or size < 1 << 120, "rounding: no overflow, and no missing reading is used")
+        new = 0 if exact else size / (1 << self.code.bits) + Fraction(1, 1 << self.code.least)
+        error = abs(a) * self.error + abs(b) * other.error + new
+        return Number(
+            self.code, {k: x for k, x in terms.items() if x}, error, low - new, high + new
         )
-        require(own**2 * (1 - g * (h + d / own) ** 2) >= K**2, "set: K1 absorbs what widths take")
-        require((h * own + d) ** 2 + w + K**2 <= V, "set: V has room for the widths")
-        rest = upper_root(V - w)
-        require(h * rest + d <= w / upper_root(w), "set: widths follow the states")
-        require(g * h * upper_root(w) <= (1 - g) * (V - w) / rest, "set: widths follow slowly")
+
+    def __add__(self, other: Any) -> Any:
+        """Return the rounded sum. 0 adds nothing, exactly."""
+        exact = any(x.low == x.high == 0 for x in (self, other))
+        return self.combine(other, Fraction(1), Fraction(1), exact)
+
+    def __neg__(self) -> Number:
+        """Return the negative, exactly."""
+        return self.combine(self, Fraction(-1), Fraction(0), True)
+
+    def __sub__(self, other: Any) -> Any:
+        """Return the rounded difference."""
+        return self + -other
+
+    def __mul__(self, other: Any) -> Any:
+        """Return the rounded product with a constant."""
+        factor, form = (self, other) if self.low == self.high else (other, self)
+        require(factor.low == factor.high, "source: one factor is a constant")
+        return form.combine(form, factor.low, Fraction(0), not factor.low)
+
+    def __lt__(self, other: Any) -> Any:
+        """Return whether it is less: a truth, or both numbers if that is open. NaN is not."""
+        if self.high < other.low or not self.low < other.high:
+            return self.high < other.low
+        return self, other
 
 
-def bound_reading_error(proof: Any, code: Code, one: Any) -> Fraction:
-    """Return a bound of a reading's error in a set: noise, and rounding to the format.
+class Code:
+    """Functions of the C by name, as statements, and its constants in order."""
+
+    def __init__(self, texts: list[str], name: str, kind: str, widest: Fraction) -> None:
+        """Read C and header. Raises Refused unless they have an observer and nothing else."""
+        self.bits, self.least, self.suffix = FORMATS[kind]
+        self.widest = widest
+        text, header = (re.sub(r"/\*.*?\*/", "", each, flags=re.DOTALL) for each in texts)
+        head, first, rest = text.partition(f"\nvoid {name}_")
+        macros = re.findall(r"#\s*define\s+(\w+)", header)
+        require(all(each.startswith(name.upper()) for each in macros), "source: no foreign macros")
+        require({kind} == {*re.findall(r"(\w+) \w+\[\d+\];", header)}, "source: one format")
+        require(all(guard in head for guard in GUARDS), "source: neither fused nor fast arithmetic")
+        plain = re.fullmatch(r"(#(if|elif|endif|error|pragma|include)\b.*\n|\n)*", head + "\n")
+        require(plain, "source: directives alone before the functions")
+        function = re.compile(rf"^void {name}_(\w+)\([^)]*\)\n{{\n([^}}#]*;)\n}}\n", re.M)
+        found = function.findall(first + rest)
+        require(not function.sub("", first + rest).strip(), "source: functions alone")
+        self.bodies = {key: " ".join(body.split()).rstrip(";").split("; ") for key, body in found}
+        words = [word for _, body in found for word, *_ in TOKEN.findall(body) if word]
+        self.numbers = {word: self.read_literal(word) for word in words}
+        self.constants = [self.numbers[word].low for word in words]
+
+    def read_literal(self, text: str) -> Number:
+        """Return the number nearest to a literal, as a compiler takes it."""
+        require(text.endswith("f") == bool(self.suffix), f"source: {text} has the format")
+        x = Fraction(text.removesuffix("f"))
+        e = x.numerator.bit_length() - x.denominator.bit_length()
+        unit = Fraction(2) ** max(e - (x < Fraction(2) ** e) + 1 - self.bits, -self.least)
+        x = round(x / unit) * unit
+        return Number(self, {"": x} if x else {}, Fraction(0), x, x)
+
+    def pick(self, truth: Any, one: Any = None, other: Any = None) -> Any:
+        """Return an expression in parentheses, or the option that a truth picks.
+
+        An open truth must be one of a clip by a constant that leaves true widths alone.
+        """
+        if one is None or isinstance(truth, bool):
+            return truth if one is None else (one if truth else other)
+        require({id(one), id(other)} == {*map(id, truth)}, "source: choices are known, or clips")
+        end, moved = sorted((one, other), key=lambda each: each.low < each.high)
+        least = one is truth[0]
+        spared = end.low >= self.widest if least else end.low <= 0
+        require(end.low == end.high and spared, "source: clips spare true widths")
+        low, high = ((min if least else max)(x, end.low) for x in (moved.low, moved.high))
+        return replace(moved, terms=moved.terms | {"clip": Fraction(1)}, low=low, high=high)
+
+    def run(self, name: str, memory: dict[str, Any]) -> None:
+        """Run a function on numbers by their names in the C, in which its results go."""
+        scope = {"__builtins__": {}, "m": memory | self.numbers, "pick": self.pick}
+        for line in self.bodies[name]:
+            call = re.fullmatch(r"\w+_(estimate|advance)\(state, in(?:, out)?\)", line)
+            made = re.fullmatch(ASSIGNMENT, line)
+            if call:
+                self.run(call[1], memory)
+            elif line != "(void)in":
+                require(made and not re.search("<[^()]*<", line), f"source: {line} is understood")
+                parts = [
+                    f"m[{a or b!r}]" if a or b else PYTHON[c] for a, b, c in TOKEN.findall(made[2])
+                ]
+                scope["m"][made[1]] = memory[made[1]] = eval(f"pick({''.join(parts)})", scope)
+
+
+def hold(plant: Any) -> tuple[list[Row], Fraction]:
+    """Return e^M of M = [A, B; 0, 0] Ts, and a bound of its error.
+
+    Terms are cut at 2^-200. Behind the last one each is at most half of the one before.
+    """
+    n, m = len(plant["A"]), len(plant["B"][0])
+    rows = [a + b for a, b in zip(plant["A"], plant["B"], strict=True)]
+    M = [[x * plant["Ts"] for x in row] for row in rows] + [[Fraction(0)] * (n + m)] * m
+    size, k, error, cut = max(sum(map(abs, row)) for row in M), 0, Fraction(0), Fraction(0)
+    require(size < 99, "hold: a sample is short enough for a series")
+    total = term = [[Fraction(i == j) for j in range(n + m)] for i in range(n + m)]
+    bound = Fraction(1)
+    while bound > Fraction(1, 1 << 150) or k < 2 * size:
+        k, bound = k + 1, bound * size / (k + 1)
+        cut = cut * size / k + Fraction(n + m, 1 << 200)
+        term = [
+            [Fraction(int(x / k * (1 << 200)), 1 << 200) for x in row] for row in multiply(term, M)
+        ]
+        total = [list(map(Fraction.__add__, *pair)) for pair in zip(total, term, strict=True)]
+        error += cut
+    return total[:n], error + 2 * (cut + bound)
+
+
+def list_modes(proof: Any, code: Code) -> list[tuple[str, int, Any, Any, Fraction]]:
+    """Return each mode of a step: name, side, least and largest reading, bound of its error.
 
     Rounding keeps the order, so that it never shows a side that the sum before did not.
     """
-    largest = proof["sensor"]["slope"] * weigh_sizes(proof["plant"]["C"][0], proof["bounds"]["x"])
-    rounding = (largest + one["noise"]) / (1 << code.bits) + Fraction(1, 1 << code.least)
-    return Fraction(one["noise"] + rounding)
+    (C,), (slope, threshold) = (
+        proof["plant"]["C"],
+        (proof["sensor"][k] for k in ("slope", "threshold")),
+    )
+    noise, least = proof["bounds"]["noise"], Fraction(1, 1 << code.least)
+    require(noise <= threshold, "bounds: noise shows no side")
+    largest = slope * weigh(list(map(abs, C)), proof["bounds"]["x"]) + noise
+    wrong = noise + largest / (1 << code.bits) + least
+    above = threshold + max(threshold / (1 << code.bits), least)
+    top = max(above, largest + wrong)
+    sides = [
+        ("right", 1, above, top),
+        ("left", -1, -top, -above),
+        ("silent", 0, -threshold, threshold),
+    ]
+    return [(*side, wrong) for side in [*sides, ("silent", 0, nan, nan)]]
 
 
-def list_sides(proof: Any, code: Code, one: Any) -> list[tuple[int, list[Any]]]:
-    """Return each side with its least and largest reading, and a missing reading."""
-    threshold = proof["sensor"]["threshold"]
-    above = threshold + max(threshold / (1 << code.bits), Fraction(1, 1 << code.least))
-    largest = proof["sensor"]["slope"] * weigh_sizes(proof["plant"]["C"][0], proof["bounds"]["x"])
-    top = max(above, largest + bound_reading_error(proof, code, one))
-    sides = [(1, [above, top]), (0, [-threshold, threshold]), (0, [nan, nan])]
-    return [*sides, (-1, [-top, -above])]
+def map_step(
+    proof: Any, code: Code, held: Any, side: int, low: Any, high: Any
+) -> tuple[list[Row], Row]:
+    """Return what a step makes of the errors of states and widths, of a reading, of disturbances.
+
+    And a bound of all else: rounding, and a plant that is not the C's. A step and its halves agree.
+    """
+    X, U, push, reach = (proof["bounds"][key] for key in ("x", "u", "disturbance", "reach"))
+    (C,), D, n = proof["plant"]["C"], code.widest, len(X)
+    x, u = [f"state->x[{k}]" for k in range(n)], [f"in->u[{k}]" for k in range(len(U))]
+    names, zero = x + WIDTHS, Fraction(0)
+    ends = {
+        key: (-size, size)
+        for key, size in zip(x + u, [*map(Fraction.__add__, X, reach), *U], strict=True)
+    }
+    ends |= {"in->y[0]": (low, high)} | dict.fromkeys(WIDTHS, (zero, D))
+    ends |= {key.replace("in->u", "state->held"): (nan, nan) for key in u}
+    sizes = [*X, D, D, *map(Fraction.__add__, U, push)]
+    true = [[*row[:n], zero, zero, *row[n:]] for row in held[0]]
+    true += [[Fraction(j == n + k) for j in range(len(sizes))] for k in range(2)]
+    seen = [proof["sensor"]["slope"] * c for c in [*C, Fraction(-(side > 0)), Fraction(side < 0)]]
+    E, box = [], [zero] * (n + 2)
+    for functions in (["step"], ["estimate", "advance"]):
+        memory = {key: Number(code, {key: Fraction(1)}, zero, *pair) for key, pair in ends.items()}
+        for function in functions:
+            code.run(function, memory)
+        rows = []
+        for k, name in enumerate(names):
+            terms = memory[name].terms
+            known = terms.keys() <= {*names, "in->y[0]", *u, *["clip"] * (k >= n)}
+            require(
+                known and (k < n or memory[name].low >= 0 and memory[name].high <= D),
+                "source: widths stay in their range",
+            )
+            own, y, given = (
+                [terms.get(key, zero) for key in names],
+                terms.get("in->y[0]", zero),
+                [terms.get(key, zero) for key in u],
+            )
+            require(side or not y, "source: silence has no reading")
+            rest = [a + y * b for a, b in zip(own, seen, strict=True)] + given
+            lost = [abs(a - b) + held[1] * (k < n) for a, b in zip(true[k], rest, strict=True)]
+            box[k] = max(box[k], memory[name].error + weigh(lost, sizes))
+            rows.append([*own, -y, *given])
+        require(E in ([], rows), "source: its halves are the step")
+        E = rows
+    return E, box
 
 
-def reach_states(P: Matrix, V: Fraction) -> list[Fraction]:
-    """Return how far each estimate may be from its state where x~'P x~ <= V."""
-    n = len(P)
-    units = [[Fraction(i == k) for i in range(n)] for k in range(n)]
-    return [upper_root(V * dual_form(P, unit)) for unit in units]
+def add_quadratic(X: list[Row], F: list[Row], S: list[Row]) -> list[Row]:
+    """Return X - F'S F. Columns of F beyond X begin with zeros."""
+    size = len(F[0])
+    wide = [[*row, *[Fraction(0)] * (size - len(row))] for row in X]
+    wide += [[Fraction(0)] * size for _ in range(size - len(X))]
+    product = multiply(list(map(list, zip(*F, strict=True))), multiply(S, F))
+    return [list(map(Fraction.__sub__, *rows)) for rows in zip(wide, product, strict=True)]
 
 
-def check_code(proof: Any, texts: list[str]) -> None:
-    """Check a sampled observer: its C, and that no step leads out of a set."""
-    own, storage, widest = proof["source"], proof["storage"], proof["sensor"]["width_max"]
-    code = Code(texts, own["name"], own["format"], widest)
+def check_mode(proof: Any, code: Code, step: Any, mode: str, side: int, wrong: Fraction) -> None:
+    """Check that a step of a mode does not lead out of the set, and that V falls."""
+    (E, box), S, one = step, proof["set"]["S"], proof["set"][mode]
+    n, loud, (t, s) = len(box) - 2, one["loud"], one["clip"]
+    k = n + (side < 0)
+    rests = [row[:n] == [0] * n and row[n : n + 2] for row in E[n:]]
+    units = [[Fraction(i == j) for i in range(len(E[0]))] for j in range(n + 2)]
+    other = 2 * n + 1 - k
+    require(E[other] == units[other] and not box[other], "source: a width without a reading rests")
+    require(side < 1 or [row[n] for row in E] == proof["gains"], "gains: those of the C")
+    keys = [*range(n), *[k] * abs(side)]
+    P = [[*row, *[Fraction(0)] * abs(side)] for row in proof["storage"]["P"]]
+    P += [[*[Fraction(0)] * n, proof["storage"]["R"]]] * abs(side)
+    loop = [[E[i][j] for j in keys] for i in keys]
+    require_positive(P, "storage: P > 0")
+    require_positive(add_quadratic(P, loop, P), f"storage: V falls, {mode}")
+    F = [[*row, Fraction(i == k)] for i, row in enumerate(E)]
+    decay = one["decay"]
+    M = add_quadratic([[(1 - decay) * x for x in row] for row in S], F, S)
+    for i, x in enumerate(loud, n):
+        M[i][i] += x
+    for i, x in enumerate(F[k]):
+        M[i][-1] += ((t + s) * x - s * (i == k)) / 2
+        M[-1][i] += ((t + s) * x - s * (i == k)) / 2
+    require_positive(M, f"set: V stays, {mode}")
+    sizes = [code.widest, code.widest, wrong, *proof["bounds"]["disturbance"]]
+    push = one["push"]
+    require(min(*loud, t, s, push) >= 0 and 0 < decay < 1 and push < 1, "set: signs")
+    sized = multiply([box], [list(map(abs, row)) for row in S])[0]
+    require(weigh(sized, box) <= push**2, f"set: rounding, {mode}")
+    room = (1 - push) ** 2 - 1 + decay
+    require(weigh(loud, [x**2 for x in sizes]) <= room, f"set: it has room, {mode}")
+
+
+def check_sampled(proof: Any, texts: list[str]) -> None:
+    """Check a sampled observer: its C, and that no step leads out of the set."""
+    own, one, bounds = proof["source"], proof["set"], proof["bounds"]
+    code = Code(texts, own["name"], own["format"], proof["sensor"]["width_max"])
     require(code.bodies["step"] == proof["operations"], "operations: those of the C")
     require(code.constants == proof["constants"], "constants: those of the C")
-    known = proof["sensor"]["threshold"] in (0, *code.constants)
-    require(known, "sensor: its threshold is that of the C")
+    require(
+        proof["sensor"]["threshold"] in (0, *code.constants),
+        "sensor: its threshold is that of the C",
+    )
     start = dict[str, Any]()
-    code.run_function("init", start)
-    ends = [start[key].low for key in WIDTHS.values()]
-    require(min(ends) >= 0 and max(ends) <= widest, "source: widths begin in their range")
-    P, (C,) = storage["P"], proof["plant"]["C"]
-    require_positive(P, "storage: P > 0")
-    require(storage["R"] > 0 and 0 < storage["decay"] < 1, "storage: signs")
-    require(min(storage["loud"]) >= 0, "storage: signs of what noise adds")
-    held = hold_exactly(*(proof["plant"][key] for key in ("A", "B", "Ts")))
-    for one in proof["sets"]:
-        bounds = [one["noise"], *one["disturbance"], *proof["bounds"]["x"], *proof["bounds"]["u"]]
-        require(min(bounds) >= 0 and min(one["V"], one["K"], one["width"]) > 0, "set: signs")
-        require(one["noise"] <= proof["sensor"]["threshold"], "set: noise shows no side")
-        pairs = zip(one["disturbance"], proof["bounds"]["u"], strict=True)
-        require(all(x <= y for x, y in pairs), "set: disturbances are no larger than inputs")
-        reach = reach_states(P, one["V"])
-        for side, between in list_sides(proof, code, one):
-            step = compare_step(proof, code, held, reach, side, between)
-            check_step(proof, code, one, side, *step)
-        inside = one["V"] * dual_form(P, C) <= one["radius"] ** 2 and one["radius"] > 0
-        require(inside, "set: its radius contains V")
+    code.run("init", start)
+    require(
+        all(0 <= start[key].low and start[key].high <= code.widest for key in WIDTHS),
+        "source: widths begin in their range",
+    )
+    signed = [bounds["noise"], *bounds["disturbance"], *bounds["x"], *bounds["u"]]
+    require(min(signed) >= 0 and min(one["radius"], *bounds["reach"]) > 0, "bounds: signs")
+    n, S = len(bounds["x"]), one["S"]
+    units = [[Fraction(i == k) for i in range(n)] for k in range(n)]
+    for c, most in zip(
+        [*proof["plant"]["C"], *units], [one["radius"], *bounds["reach"]], strict=True
+    ):
+        c = [*c, Fraction(0), Fraction(0)]
+        bordered = [[*row, x] for row, x in zip(S, c, strict=True)] + [[*c, most**2]]
+        require_positive(bordered, "set: radius and reach contain it")
+    begin = sum(abs(x) for row in S[n:] for x in row[n:]) * code.widest**2
+    require(begin <= 1, "set: it contains all widths")
+    held = hold(proof["plant"])
+    for mode, side, low, high, wrong in list_modes(proof, code):
+        check_mode(proof, code, map_step(proof, code, held, side, low, high), mode, side, wrong)
 
 
 def check_continuous(proof: Any) -> None:
     """Check a continuous observer: V falls in silence, on branches, and on all between."""
     A, (C,), L = proof["plant"]["A"], proof["plant"]["C"], proof["gains"]["L"]
     P, W, margin = (proof["storage"][key] for key in ("P", "W", "margin"))
-    require_positive(P, "storage: P > 0")
     require(W > 0 and margin > 0, "storage: W and the margin are above 0")
-    cross = [a - W * b for a, b in zip(multiply_matrices([L], P)[0], C, strict=True)]
-    fall = mix_matrices(multiply_matrices(P, A), multiply_matrices(transpose_rows(A), P), -1)
-    whole = [
-        *([*row, x] for row, x in zip(fall, cross, strict=True)),
-        [*cross, 2 * (1 - margin) * W],
-    ]
-    require_positive(whole, "inequality: V falls")
+    require_positive(P, "storage: P > 0")
+    PA = multiply(P, A)
+    cross = [a - W * b for a, b in zip(multiply([L], P)[0], C, strict=True)]
+    fall = [[-PA[i][k] - PA[k][i] for k in range(len(A))] + [cross[i]] for i in range(len(A))]
+    require_positive([*fall, [*cross, 2 * (1 - margin) * W]], "inequality: V falls")
 
 
 def to_words(value: Any) -> str:
@@ -233,24 +364,17 @@ def state_theorem(proof: Any) -> str:
     """Return what is proved, in words."""
     plant = f"x' = A x + B u, z = C x with {to_words(proof['plant'])}"
     if "source" not in proof:
-        storage = proof["storage"]
+        margin, W = (to_words(proof["storage"][key]) for key in ("margin", "W"))
         return (
             f"{plant}: for every sequence of sides and every gamma > 0 the observer with "
-            f"{to_words(proof['gains'])} has a V that falls faster than "
-            f"{to_words(storage['margin'])} times 2 W e^2, W = {to_words(storage['W'])}."
+            f"{to_words(proof['gains'])} has a V that falls faster than {margin} times 2 W e^2, W = {W}."
         )
-    source, bounds = proof["source"], proof["bounds"]
-    sets = [
-        f"{one['name']}: |z - z^| <= {to_words(one['radius'])}, "
-        f"|d - d^| <= {to_words(one['width'])} (readings wrong by {to_words(one['noise'])}, "
-        f"disturbances of {to_words(one['disturbance'])})"
-        for one in proof["sets"]
-    ]
-    sensor, *most = map(to_words, (proof["sensor"], bounds["x"], bounds["u"]))
+    source, bounds = proof["source"], {k: to_words(x) for k, x in proof["bounds"].items()}
     return (
-        f"{source['name']}.c in {source['format']} beside {plant}, {sensor}: while "
-        f"|x| <= {most[0]} and |u| <= {most[1]}, no sequence of sides, missing "
-        f"readings and roundings moves the error out of a set. {'; '.join(sets)}."
+        f"{source['name']}.c in {source['format']} beside {plant}, {to_words(proof['sensor'])}: begun "
+        f"with x^ = x and any widths, z^ stays within {to_words(proof['set']['radius'])} of z, whatever "
+        f"the sequence of sides, missing readings and roundings, while |x| <= {bounds['x']}, |u| <= "
+        f"{bounds['u']}, readings are wrong by {bounds['noise']}, disturbances at most {bounds['disturbance']}."
     )
 
 
@@ -275,8 +399,7 @@ def verify_proof(proof: Any, source: Path | None = None) -> str:
     """
     if "source" in proof:
         files = [source, source.with_suffix(".h")] if source else []
-        texts = [file.read_text(encoding="utf-8") for file in files]
-        check_code(proof, texts or proof["source"]["texts"])
+        check_sampled(proof, [x.read_text("utf-8") for x in files] or proof["source"]["texts"])
     else:
         check_continuous(proof)
     require(proof["statement"] == state_theorem(proof), "statement: it says what is proved")
@@ -287,7 +410,7 @@ def main(arguments: list[str]) -> int:
     """Check a file, print what it proves or the first step that fails. Return the exit code."""
     try:
         file, *given = map(Path, arguments)
-        proof = to_numbers(json.loads(file.read_text(encoding="utf-8")))
+        proof = to_numbers(json.loads(file.read_text("utf-8")))
         own = proof.get("source", {"texts": []})
         beside = [] if "texts" in own else [file.with_name(f"{own['name']}.c")]
         words = verify_proof(proof, *(given or beside))
