@@ -6,12 +6,15 @@ decides, so that only what it accepts is written.
 
 from __future__ import annotations
 
+import contextlib
 import decimal
+import itertools
 import json
 import os
 from collections.abc import Callable, Iterator
 from fractions import Fraction
 from functools import partial
+from operator import itemgetter
 from typing import Any, Final
 
 import numpy as np
@@ -45,9 +48,12 @@ from undeadzone_proof import (
 
 FILE: Final = "proof.json"
 ROOM: Final = 1 + 1e-5  # by which proposed numbers exceed those that are needed
-SLACK: Final = 1e-7  # of the balanced inequality, which the exact one needs
-SHARES: Final = (0.02, 0.06, 0.18, 0.56)  # of the plant's decay: of V on a side, that are tried
-SILENT: Final = 0.5  # the same share in silence
+SLACK: Final = 1e-6  # of the balanced inequality, which the exact one needs
+SIDES: Final = (0.06, 0.02, 0.18, 0.56)  # of the plant's decay, that V may have on a side
+SILENCES: Final = (0.003, 0.03, 0.2, 0.5)  # of it, that V may have in silence
+NEAR: Final = 1e-6  # of a state, that its set spans at least, at the start of the search
+QUIET: Final = 0.4  # of a step's decay, that rounding may take
+SPREAD: Final = 0.5  # of it, of the set at the start of the search
 PASSES: Final = 4  # of a set's rounding, which grows with the set, at most
 LEAST: Final = 1e-9  # of the largest bound from outside, that the others count as, at least
 MODES: Final = ("right", "left", "silent")
@@ -136,7 +142,7 @@ def propose_sampled(problem: Problem, text: Source, single: bool) -> dict[str, A
         InputError: the scenario is beyond the theorem.
         ProofError: the gains have no proof.
     """
-    found = _certify(problem)
+    certificate = _certify(problem)
     sensor, n = problem.sensor, problem.plant.n
     options: Any = problem.scenario.observer
     rounded = partial(round_to_type, real="float32" if single else "float64")
@@ -158,14 +164,16 @@ def propose_sampled(problem: Problem, text: Source, single: bool) -> dict[str, A
         E, _ = map_step(proof, code, held, *list_modes(proof, code)[0][1:4])
         proof["gains"] = [row[n] for row in E]
         R = 1 / (1 - float(E[n][n]))
-        P = found.P / found.W / problem.model.Ts
+        P = certificate.P / certificate.W / problem.model.Ts
         proof["storage"] = _to_exact({"P": P, "R": R})
-        tried = [_fit_set(proof, code, held, one) for one in _search_sets(proof, code, held)]
-        require(tried, "a set that no step leaves was found")
-        proof |= min(tried, key=lambda one: one["set"]["radius"])
+        sets = _search_sets(proof, _read_modes(proof, code, held))
+        for one in sets:
+            fitted = _fit_set(proof, code, held, one)
+            with contextlib.suppress(ProofError):
+                return _finish(proof | fitted)
     except Refused as step:
         raise ProofError(f"proof: {step}") from None
-    return _finish(proof)
+    raise ProofError("proof: no set was found that rounding does not leave")
 
 
 def _ranges_of_run(problem: Problem) -> dict[str, Any]:
@@ -194,24 +202,47 @@ def _read_modes(proof: dict[str, Any], code: Code, held: Any) -> dict[str, Any]:
     return modes
 
 
-def _search_sets(proof: dict[str, Any], code: Code, held: Any) -> Iterator[dict[str, Any]]:
-    """Iterate over sets of least radius that no exact step leaves, one for each decay in SHARES.
+def _search_sets(proof: dict[str, Any], modes: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return sets that no exact step leaves, the one of least radius first.
+
+    Args:
+        proof: its plant.
+        modes: what a step does (`_read_modes`).
+    """
+    n = len(proof["plant"]["A"])
+    E, _, (D, *_) = modes["right"]
+    silent = modes["silent"][0][:n, :n]
+    slowest = 1 - np.abs(np.linalg.eigvals(silent)).max()
+    driven = np.outer(E[:n, n], E[:n, n]) * D**2 / (SPREAD * slowest)
+    X = solve_discrete_lyapunov(silent / np.sqrt(1 - SPREAD * slowest), driven)
+    start = block_diag(np.linalg.inv(X + NEAR * np.diag(np.diag(X))), np.eye(2) / D**2)
+    tried: list[tuple[float, float, Any]] = []
+    for shares in ((SIDES[:1], SILENCES), (SIDES[1:], ())):
+        near = [one[1] for one in sorted(tried, key=itemgetter(0))[:1]] or SILENCES
+        for share in itertools.product(shares[0], shares[1] or near):
+            one = _minimise_radius(proof, modes, slowest * np.array(share), start)
+            tried += [] if one is None else [(one.pop("size"), share[1], one)]
+    return [one for *_, one in sorted(tried, key=itemgetter(0))]
+
+
+def _minimise_radius(
+    proof: dict[str, Any], modes: dict[str, Any], decays: Floats, start: Floats
+) -> dict[str, Any] | None:
+    """Return the set of least radius that no exact step leaves, or None.
 
     V is the same seen from the left: in x~ and d~r - d~l it has one matrix, in d~r + d~l another.
+
+    Args:
+        proof: its plant.
+        modes: what a step does (`_read_modes`).
+        decays: of V on a side and in silence.
+        start: a V, in whose coordinates it is sought.
     """
-    modes = _read_modes(proof, code, held)
-    n = len(proof["storage"]["P"])
-    N, m, w = n + 2, n + 1, len(modes["right"][2]) - 2
-    entries, D = m * (m + 1) // 2, modes["right"][2][0]
-    slowest = 1 - np.abs(np.linalg.eigvals(modes["silent"][0][:n, :n])).max()
-    E = modes["right"][0]
-    drive = E[:n, n:n + 1] * D  # what a width drives
-    decay = SILENT * slowest
-    A = modes["silent"][0][:n, :n] / np.sqrt(1 - decay)
-    X = solve_discrete_lyapunov(A, drive @ drive.T / decay)
-    X += 1e-6 * np.diag(np.diag(X))
+    n, (D, *_) = len(start) - 2, modes["right"][2]
+    m, w = n + 1, len(modes["right"][2]) - 2
+    entries = m * (m + 1) // 2
     turn = block_diag(np.eye(n), np.array([[1, 1], [-1, 1]]) / np.sqrt(2))
-    T = turn @ block_diag(np.linalg.cholesky(X), D, D)
+    T = turn @ np.linalg.inv(np.linalg.cholesky(turn.T @ start @ turn).T)
     inverse = np.linalg.inv(T)
     kick = inverse[:, [n]] / np.linalg.norm(inverse[:, n])  # of a clip, in the coordinates of T
     signals = block_diag(T[n:] / D, np.eye(w + 1))
@@ -220,39 +251,42 @@ def _search_sets(proof: dict[str, Any], code: Code, held: Any) -> Iterator[dict[
     c /= np.linalg.norm(c)
     corners = inverse[:, n:] @ np.array([[D, D], [D, -D]])
 
+    steps = []
+    for name, decay in zip(("right", "silent"), decays, strict=True):
+        E, box, sizes = modes[name]
+        rounding = inverse * box * np.sqrt(len(box)) / (QUIET * decay)
+        own_columns = E @ block_diag(T, np.diag(sizes[2:]))
+        steps.append((np.hstack([inverse @ own_columns, kick]), np.append(own_columns[n], 0) + clip, decay, rounding))
+
     def blocks(x: Floats) -> list[Floats]:
         """Return the matrices that must be positive semidefinite."""
         P = block_diag(symmetric_matrix(x[:entries], m), x[entries])
         multipliers = x[entries + 1 : -1].reshape(2, w + 4)
         found = [
             *(1 - np.einsum("ik,ij,jk->k", corners, P, corners)).reshape(2, 1),
-            np.block([[P, c[:, None]], [c[None], x[-1:, None]]]),
+            np.block([[P - SLACK * np.eye(n + 2), c[:, None]], [c[None], x[-1:, None]]]),
             multipliers.ravel(),
         ]
-        for name, decay, (*loud, toward, back) in zip(("right", "silent"), decays, multipliers, strict=True):
-            E, _, sizes = modes[name]
-            F = np.hstack([inverse @ E @ block_diag(T, np.diag(sizes[2:])), kick])
-            row = np.append(E[n] @ block_diag(T, np.diag(sizes[2:])), 0) + clip
+        for (F, row, decay, rounding), (*loud, toward, back) in zip(steps, multipliers, strict=True):
             sector = np.outer(clip, (toward + back) * row - back * own)
-            M = (signals.T * [*loud, 0]) @ signals + (sector + sector.T) / 2 - SLACK * np.eye(N + w + 1)
+            M = (signals.T * [*loud, 0]) @ signals + (sector + sector.T) / 2 - SLACK * np.eye(len(clip))
             M += (block_diag((1 - decay) * P, np.zeros((w + 1, w + 1))) - F.T @ P @ F) / decay
-            found += [M, np.array([1 - sum(loud)])]
+            found += [M, np.array([1 - sum(loud), 1 - np.sum(rounding * (P @ rounding))])]
         return found
 
-    for share in SHARES:
-        decays = np.array([share, SILENT]) * slowest
-        x = minimise_semidefinite(np.append(np.zeros(entries + 1 + 2 * (w + 4)), 1.0), blocks)
-        if x is not None and np.linalg.eigvalsh(blocks(x)[2])[0] > -SLACK:
-            S = inverse.T @ block_diag(symmetric_matrix(x[:entries], m), x[entries]) @ inverse
-            mirror = block_diag(-np.eye(n), [[0, 1], [1, 0]])
-            multipliers = np.maximum(x[entries + 1 : -1].reshape(2, w + 4), LEAST) * decays[:, None]
-            loud = multipliers[:, :-2] / np.array([modes[k][2] for k in ("right", "silent")]) ** 2
-            right, silent = (
-                {"decay": a, "loud": each, "clip": both}
-                for a, each, both in zip(decays, loud, multipliers[:, -2:], strict=True)
-            )
-            left = right | {"loud": right["loud"][[1, 0, *range(2, w + 2)]]}
-            yield {"S": symmetric_part(S + mirror @ S @ mirror) / 2, "right": right, "left": left, "silent": silent}
+    x = minimise_semidefinite(np.append(np.zeros(entries + 1 + 2 * (w + 4)), 1.0), blocks)
+    if x is None or np.linalg.eigvalsh(blocks(x)[2])[0] < -SLACK / 2:
+        return None
+    S = inverse.T @ block_diag(symmetric_matrix(x[:entries], m), x[entries]) @ inverse
+    mirror = block_diag(-np.eye(n), [[0, 1], [1, 0]])
+    multipliers = np.maximum(x[entries + 1 : -1].reshape(2, w + 4), LEAST) * decays[:, None]
+    right, silent = (
+        {"decay": a, "loud": loud[:-2] / modes[name][2] ** 2, "clip": loud[-2:]}
+        for name, a, loud in zip(("right", "silent"), decays, multipliers, strict=True)
+    )
+    left = right | {"loud": right["loud"][[1, 0, *range(2, w + 2)]]}
+    S = symmetric_part(S + mirror @ S @ mirror) / 2
+    return {"size": x[-1], "S": S, "right": right, "left": left, "silent": silent}
 
 
 def _fit_set(proof: dict[str, Any], code: Code, held: Any, one: dict[str, Any]) -> dict[str, Any]:
