@@ -166,8 +166,7 @@ def propose_sampled(problem: Problem, text: Source, single: bool) -> dict[str, A
         R = 1 / (1 - float(E[n][n]))
         P = certificate.P / certificate.W / problem.model.Ts
         proof["storage"] = _to_exact({"P": P, "R": R})
-        sets = _search_sets(proof, _read_modes(proof, code, held))
-        for one in sets:
+        for one in _search_sets(proof, code, held):
             fitted = _fit_set(proof, code, held, one)
             with contextlib.suppress(ProofError):
                 return _finish(proof | fitted)
@@ -202,20 +201,24 @@ def _read_modes(proof: dict[str, Any], code: Code, held: Any) -> dict[str, Any]:
     return modes
 
 
-def _search_sets(proof: dict[str, Any], modes: dict[str, Any]) -> list[dict[str, Any]]:
+def _search_sets(proof: dict[str, Any], code: Code, held: Any) -> list[dict[str, Any]]:
     """Return sets that no exact step leaves, the one of least radius first.
 
     Args:
-        proof: its plant.
-        modes: what a step does (`_read_modes`).
+        proof: its plant and bounds.
+        code: the C.
+        held: `hold` of the plant.
     """
     n = len(proof["plant"]["A"])
+    modes = _read_modes(proof, code, held)
     E, _, (D, *_) = modes["right"]
     silent = modes["silent"][0][:n, :n]
     slowest = 1 - np.abs(np.linalg.eigvals(silent)).max()
     driven = np.outer(E[:n, n], E[:n, n]) * D**2 / (SPREAD * slowest)
     X = solve_discrete_lyapunov(silent / np.sqrt(1 - SPREAD * slowest), driven)
     start = block_diag(np.linalg.inv(X + NEAR * np.diag(np.diag(X))), np.eye(2) / D**2)
+    reach = [_round_up(x, 4) for x in np.sqrt(np.diag(X))]
+    modes = _read_modes(proof | {"bounds": proof["bounds"] | {"reach": reach}}, code, held)
     tried: list[tuple[float, float, Any]] = []
     for shares in ((SIDES[:1], SILENCES), (SIDES[1:], ())):
         near = [one[1] for one in sorted(tried, key=itemgetter(0))[:1]] or SILENCES
@@ -256,7 +259,14 @@ def _minimise_radius(
         E, box, sizes = modes[name]
         rounding = inverse * box * np.sqrt(len(box)) / (QUIET * decay)
         own_columns = E @ block_diag(T, np.diag(sizes[2:]))
-        steps.append((np.hstack([inverse @ own_columns, kick]), np.append(own_columns[n], 0) + clip, decay, rounding))
+        steps.append(
+            (
+                np.hstack([inverse @ own_columns, kick]),
+                np.append(own_columns[n], 0) + clip,
+                decay,
+                rounding,
+            )
+        )
 
     def blocks(x: Floats) -> list[Floats]:
         """Return the matrices that must be positive semidefinite."""
@@ -267,9 +277,15 @@ def _minimise_radius(
             np.block([[P - SLACK * np.eye(n + 2), c[:, None]], [c[None], x[-1:, None]]]),
             multipliers.ravel(),
         ]
-        for (F, row, decay, rounding), (*loud, toward, back) in zip(steps, multipliers, strict=True):
+        for (F, row, decay, rounding), (*loud, toward, back) in zip(
+            steps, multipliers, strict=True
+        ):
             sector = np.outer(clip, (toward + back) * row - back * own)
-            M = (signals.T * [*loud, 0]) @ signals + (sector + sector.T) / 2 - SLACK * np.eye(len(clip))
+            M = (
+                (signals.T * [*loud, 0]) @ signals
+                + (sector + sector.T) / 2
+                - SLACK * np.eye(len(clip))
+            )
             M += (block_diag((1 - decay) * P, np.zeros((w + 1, w + 1))) - F.T @ P @ F) / decay
             found += [M, np.array([1 - sum(loud), 1 - np.sum(rounding * (P @ rounding))])]
         return found

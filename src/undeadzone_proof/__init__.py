@@ -15,12 +15,14 @@ from pathlib import Path
 from typing import Any
 
 Row = list[Fraction]
-FORMATS = {"double": (53, 1074, ""), "float": (24, 149, "f")}  # bits, least exponent, suffix
+FORMATS = {"double": (53, 1074), "float": (24, 149)}  # bits, and of the least number
 GUARDS = ("STDC FP_CONTRACT OFF", 'GCC optimize("fp-contract=off")', "defined(__FAST_MATH__)")
 TOKEN = re.compile(r"(\d[\d.]*(?:e[+-]?\d{1,3})?f?)|([a-z]\w*(?:->\w+\[\d+\])?)|(&&|\|\||\S)")
 ASSIGNMENT = r"(?:const (?:bool|float|double) )?(\w+(?:->\w+\[\d+\])?) = (.*)"
 PYTHON = dict(zip(["(", "?", ":", "&&", "||", *")<+-*"], ["pick(", *",,&|)<+-*"], strict=True))
 WIDTHS = ["state->right[0]", "state->left[0]"]
+SERIES = Fraction(1, 1 << 100)
+HELD = [f"state->held[{k}]" for k in range(99)]
 
 
 class Refused(Exception):
@@ -109,27 +111,27 @@ class Code:
 
     def __init__(self, texts: list[str], name: str, kind: str, widest: Fraction) -> None:
         """Read C and header. Raises Refused unless they have an observer and nothing else."""
-        self.bits, self.least, self.suffix = FORMATS[kind]
+        self.bits, self.least = FORMATS[kind]
         self.widest = widest
         text, header = (re.sub(r"/\*.*?\*/", "", each, flags=re.DOTALL) for each in texts)
         head, first, rest = text.partition(f"\nvoid {name}_")
-        macros = re.findall(r"#\s*define\s+(\w+)", header)
-        require(all(each.startswith(name.upper()) for each in macros), "source: no foreign macros")
+        foreign = rf'#\s*(define|undef|include)\s+(?!{name.upper()}_|"{name}\.h"|<std|<math)'
+        require(not re.search(foreign, text + header), "source: no foreign macros")
         require({kind} == {*re.findall(r"(\w+) \w+\[\d+\];", header)}, "source: one format")
         require(all(guard in head for guard in GUARDS), "source: neither fused nor fast arithmetic")
-        plain = re.fullmatch(r"(#(if|elif|endif|error|pragma|include)\b.*\n|\n)*", head + "\n")
-        require(plain, "source: directives alone before the functions")
         function = re.compile(rf"^void {name}_(\w+)\([^)]*\)\n{{\n([^}}#]*;)\n}}\n", re.M)
-        found = function.findall(first + rest)
         require(not function.sub("", first + rest).strip(), "source: functions alone")
-        self.bodies = {key: " ".join(body.split()).rstrip(";").split("; ") for key, body in found}
-        words = [word for _, body in found for word, *_ in TOKEN.findall(body) if word]
+        found = dict(function.findall(first + rest))
+        self.bodies = {
+            key: " ".join(each.split()).rstrip(";").split("; ") for key, each in found.items()
+        }
+        words = [word for each in found.values() for word, *_ in TOKEN.findall(each) if word]
         self.numbers = {word: self.read_literal(word) for word in words}
         self.constants = [self.numbers[word].low for word in words]
 
     def read_literal(self, text: str) -> Number:
         """Return the number nearest to a literal, as a compiler takes it."""
-        require(text.endswith("f") == bool(self.suffix), f"source: {text} has the format")
+        require(text.endswith("f") == (self.bits == 24), f"source: {text} has the format")
         x = Fraction(text.removesuffix("f"))
         e = x.numerator.bit_length() - x.denominator.bit_length()
         unit = Fraction(2) ** max(e - (x < Fraction(2) ** e) + 1 - self.bits, -self.least)
@@ -151,43 +153,35 @@ class Code:
         low, high = ((min if least else max)(x, end.low) for x in (moved.low, moved.high))
         return replace(moved, terms=moved.terms | {"clip": Fraction(1)}, low=low, high=high)
 
-    def run(self, name: str, memory: dict[str, Any]) -> None:
-        """Run a function on numbers by their names in the C, in which its results go."""
-        scope = {"__builtins__": {}, "m": memory | self.numbers, "pick": self.pick}
+    def run(self, name: str, ranges: dict[str, tuple[Any, Any]]) -> dict[str, Any]:
+        """Return all numbers by their names in the C behind a function, from ranges of inputs."""
+        memory: Any = dict(self.numbers)
+        memory |= {k: Number(self, {k: Fraction(1)}, Fraction(0), *x) for k, x in ranges.items()}
         for line in self.bodies[name]:
-            call = re.fullmatch(r"\w+_(estimate|advance)\(state, in(?:, out)?\)", line)
             made = re.fullmatch(ASSIGNMENT, line)
-            if call:
-                self.run(call[1], memory)
-            elif line != "(void)in":
-                require(made and not re.search("<[^()]*<", line), f"source: {line} is understood")
-                parts = [
-                    f"m[{a or b!r}]" if a or b else PYTHON[c] for a, b, c in TOKEN.findall(made[2])
-                ]
-                scope["m"][made[1]] = memory[made[1]] = eval(f"pick({''.join(parts)})", scope)
+            require(made and not re.search("<[^()]*<", line), f"source: {line} is understood")
+            parts = [
+                f"m[{a or b!r}]" if a or b else PYTHON[c] for a, b, c in TOKEN.findall(made[2])
+            ]
+            scope = {"__builtins__": {}, "m": memory, "pick": self.pick}
+            memory[made[1]] = eval(f"pick({''.join(parts)})", scope)
+        return memory
 
 
-def hold(plant: Any) -> tuple[list[Row], Fraction]:
-    """Return e^M of M = [A, B; 0, 0] Ts, and a bound of its error.
+def hold(plant: Any) -> list[Row]:
+    """Return the first rows of e^M, M = [A, B; 0, 0] Ts, each entry within SERIES of it.
 
-    Terms are cut at 2^-200. Behind the last one each is at most half of the one before.
+    Each term is cut at 2^-200. Behind the last one the sum is less than twice 16^100 / 100!.
     """
-    n, m = len(plant["A"]), len(plant["B"][0])
+    n, m, cut = len(plant["A"]), len(plant["B"][0]), 1 << 200
     rows = [a + b for a, b in zip(plant["A"], plant["B"], strict=True)]
     M = [[x * plant["Ts"] for x in row] for row in rows] + [[Fraction(0)] * (n + m)] * m
-    size, k, error, cut = max(sum(map(abs, row)) for row in M), 0, Fraction(0), Fraction(0)
-    require(size < 99, "hold: a sample is short enough for a series")
+    require(max(sum(map(abs, row)) for row in M) <= 16, "hold: a sample is short")
     total = term = [[Fraction(i == j) for j in range(n + m)] for i in range(n + m)]
-    bound = Fraction(1)
-    while bound > Fraction(1, 1 << 150) or k < 2 * size:
-        k, bound = k + 1, bound * size / (k + 1)
-        cut = cut * size / k + Fraction(n + m, 1 << 200)
-        term = [
-            [Fraction(int(x / k * (1 << 200)), 1 << 200) for x in row] for row in multiply(term, M)
-        ]
+    for k in range(1, 100):
+        term = [[Fraction(int(x / k * cut), cut) for x in row] for row in multiply(term, M)]
         total = [list(map(Fraction.__add__, *pair)) for pair in zip(total, term, strict=True)]
-        error += cut
-    return total[:n], error + 2 * (cut + bound)
+    return total[:n]
 
 
 def list_modes(proof: Any, code: Code) -> list[tuple[str, int, Any, Any, Fraction]]:
@@ -195,22 +189,14 @@ def list_modes(proof: Any, code: Code) -> list[tuple[str, int, Any, Any, Fractio
 
     Rounding keeps the order, so that it never shows a side that the sum before did not.
     """
-    (C,), (slope, threshold) = (
-        proof["plant"]["C"],
-        (proof["sensor"][k] for k in ("slope", "threshold")),
-    )
-    noise, least = proof["bounds"]["noise"], Fraction(1, 1 << code.least)
+    (C,), sensor, least = proof["plant"]["C"], proof["sensor"], Fraction(1, 1 << code.least)
+    threshold, noise = sensor["threshold"], proof["bounds"]["noise"]
     require(noise <= threshold, "bounds: noise shows no side")
-    largest = slope * weigh(list(map(abs, C)), proof["bounds"]["x"]) + noise
+    largest = sensor["slope"] * weigh(list(map(abs, C)), proof["bounds"]["x"]) + noise
     wrong = noise + largest / (1 << code.bits) + least
-    above = threshold + max(threshold / (1 << code.bits), least)
-    top = max(above, largest + wrong)
-    sides = [
-        ("right", 1, above, top),
-        ("left", -1, -top, -above),
-        ("silent", 0, -threshold, threshold),
-    ]
-    return [(*side, wrong) for side in [*sides, ("silent", 0, nan, nan)]]
+    above, top = threshold + least, threshold + least + largest + wrong
+    silent = [("silent", 0, -threshold, threshold, wrong), ("silent", 0, nan, nan, wrong)]
+    return [("right", 1, above, top, wrong), ("left", -1, -top, -above, wrong), *silent]
 
 
 def map_step(
@@ -218,124 +204,96 @@ def map_step(
 ) -> tuple[list[Row], Row]:
     """Return what a step makes of the errors of states and widths, of a reading, of disturbances.
 
-    And a bound of all else: rounding, and a plant that is not the C's. A step and its halves agree.
+    And a bound of all else: rounding, and a plant that is not the C's.
     """
     X, U, push, reach = (proof["bounds"][key] for key in ("x", "u", "disturbance", "reach"))
-    (C,), D, n = proof["plant"]["C"], code.widest, len(X)
+    D, zero, n = code.widest, Fraction(0), len(X)
     x, u = [f"state->x[{k}]" for k in range(n)], [f"in->u[{k}]" for k in range(len(U))]
-    names, zero = x + WIDTHS, Fraction(0)
-    ends = {
-        key: (-size, size)
-        for key, size in zip(x + u, [*map(Fraction.__add__, X, reach), *U], strict=True)
-    }
-    ends |= {"in->y[0]": (low, high)} | dict.fromkeys(WIDTHS, (zero, D))
-    ends |= {key.replace("in->u", "state->held"): (nan, nan) for key in u}
+    ranges = {key: (-a - b, a + b) for key, a, b in zip(x, X, reach, strict=True)}
+    ranges |= {key: (-a, a) for key, a in zip(u, U, strict=True)} | {"in->y[0]": (low, high)}
+    ranges |= dict.fromkeys(WIDTHS, (zero, D)) | dict.fromkeys(HELD[: len(u)], (nan, nan))
+    behind = code.run("step", ranges)
     sizes = [*X, D, D, *map(Fraction.__add__, U, push)]
-    true = [[*row[:n], zero, zero, *row[n:]] for row in held[0]]
-    true += [[Fraction(j == n + k) for j in range(len(sizes))] for k in range(2)]
-    seen = [proof["sensor"]["slope"] * c for c in [*C, Fraction(-(side > 0)), Fraction(side < 0)]]
-    E, box = [], [zero] * (n + 2)
-    for functions in (["step"], ["estimate", "advance"]):
-        memory = {key: Number(code, {key: Fraction(1)}, zero, *pair) for key, pair in ends.items()}
-        for function in functions:
-            code.run(function, memory)
-        rows = []
-        for k, name in enumerate(names):
-            terms = memory[name].terms
-            known = terms.keys() <= {*names, "in->y[0]", *u, *["clip"] * (k >= n)}
-            require(
-                known and (k < n or memory[name].low >= 0 and memory[name].high <= D),
-                "source: widths stay in their range",
-            )
-            own, y, given = (
-                [terms.get(key, zero) for key in names],
-                terms.get("in->y[0]", zero),
-                [terms.get(key, zero) for key in u],
-            )
-            require(side or not y, "source: silence has no reading")
-            rest = [a + y * b for a, b in zip(own, seen, strict=True)] + given
-            lost = [abs(a - b) + held[1] * (k < n) for a, b in zip(true[k], rest, strict=True)]
-            box[k] = max(box[k], memory[name].error + weigh(lost, sizes))
-            rows.append([*own, -y, *given])
-        require(E in ([], rows), "source: its halves are the step")
-        E = rows
+    true = [[*row[:n], zero, zero, *row[n:]] for row in held]
+    true += [[Fraction(k == j) for j in range(len(sizes))] for k in (n, n + 1)]
+    slope, (C,) = proof["sensor"]["slope"], proof["plant"]["C"]
+    seen = [slope * c for c in [*C, Fraction(-(side > 0)), Fraction(side < 0), *[zero] * len(u)]]
+    E, box = list[Row](), list[Fraction]()
+    for k, name in enumerate(x + WIDTHS):
+        form = behind[name]
+        ok = form.terms.keys() <= {*x, *WIDTHS, *u, "in->y[0]", *["clip"] * (k >= n)}
+        require(ok, "source: a step depends on the inputs alone")
+        require(k < n or 0 <= form.low and form.high <= D, "source: widths stay in their range")
+        *row, y = (form.terms.get(key, zero) for key in [*x, *WIDTHS, *u, "in->y[0]"])
+        require(side or not y, "source: silence has no reading")
+        rest = [a - b - y * c for a, b, c in zip(true[k], row, seen, strict=True)]
+        lost = form.error + SERIES * sum(sizes) * (k < n)
+        box.append(lost + weigh(list(map(abs, rest)), sizes))
+        E.append([*row[: n + 2], -y, *row[n + 2 :]])
     return E, box
 
 
-def add_quadratic(X: list[Row], F: list[Row], S: list[Row]) -> list[Row]:
-    """Return X - F'S F. Columns of F beyond X begin with zeros."""
-    size = len(F[0])
-    wide = [[*row, *[Fraction(0)] * (size - len(row))] for row in X]
-    wide += [[Fraction(0)] * size for _ in range(size - len(X))]
-    product = multiply(list(map(list, zip(*F, strict=True))), multiply(S, F))
-    return [list(map(Fraction.__sub__, *rows)) for rows in zip(wide, product, strict=True)]
+def subtract_square(X: list[Row], F: list[Row], S: list[Row]) -> list[Row]:
+    """Return X - F'S F, X with zeros behind its rows and columns."""
+    square = multiply(list(map(list, zip(*F, strict=True))), multiply(S, F))
+    wide = [[*row, *[Fraction(0)] * (len(square) - len(X))] for row in X]
+    wide += [[Fraction(0)] * len(square)] * (len(square) - len(X))
+    return [list(map(Fraction.__sub__, *rows)) for rows in zip(wide, square, strict=True)]
 
 
-def check_mode(proof: Any, code: Code, step: Any, mode: str, side: int, wrong: Fraction) -> None:
+def check_mode(proof: Any, step: Any, mode: str, side: int, wrong: Fraction) -> None:
     """Check that a step of a mode does not lead out of the set, and that V falls."""
-    (E, box), S, one = step, proof["set"]["S"], proof["set"][mode]
-    n, loud, (t, s) = len(box) - 2, one["loud"], one["clip"]
-    k = n + (side < 0)
-    rests = [row[:n] == [0] * n and row[n : n + 2] for row in E[n:]]
-    units = [[Fraction(i == j) for i in range(len(E[0]))] for j in range(n + 2)]
-    other = 2 * n + 1 - k
-    require(E[other] == units[other] and not box[other], "source: a width without a reading rests")
+    (E, box), S, one, zero = step, proof["set"]["S"], proof["set"][mode], Fraction(0)
+    n, k, (toward, back) = len(box) - 2, len(box) - 2 + (side < 0), one["clip"]
+    other = n + (side >= 0)
+    rests = all(x == (i == other) for i, x in enumerate(E[other])) and not box[other]
+    require(rests, "source: a width without a reading rests")
     require(side < 1 or [row[n] for row in E] == proof["gains"], "gains: those of the C")
-    keys = [*range(n), *[k] * abs(side)]
-    P = [[*row, *[Fraction(0)] * abs(side)] for row in proof["storage"]["P"]]
-    P += [[*[Fraction(0)] * n, proof["storage"]["R"]]] * abs(side)
+    keys = [*range(n), k] if side else [*range(n)]
+    P = [[*row, zero] for row in proof["storage"]["P"]] + [[zero] * n + [proof["storage"]["R"]]]
+    P = [row[: len(keys)] for row in P[: len(keys)]]
     loop = [[E[i][j] for j in keys] for i in keys]
     require_positive(P, "storage: P > 0")
-    require_positive(add_quadratic(P, loop, P), f"storage: V falls, {mode}")
+    require_positive(subtract_square(P, loop, P), f"storage: V falls, {mode}")
     F = [[*row, Fraction(i == k)] for i, row in enumerate(E)]
-    decay = one["decay"]
-    M = add_quadratic([[(1 - decay) * x for x in row] for row in S], F, S)
-    for i, x in enumerate(loud, n):
+    M = subtract_square([[(1 - one["decay"]) * x for x in row] for row in S], F, S)
+    for i, x in enumerate(one["loud"], n):
         M[i][i] += x
     for i, x in enumerate(F[k]):
-        M[i][-1] += ((t + s) * x - s * (i == k)) / 2
-        M[-1][i] += ((t + s) * x - s * (i == k)) / 2
+        sector = ((toward + back) * x - back * (i == k)) / 2
+        M[i][-1] += sector
+        M[-1][i] += sector
     require_positive(M, f"set: V stays, {mode}")
-    sizes = [code.widest, code.widest, wrong, *proof["bounds"]["disturbance"]]
-    push = one["push"]
-    require(min(*loud, t, s, push) >= 0 and 0 < decay < 1 and push < 1, "set: signs")
-    sized = multiply([box], [list(map(abs, row)) for row in S])[0]
-    require(weigh(sized, box) <= push**2, f"set: rounding, {mode}")
-    room = (1 - push) ** 2 - 1 + decay
-    require(weigh(loud, [x**2 for x in sizes]) <= room, f"set: it has room, {mode}")
+    D, push = proof["sensor"]["width_max"], one["push"]
+    signs = min(*one["loud"], toward, back, push) >= 0 and max(push, one["decay"]) <= 1
+    require(signs, "set: signs")
+    most = weigh([weigh(list(map(abs, row)), box) for row in S], box)
+    require(most <= push**2, f"set: rounding, {mode}")
+    outside = weigh(one["loud"], [x * x for x in (D, D, wrong, *proof["bounds"]["disturbance"])])
+    require(1 - one["decay"] + outside <= (1 - push) ** 2, f"set: V stays below 1, {mode}")
 
 
 def check_sampled(proof: Any, texts: list[str]) -> None:
     """Check a sampled observer: its C, and that no step leads out of the set."""
-    own, one, bounds = proof["source"], proof["set"], proof["bounds"]
-    code = Code(texts, own["name"], own["format"], proof["sensor"]["width_max"])
+    own, one, reach = proof["source"], proof["set"], proof["bounds"]["reach"]
+    D, S, n = proof["sensor"]["width_max"], one["S"], len(reach)
+    code = Code(texts, own["name"], own["format"], D)
     require(code.bodies["step"] == proof["operations"], "operations: those of the C")
     require(code.constants == proof["constants"], "constants: those of the C")
-    require(
-        proof["sensor"]["threshold"] in (0, *code.constants),
-        "sensor: its threshold is that of the C",
-    )
-    start = dict[str, Any]()
-    code.run("init", start)
-    require(
-        all(0 <= start[key].low and start[key].high <= code.widest for key in WIDTHS),
-        "source: widths begin in their range",
-    )
-    signed = [bounds["noise"], *bounds["disturbance"], *bounds["x"], *bounds["u"]]
-    require(min(signed) >= 0 and min(one["radius"], *bounds["reach"]) > 0, "bounds: signs")
-    n, S = len(bounds["x"]), one["S"]
+    start = code.run("init", {})
+    within = all(0 <= start[key].low and start[key].high <= D for key in WIDTHS)
+    require(within, "source: widths begin in their range")
     units = [[Fraction(i == k) for i in range(n)] for k in range(n)]
-    for c, most in zip(
-        [*proof["plant"]["C"], *units], [one["radius"], *bounds["reach"]], strict=True
-    ):
+    for c, most in zip([*proof["plant"]["C"], *units], [one["radius"], *reach], strict=True):
         c = [*c, Fraction(0), Fraction(0)]
-        bordered = [[*row, x] for row, x in zip(S, c, strict=True)] + [[*c, most**2]]
+        bordered = [[*row, x] for row, x in zip(S, c, strict=True)] + [[*c, most * most]]
+        require(most > 0, "set: signs")
         require_positive(bordered, "set: radius and reach contain it")
-    begin = sum(abs(x) for row in S[n:] for x in row[n:]) * code.widest**2
+    begin = sum(abs(x) for row in S[n:] for x in row[n:]) * D * D
     require(begin <= 1, "set: it contains all widths")
     held = hold(proof["plant"])
-    for mode, side, low, high, wrong in list_modes(proof, code):
-        check_mode(proof, code, map_step(proof, code, held, side, low, high), mode, side, wrong)
+    for mode, side, *ends, wrong in list_modes(proof, code):
+        check_mode(proof, map_step(proof, code, held, side, *ends), mode, side, wrong)
 
 
 def check_continuous(proof: Any) -> None:
