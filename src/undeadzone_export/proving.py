@@ -56,7 +56,6 @@ QUIET: Final = 0.4  # of a step's decay, that rounding may take
 SPREAD: Final = 0.5  # of it, of the set at the start of the search
 PASSES: Final = 4  # of a set's rounding, which grows with the set, at most
 LEAST: Final = 1e-9  # of the largest bound from outside, that the others count as, at least
-MODES: Final = ("right", "left", "silent")
 SIGMAS: Final = 4.0  # of a random disturbance, that its bound spans
 RANGE: Final = 2.0  # of states and inputs, in multiples of the largest along the run
 NEEDS: Final[dict[str, Callable[[Any], bool]]] = {
@@ -190,15 +189,23 @@ def _ranges_of_run(problem: Problem) -> dict[str, Any]:
     return ranges | {"disturbance": push}
 
 
-def _read_modes(proof: dict[str, Any], code: Code, held: Any) -> dict[str, Any]:
-    """Return E, the bounds of all else, and of widths, readings and disturbances, by mode."""
-    modes = {}
-    for name, *mode, wrong in list_modes(proof, code)[:3]:
-        E, box = (np.array(each, float) for each in map_step(proof, code, held, *mode))
-        outside = np.array([wrong, *proof["bounds"]["disturbance"]], float)
-        outside = np.maximum(outside, LEAST * outside.max())
-        modes[name] = E, box, np.array([code.widest, code.widest, *outside], float)
-    return modes
+def _read_modes(
+    proof: dict[str, Any], code: Code, held: Any, reach: Any
+) -> tuple[list[tuple[Floats, Floats]], Floats]:
+    """Return E and rounding on the right and in silence, and sizes of what comes from outside.
+
+    Args:
+        proof: its plant and bounds.
+        code: the C.
+        held: `hold` of the plant.
+        reach: how far each estimate is from its state, at most.
+    """
+    reached = proof | {"bounds": proof["bounds"] | {"reach": reach}}
+    right, _, silent, _ = list_modes(proof, code)
+    modes = [map_step(reached, code, held, *mode[1:4]) for mode in (right, silent)]
+    outside = np.array([right[-1], *proof["bounds"]["disturbance"]], float)
+    sizes = [float(code.widest)] * 2 + [*np.maximum(outside, LEAST * outside.max())]
+    return [(np.array(E, float), np.array(box, float)) for E, box in modes], np.array(sizes)
 
 
 def _search_sets(proof: dict[str, Any], code: Code, held: Any) -> list[dict[str, Any]]:
@@ -210,99 +217,94 @@ def _search_sets(proof: dict[str, Any], code: Code, held: Any) -> list[dict[str,
         held: `hold` of the plant.
     """
     n = len(proof["plant"]["A"])
-    modes = _read_modes(proof, code, held)
-    E, _, (D, *_) = modes["right"]
-    silent = modes["silent"][0][:n, :n]
+    ((E, _), (silent, _)), (D, *_) = _read_modes(proof, code, held, [Fraction(0)] * n)
+    silent = silent[:n, :n]
     slowest = 1 - np.abs(np.linalg.eigvals(silent)).max()
     driven = np.outer(E[:n, n], E[:n, n]) * D**2 / (SPREAD * slowest)
     X = solve_discrete_lyapunov(silent / np.sqrt(1 - SPREAD * slowest), driven)
     start = block_diag(np.linalg.inv(X + NEAR * np.diag(np.diag(X))), np.eye(2) / D**2)
     reach = [_round_up(x, 4) for x in np.sqrt(np.diag(X))]
-    modes = _read_modes(proof | {"bounds": proof["bounds"] | {"reach": reach}}, code, held)
-    tried: list[tuple[float, float, Any]] = []
-    for shares in ((SIDES[:1], SILENCES), (SIDES[1:], ())):
-        near = [one[1] for one in sorted(tried, key=itemgetter(0))[:1]] or SILENCES
-        for share in itertools.product(shares[0], shares[1] or near):
-            one = _minimise_radius(proof, modes, slowest * np.array(share), start)
-            tried += [] if one is None else [(one.pop("size"), share[1], one)]
-    return [one for *_, one in sorted(tried, key=itemgetter(0))]
+    around = *_read_modes(proof, code, held, reach), start
+    C = np.array([*proof["plant"]["C"][0], 0, 0], float)
+    tried: list[dict[str, Any]] = []
+    for sides, silences in ((SIDES[:1], SILENCES), (SIDES[1:], ())):
+        near = [min(tried, key=_size_of)["share"]] if tried else SILENCES
+        for share in itertools.product(sides, silences or near):
+            found = _minimise_radius(C, *around, slowest * np.array(share))
+            tried += [one | {"share": share[1]} for one in found]
+    return sorted(tried, key=_size_of)
+
+
+_size_of = itemgetter("size")
 
 
 def _minimise_radius(
-    proof: dict[str, Any], modes: dict[str, Any], decays: Floats, start: Floats
-) -> dict[str, Any] | None:
-    """Return the set of least radius that no exact step leaves, or None.
+    C: Floats,
+    modes: list[tuple[Floats, Floats]],
+    sizes: Floats,
+    start: Floats,
+    decays: Floats,
+) -> Iterator[dict[str, Any]]:
+    """Iterate over the set of least radius that no exact step leaves, if there is one.
 
     V is the same seen from the left: in x~ and d~r - d~l it has one matrix, in d~r + d~l another.
 
     Args:
-        proof: its plant.
-        modes: what a step does (`_read_modes`).
-        decays: of V on a side and in silence.
+        C: how z^ depends on states and widths.
+        modes, sizes: result of `_read_modes`.
         start: a V, in whose coordinates it is sought.
+        decays: of V on a side and in silence.
     """
-    n, (D, *_) = len(start) - 2, modes["right"][2]
-    m, w = n + 1, len(modes["right"][2]) - 2
+    n, m, w, D = len(C) - 2, len(C) - 1, len(sizes) + 2, sizes[0]
     entries = m * (m + 1) // 2
     turn = block_diag(np.eye(n), np.array([[1, 1], [-1, 1]]) / np.sqrt(2))
     T = turn @ np.linalg.inv(np.linalg.cholesky(turn.T @ start @ turn).T)
     inverse = np.linalg.inv(T)
-    kick = inverse[:, [n]] / np.linalg.norm(inverse[:, n])  # of a clip, in the coordinates of T
-    signals = block_diag(T[n:] / D, np.eye(w + 1))
-    clip, own = signals[-1] / np.linalg.norm(inverse[:, n]), D * signals[0]
-    c = T.T @ np.append(np.array(proof["plant"]["C"][0], float), [0, 0])
-    c /= np.linalg.norm(c)
+    # x~, widths, what comes from outside and the clip of a width, in units of their sizes
+    units = block_diag(T, np.diag(sizes[2:]), 1 / np.linalg.norm(inverse[:, n]))
+    signals = units[n:-1] / sizes[:, None]
+    steps = [np.column_stack([E, np.eye(n + 2)[n]]) @ units for E, _ in modes]
+    rounds = [
+        inverse * box * np.sqrt(n + 2) / (QUIET * decay)
+        for (_, box), decay in zip(modes, decays, strict=True)
+    ]
+    c = C @ T / np.linalg.norm(C @ T)
     corners = inverse[:, n:] @ np.array([[D, D], [D, -D]])
 
-    steps = []
-    for name, decay in zip(("right", "silent"), decays, strict=True):
-        E, box, sizes = modes[name]
-        rounding = inverse * box * np.sqrt(len(box)) / (QUIET * decay)
-        own_columns = E @ block_diag(T, np.diag(sizes[2:]))
-        steps.append(
-            (
-                np.hstack([inverse @ own_columns, kick]),
-                np.append(own_columns[n], 0) + clip,
-                decay,
-                rounding,
-            )
-        )
+    def split(x: Floats) -> tuple[Floats, Floats]:
+        """Return P and the multipliers of both modes."""
+        P = block_diag(symmetric_matrix(x[:entries], m), x[entries])
+        return P, x[entries + 1 : -1].reshape(2, w)
 
     def blocks(x: Floats) -> list[Floats]:
         """Return the matrices that must be positive semidefinite."""
-        P = block_diag(symmetric_matrix(x[:entries], m), x[entries])
-        multipliers = x[entries + 1 : -1].reshape(2, w + 4)
-        found = [
-            *(1 - np.einsum("ik,ij,jk->k", corners, P, corners)).reshape(2, 1),
-            np.block([[P - SLACK * np.eye(n + 2), c[:, None]], [c[None], x[-1:, None]]]),
-            multipliers.ravel(),
-        ]
-        for (F, row, decay, rounding), (*loud, toward, back) in zip(
-            steps, multipliers, strict=True
+        P, multipliers = split(x)
+        bordered = np.block([[P - SLACK * np.eye(n + 2), c[:, None]], [c, x[-1:]]])
+        found = [bordered, multipliers.ravel(), 1 - np.sum(corners * (P @ corners), axis=0)]
+        for F, decay, wrong, (*loud, toward, back) in zip(
+            steps, decays, rounds, multipliers, strict=True
         ):
-            sector = np.outer(clip, (toward + back) * row - back * own)
-            M = (
-                (signals.T * [*loud, 0]) @ signals
-                + (sector + sector.T) / 2
-                - SLACK * np.eye(len(clip))
-            )
-            M += (block_diag((1 - decay) * P, np.zeros((w + 1, w + 1))) - F.T @ P @ F) / decay
-            found += [M, np.array([1 - sum(loud), 1 - np.sum(rounding * (P @ rounding))])]
+            local = inverse @ F
+            M = -local.T @ P @ local
+            M[: n + 2, : n + 2] += (1 - decay) * P
+            sector = np.outer(units[-1], (toward + back) * F[n] - back * units[n])
+            M = M / decay + (signals.T * loud) @ signals + symmetric_part(sector)
+            limits = np.array([1 - sum(loud), 1 - np.sum(wrong * (P @ wrong))])
+            found += [M - SLACK * np.eye(len(M)), limits]
         return found
 
-    x = minimise_semidefinite(np.append(np.zeros(entries + 1 + 2 * (w + 4)), 1.0), blocks)
-    if x is None or np.linalg.eigvalsh(blocks(x)[2])[0] < -SLACK / 2:
-        return None
-    S = inverse.T @ block_diag(symmetric_matrix(x[:entries], m), x[entries]) @ inverse
-    mirror = block_diag(-np.eye(n), [[0, 1], [1, 0]])
-    multipliers = np.maximum(x[entries + 1 : -1].reshape(2, w + 4), LEAST) * decays[:, None]
-    right, silent = (
-        {"decay": a, "loud": loud[:-2] / modes[name][2] ** 2, "clip": loud[-2:]}
-        for name, a, loud in zip(("right", "silent"), decays, multipliers, strict=True)
-    )
-    left = right | {"loud": right["loud"][[1, 0, *range(2, w + 2)]]}
-    S = symmetric_part(S + mirror @ S @ mirror) / 2
-    return {"size": x[-1], "S": S, "right": right, "left": left, "silent": silent}
+    x = minimise_semidefinite(np.append(np.zeros(entries + 1 + 2 * w), 1.0), blocks)
+    if x is not None and np.linalg.eigvalsh(blocks(x)[0])[0] > -SLACK / 2:
+        P, multipliers = split(x)
+        S = inverse.T @ P @ inverse
+        mirror = block_diag(-np.eye(n), [[0, 1], [1, 0]])
+        weights = np.maximum(multipliers, LEAST) * decays[:, None]
+        side, silent = (
+            {"decay": decay, "loud": each[:-2] / sizes**2, "clip": each[-2:]}
+            for decay, each in zip(decays, weights, strict=True)
+        )
+        S = symmetric_part(S + mirror @ S @ mirror) / 2
+        yield {"size": x[-1], "S": S, "side": side, "silent": silent}
 
 
 def _fit_set(proof: dict[str, Any], code: Code, held: Any, one: dict[str, Any]) -> dict[str, Any]:
@@ -315,23 +317,26 @@ def _fit_set(proof: dict[str, Any], code: Code, held: Any, one: dict[str, Any]) 
         one: the set without rounding.
     """
     c = np.array([*proof["plant"]["C"], *np.eye(len(proof["bounds"]["x"]))], float)
+    S, names, scale = one["S"], ("side", "silent"), 1.0
     for _ in range(PASSES):
-        reach = np.sqrt(np.diag(c @ np.linalg.inv(one["S"])[:-2, :-2] @ c.T))
-        one["radius"], *reach = [_round_up(ROOM * x, 4) for x in reach]
-        bounds = proof["bounds"] | {"reach": reach}
+        most = np.sqrt(np.diag(c @ np.linalg.inv(S)[:-2, :-2] @ c.T) / scale)
+        radius, *reach = [_round_up(ROOM * x, 4) for x in most]
+        modes, sizes = _read_modes(proof, code, held, reach)
         scales = [1.0]
-        for name, (_, box, sizes) in _read_modes(proof | {"bounds": bounds}, code, held).items():
-            decay, push = one[name]["decay"], ROOM * np.sqrt(box @ np.abs(one["S"]) @ box)
-            one[name]["push"] = push
+        for (_, box), name in zip(modes, names, strict=True):
+            decay, push = one[name]["decay"], ROOM * np.sqrt(box @ np.abs(S) @ box)
             rest = ROOM * one[name]["loud"] @ sizes**2 - push**2
             scales.append((decay / (push + np.sqrt(push**2 + max(0, decay * rest)))) ** 2)
-        if min(scales) == 1:
+            one[name]["push"] = push * np.sqrt(scale)
+        if min(scales) >= scale:
             break
-        one["S"] *= min(scales) / ROOM
-        for name in MODES:
-            one[name]["loud"] = one[name]["loud"] * min(scales) / ROOM
-            one[name]["clip"] = one[name]["clip"] * min(scales) / ROOM
-    return {"set": _to_exact(one), "bounds": bounds}
+        scale = min(scales) / ROOM
+    sized = {
+        name: one[name] | {key: one[name][key] * scale for key in ("loud", "clip")}
+        for name in names
+    }
+    bounds = proof["bounds"] | {"reach": reach}
+    return {"set": _to_exact(sized | {"S": S * scale, "radius": radius}), "bounds": bounds}
 
 
 def _round_up(number: Any, digits: int) -> Fraction:

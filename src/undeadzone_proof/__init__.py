@@ -196,7 +196,7 @@ def list_modes(proof: Any, code: Code) -> list[tuple[str, int, Any, Any, Fractio
     wrong = noise + largest / (1 << code.bits) + least
     above, top = threshold + least, threshold + least + largest + wrong
     silent = [("silent", 0, -threshold, threshold, wrong), ("silent", 0, nan, nan, wrong)]
-    return [("right", 1, above, top, wrong), ("left", -1, -top, -above, wrong), *silent]
+    return [("side", 1, above, top, wrong), ("side", -1, -top, -above, wrong), *silent]
 
 
 def map_step(
@@ -257,7 +257,7 @@ def check_mode(proof: Any, step: Any, mode: str, side: int, wrong: Fraction) -> 
     require_positive(subtract_square(P, loop, P), f"storage: V falls, {mode}")
     F = [[*row, Fraction(i == k)] for i, row in enumerate(E)]
     M = subtract_square([[(1 - one["decay"]) * x for x in row] for row in S], F, S)
-    for i, x in enumerate(one["loud"], n):
+    for i, x in zip([k, other, *range(n + 2, len(M) - 1)], one["loud"], strict=True):
         M[i][i] += x
     for i, x in enumerate(F[k]):
         sector = ((toward + back) * x - back * (i == k)) / 2
