@@ -18,7 +18,7 @@ Row = list[Fraction]
 FORMATS = {"double": (53, 1074), "float": (24, 149)}  # bits, and of the least number
 GUARDS = ("STDC FP_CONTRACT OFF", 'GCC optimize("fp-contract=off")', "defined(__FAST_MATH__)")
 TOKEN = re.compile(r"(\d[\d.]*(?:e[+-]?\d{1,3})?f?)|([a-z]\w*(?:->\w+\[\d+\])?)|(&&|\|\||\S)")
-ASSIGNMENT = r"(?:const (?:bool|float|double) )?(\w+(?:->\w+\[\d+\])?) = (.*)"
+ASSIGNMENT = r"(?:const (?:bool|float|double) )?(\w+(?:->\w+\[\d+\])?) = ([^!=/]*)"
 PYTHON = dict(zip(["(", "?", ":", "&&", "||", *")<+-*"], ["pick(", *",,&|)<+-*"], strict=True))
 WIDTHS = ["state->right[0]", "state->left[0]"]
 SERIES = Fraction(1, 1 << 100)
@@ -374,7 +374,7 @@ def main(arguments: list[str]) -> int:
         words = verify_proof(proof, *(given or beside))
     except Refused as step:
         words = f"refused: {step}"
-    except (LookupError, ValueError, TypeError, ArithmeticError, AttributeError, OSError) as error:
+    except (LookupError, ValueError, TypeError, ArithmeticError, AttributeError, OSError, SyntaxError) as error:
         words = f"refused: no proof, {error!r}"
     sys.stdout.write(f"{words}\n")
     return int(words.startswith("refused"))
