@@ -41,7 +41,6 @@ from undeadzone_proof import (
     hold,
     list_modes,
     map_step,
-    require,
     state_theorem,
     verify_proof,
 )

@@ -21,6 +21,7 @@ TOKEN = re.compile(r"(\d[\d.]*(?:e[+-]?\d{1,3})?f?)|([a-z]\w*(?:->\w+\[\d+\])?)|
 ASSIGNMENT = r"(?:const (?:bool|float|double) )?(\w+(?:->\w+\[\d+\])?) = ([^!=/]*)"
 PYTHON = dict(zip(["(", "?", ":", "&&", "||", *")<+-*"], ["pick(", *",,&|)<+-*"], strict=True))
 WIDTHS = ["state->right[0]", "state->left[0]"]
+FAULTS = (LookupError, ValueError, TypeError, ArithmeticError, AttributeError, OSError, SyntaxError)
 SERIES = Fraction(1, 1 << 100)
 HELD = [f"state->held[{k}]" for k in range(99)]
 
@@ -48,7 +49,7 @@ def multiply(X: list[Row], Y: list[Row]) -> list[Row]:
 
 def require_positive(M: list[Row], step: str) -> None:
     """Raise Refused unless a symmetric matrix has positive pivots."""
-    require(M == list(map(list, zip(*M, strict=True))), f"{step} (symmetric)")
+    require(list(map(list, zip(*M, strict=True))) == M, f"{step} (symmetric)")
     while M:
         (top, *rest), *rows = M
         require(top > 0, step)
@@ -223,7 +224,7 @@ def map_step(
         form = behind[name]
         ok = form.terms.keys() <= {*x, *WIDTHS, *u, "in->y[0]", *["clip"] * (k >= n)}
         require(ok, "source: a step depends on the inputs alone")
-        require(k < n or 0 <= form.low and form.high <= D, "source: widths stay in their range")
+        require(k < n or (form.low >= 0 and form.high <= D), "source: widths stay in their range")
         *row, y = (form.terms.get(key, zero) for key in [*x, *WIDTHS, *u, "in->y[0]"])
         require(side or not y, "source: silence has no reading")
         rest = [a - b - y * c for a, b, c in zip(true[k], row, seen, strict=True)]
@@ -281,7 +282,7 @@ def check_sampled(proof: Any, texts: list[str]) -> None:
     require(code.bodies["step"] == proof["operations"], "operations: those of the C")
     require(code.constants == proof["constants"], "constants: those of the C")
     start = code.run("init", {})
-    within = all(0 <= start[key].low and start[key].high <= D for key in WIDTHS)
+    within = all(start[key].low >= 0 and start[key].high <= D for key in WIDTHS)
     require(within, "source: widths begin in their range")
     units = [[Fraction(i == k) for i in range(n)] for k in range(n)]
     for c, most in zip([*proof["plant"]["C"], *units], [one["radius"], *reach], strict=True):
@@ -325,14 +326,16 @@ def state_theorem(proof: Any) -> str:
         margin, W = (to_words(proof["storage"][key]) for key in ("margin", "W"))
         return (
             f"{plant}: for every sequence of sides and every gamma > 0 the observer with "
-            f"{to_words(proof['gains'])} has a V that falls faster than {margin} times 2 W e^2, W = {W}."
+            f"{to_words(proof['gains'])} has a V that falls faster than {margin} times 2 W e^2, "
+            f"W = {W}."
         )
     source, bounds = proof["source"], {k: to_words(x) for k, x in proof["bounds"].items()}
     return (
-        f"{source['name']}.c in {source['format']} beside {plant}, {to_words(proof['sensor'])}: begun "
-        f"with x^ = x and any widths, z^ stays within {to_words(proof['set']['radius'])} of z, whatever "
-        f"the sequence of sides, missing readings and roundings, while |x| <= {bounds['x']}, |u| <= "
-        f"{bounds['u']}, readings are wrong by {bounds['noise']}, disturbances at most {bounds['disturbance']}."
+        f"{source['name']}.c in {source['format']} beside {plant}, {to_words(proof['sensor'])}: "
+        f"begun with x^ = x and any widths, z^ stays within {to_words(proof['set']['radius'])} of "
+        "z, whatever the sequence of sides, missing readings and roundings, while |x| <= "
+        f"{bounds['x']}, |u| <= {bounds['u']}, readings are wrong by {bounds['noise']} and "
+        f"disturbances are at most {bounds['disturbance']}."
     )
 
 
@@ -374,7 +377,7 @@ def main(arguments: list[str]) -> int:
         words = verify_proof(proof, *(given or beside))
     except Refused as step:
         words = f"refused: {step}"
-    except (LookupError, ValueError, TypeError, ArithmeticError, AttributeError, OSError, SyntaxError) as error:
+    except FAULTS as error:
         words = f"refused: no proof, {error!r}"
     sys.stdout.write(f"{words}\n")
     return int(words.startswith("refused"))
