@@ -34,7 +34,7 @@ from undeadzone_export.code import build_code
 from undeadzone_export.compiler import compile_library, write_sources
 from undeadzone_export.exported_step import build_step
 from undeadzone_export.source import Labels, build_source
-from undeadzone_proof import Refused, hold, state_theorem, to_numbers, verify_proof
+from undeadzone_proof import Refused, hold_exactly, state_theorem, to_numbers, verify_proof
 
 OPTIONS = {"designs": 50, "sequences": 1_000_000, "seed": 0}
 MARGINS = (1e-3, 1e-2, 0.1, 0.5)
@@ -90,7 +90,7 @@ class Attack(ctypes.Structure):
 def attack(proof: Any, sequences: int, seed: int) -> Attack:
     """Run sequences of the exported C inside a set."""
     bounds, (text, header) = proof["bounds"], proof["source"]["texts"]
-    matrices = hold(proof["plant"]), proof["plant"]["C"], [bounds["x"]], proof["set"]["S"]
+    matrices = hold_exactly(proof["plant"]), proof["plant"]["C"], [bounds["x"]], proof["set"]["S"]
     scalars = [*proof["sensor"].values(), bounds["noise"], *bounds["disturbance"], *bounds["u"]]
     numbers = [*itertools.chain(*itertools.chain(*matrices)), *scalars, proof["set"]["radius"]]
     setup = np.array(numbers, float)

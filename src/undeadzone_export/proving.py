@@ -38,7 +38,7 @@ from undeadzone_export.source import Labels, Source, build_source
 from undeadzone_proof import (
     Code,
     Refused,
-    hold,
+    hold_exactly,
     list_modes,
     map_step,
     state_theorem,
@@ -158,7 +158,7 @@ def propose_sampled(problem: Problem, text: Source, single: bool) -> dict[str, A
     try:
         code = Code([text.code, text.header], *own.values(), proof["sensor"]["width_max"])
         proof |= {"constants": code.constants, "operations": code.bodies["step"]}
-        held = hold(proof["plant"])
+        held = hold_exactly(proof["plant"])
         E, _ = map_step(proof, code, held, *list_modes(proof, code)[0][1:4])
         proof["gains"] = [row[n] for row in E]
         R = 1 / (1 - float(E[n][n]))
@@ -196,7 +196,7 @@ def _read_modes(
     Args:
         proof: its plant and bounds.
         code: the C.
-        held: `hold` of the plant.
+        held: `hold_exactly` of the plant.
         reach: how far each estimate is from its state, at most.
     """
     reached = proof | {"bounds": proof["bounds"] | {"reach": reach}}
@@ -213,7 +213,7 @@ def _search_sets(proof: dict[str, Any], code: Code, held: Any) -> list[dict[str,
     Args:
         proof: its plant and bounds.
         code: the C.
-        held: `hold` of the plant.
+        held: `hold_exactly` of the plant.
     """
     n = len(proof["plant"]["A"])
     ((E, _), (silent, _)), (D, *_) = _read_modes(proof, code, held, [Fraction(0)] * n)
@@ -270,14 +270,14 @@ def _minimise_radius(
     c = C @ T / np.linalg.norm(C @ T)
     corners = inverse[:, n:] @ np.array([[D, D], [D, -D]])
 
-    def split(x: Floats) -> tuple[Floats, Floats]:
+    def split_variables(x: Floats) -> tuple[Floats, Floats]:
         """Return P and the multipliers of both modes."""
         P = block_diag(symmetric_matrix(x[:entries], m), x[entries])
         return P, x[entries + 1 : -1].reshape(2, w)
 
     def blocks(x: Floats) -> list[Floats]:
         """Return the matrices that must be positive semidefinite."""
-        P, multipliers = split(x)
+        P, multipliers = split_variables(x)
         bordered = np.block([[P - SLACK * np.eye(n + 2), c[:, None]], [c, x[-1:]]])
         found = [bordered, multipliers.ravel(), 1 - np.sum(corners * (P @ corners), axis=0)]
         for F, decay, wrong, (*loud, toward, back) in zip(
@@ -294,7 +294,7 @@ def _minimise_radius(
 
     x = minimise_semidefinite(np.append(np.zeros(entries + 1 + 2 * w), 1.0), blocks)
     if x is not None and np.linalg.eigvalsh(blocks(x)[0])[0] > -SLACK / 2:
-        P, multipliers = split(x)
+        P, multipliers = split_variables(x)
         S = inverse.T @ P @ inverse
         mirror = block_diag(-np.eye(n), [[0, 1], [1, 0]])
         weights = np.maximum(multipliers, LEAST) * decays[:, None]
@@ -312,7 +312,7 @@ def _fit_set(proof: dict[str, Any], code: Code, held: Any, one: dict[str, Any]) 
     Args:
         proof: its plant and bounds.
         code: the C.
-        held: `hold` of the plant.
+        held: `hold_exactly` of the plant.
         one: the set without rounding.
     """
     c = np.array([*proof["plant"]["C"], *np.eye(len(proof["bounds"]["x"]))], float)

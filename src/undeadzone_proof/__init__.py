@@ -119,7 +119,7 @@ class Code:
         foreign = rf'#\s*(define|undef|include)\s+(?!{name.upper()}_|"{name}\.h"|<std|<math)'
         require(not re.search(foreign, text + header), "source: no foreign macros")
         require({kind} == {*re.findall(r"(\w+) \w+\[\d+\];", header)}, "source: one format")
-        require(all(guard in head for guard in GUARDS), "source: neither fused nor fast arithmetic")
+        require(all(guard in head for guard in GUARDS), "source: arithmetic is as written")
         function = re.compile(rf"^void {name}_(\w+)\([^)]*\)\n{{\n([^}}#]*;)\n}}\n", re.M)
         require(not function.sub("", first + rest).strip(), "source: functions alone")
         found = dict(function.findall(first + rest))
@@ -154,7 +154,7 @@ class Code:
         low, high = ((min if least else max)(x, end.low) for x in (moved.low, moved.high))
         return replace(moved, terms=moved.terms | {"clip": Fraction(1)}, low=low, high=high)
 
-    def run(self, name: str, ranges: dict[str, tuple[Any, Any]]) -> dict[str, Any]:
+    def run_function(self, name: str, ranges: dict[str, tuple[Any, Any]]) -> dict[str, Any]:
         """Return all numbers by their names in the C behind a function, from ranges of inputs."""
         memory: Any = dict(self.numbers)
         memory |= {k: Number(self, {k: Fraction(1)}, Fraction(0), *x) for k, x in ranges.items()}
@@ -169,7 +169,7 @@ class Code:
         return memory
 
 
-def hold(plant: Any) -> list[Row]:
+def hold_exactly(plant: Any) -> list[Row]:
     """Return the first rows of e^M, M = [A, B; 0, 0] Ts, each entry within SERIES of it.
 
     Each term is cut at 2^-200. Behind the last one the sum is less than twice 16^100 / 100!.
@@ -213,7 +213,7 @@ def map_step(
     ranges = {key: (-a - b, a + b) for key, a, b in zip(x, X, reach, strict=True)}
     ranges |= {key: (-a, a) for key, a in zip(u, U, strict=True)} | {"in->y[0]": (low, high)}
     ranges |= dict.fromkeys(WIDTHS, (zero, D)) | dict.fromkeys(HELD[: len(u)], (nan, nan))
-    behind = code.run("step", ranges)
+    behind = code.run_function("step", ranges)
     sizes = [*X, D, D, *map(Fraction.__add__, U, push)]
     true = [[*row[:n], zero, zero, *row[n:]] for row in held]
     true += [[Fraction(k == j) for j in range(len(sizes))] for k in (n, n + 1)]
@@ -281,7 +281,7 @@ def check_sampled(proof: Any, texts: list[str]) -> None:
     code = Code(texts, own["name"], own["format"], D)
     require(code.bodies["step"] == proof["operations"], "operations: those of the C")
     require(code.constants == proof["constants"], "constants: those of the C")
-    start = code.run("init", {})
+    start = code.run_function("init", {})
     within = all(start[key].low >= 0 and start[key].high <= D for key in WIDTHS)
     require(within, "source: widths begin in their range")
     units = [[Fraction(i == k) for i in range(n)] for k in range(n)]
@@ -292,7 +292,7 @@ def check_sampled(proof: Any, texts: list[str]) -> None:
         require_positive(bordered, "set: radius and reach contain it")
     begin = sum(abs(x) for row in S[n:] for x in row[n:]) * D * D
     require(begin <= 1, "set: it contains all widths")
-    held = hold(proof["plant"])
+    held = hold_exactly(proof["plant"])
     for mode, side, *ends, wrong in list_modes(proof, code):
         check_mode(proof, map_step(proof, code, held, side, *ends), mode, side, wrong)
 
