@@ -48,8 +48,8 @@ from undeadzone_proof import (
 FILE: Final = "proof.json"
 ROOM: Final = 1 + 1e-5  # by which proposed numbers exceed those that are needed
 SLACK: Final = 1e-6  # of the balanced inequality, which the exact one needs
-SIDES: Final = (0.06, 0.02, 0.18, 0.56)  # of the plant's decay, that V may have on a side
-SILENCES: Final = (0.003, 0.03, 0.2, 0.5)  # of it, that V may have in silence
+SIDES: Final = (0.02, 0.06, 0.18, 0.56)  # of the plant's decay, that V may have on a side
+SILENCES: Final = (0.03, 0.3)  # of it, that V may have in silence
 NEAR: Final = 1e-6  # of a state, that its set spans at least, at the start of the search
 QUIET: Final = 0.4  # of a step's decay, that rounding may take
 SPREAD: Final = 0.5  # of it, of the set at the start of the search
@@ -225,16 +225,11 @@ def _search_sets(proof: dict[str, Any], code: Code, held: Any) -> list[dict[str,
     reach = [_round_up(x, 4) for x in np.sqrt(np.diag(X))]
     around = *_read_modes(proof, code, held, reach), start
     C = np.array([*proof["plant"]["C"][0], 0, 0], float)
-    tried: list[dict[str, Any]] = []
-    for sides, silences in ((SIDES[:1], SILENCES), (SIDES[1:], ())):
-        near = [min(tried, key=_size_of)["share"]] if tried else SILENCES
-        for share in itertools.product(sides, silences or near):
-            found = _minimise_radius(C, *around, slowest * np.array(share))
-            tried += [one | {"share": share[1]} for one in found]
-    return sorted(tried, key=_size_of)
-
-
-_size_of = itemgetter("size")
+    found = [
+        _minimise_radius(C, *around, slowest * np.array(shares))
+        for shares in itertools.product(SIDES, SILENCES)
+    ]
+    return sorted(itertools.chain(*found), key=itemgetter("size"))
 
 
 def _minimise_radius(
