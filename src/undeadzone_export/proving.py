@@ -143,6 +143,7 @@ def propose_sampled(problem: Problem, text: Source, single: bool) -> dict[str, A
     certificate = _certify(problem)
     sensor, n = problem.sensor, problem.plant.n
     options: Any = problem.scenario.observer
+    Ts: Any = problem.model.Ts
     rounded = partial(round_to_type, real="float32" if single else "float64")
     threshold = rounded(sensor.threshold[0])
     widest = rounded(np.ravel(options.width_max)[0])
@@ -150,19 +151,19 @@ def propose_sampled(problem: Problem, text: Source, single: bool) -> dict[str, A
     own = {"name": text.prefix, "format": "float" if single else "double"}
     content = {
         "source": own | {"texts": [text.code, text.header]},
-        "plant": problem.plant.continuous._asdict() | {"Ts": problem.model.Ts},
+        "plant": problem.plant.continuous._asdict() | {"Ts": Ts},
         "sensor": {"slope": sensor.slope[0], "threshold": threshold, "width_max": widest},
         "bounds": _ranges_of_run(problem) | {"noise": noise, "reach": [Fraction(0)] * n},
     }
     proof = _to_exact(content)
     try:
-        code = Code([text.code, text.header], *own.values(), proof["sensor"]["width_max"])
+        code = Code(proof, [text.code, text.header])
         proof |= {"constants": code.constants, "operations": code.bodies["step"]}
         held = hold_exactly(proof["plant"])
         E, _ = map_step(proof, code, held, *list_modes(proof, code)[0][1:4])
         proof["gains"] = [row[n] for row in E]
         R = 1 / (1 - float(E[n][n]))
-        P = certificate.P / certificate.W / problem.model.Ts
+        P = certificate.P / certificate.W / Ts
         proof["storage"] = _to_exact({"P": P, "R": R})
         for one in _search_sets(proof, code, held):
             fitted = _fit_set(proof, code, held, one)

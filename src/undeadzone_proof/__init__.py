@@ -62,9 +62,9 @@ class Number:
 
     code: Code
     terms: dict[str, Fraction]
-    error: Fraction
-    low: Fraction
-    high: Fraction
+    error: Any
+    low: Any
+    high: Any
 
     def combine(self, other: Number, a: Fraction, b: Fraction, exact: Any) -> Number:
         """Return a times it and b times the other, rounded to nearest unless it is exact."""
@@ -110,10 +110,11 @@ class Number:
 class Code:
     """Functions of the C by name, as statements, and its constants in order."""
 
-    def __init__(self, texts: list[str], name: str, kind: str, widest: Fraction) -> None:
+    def __init__(self, proof: Any, texts: list[str]) -> None:
         """Read C and header. Raises Refused unless they have an observer and nothing else."""
+        name, kind = (proof["source"][key] for key in ("name", "format"))
         self.bits, self.least = FORMATS[kind]
-        self.widest = widest
+        self.widest = proof["sensor"]["width_max"]
         text, header = (re.sub(r"/\*.*?\*/", "", each, flags=re.DOTALL) for each in texts)
         head, first, rest = text.partition(f"\nvoid {name}_")
         foreign = rf'#\s*(define|undef|include)\s+(?!{name.upper()}_|"{name}\.h"|<std|<math)'
@@ -159,7 +160,7 @@ class Code:
         memory: Any = dict(self.numbers)
         memory |= {k: Number(self, {k: Fraction(1)}, Fraction(0), *x) for k, x in ranges.items()}
         for line in self.bodies[name]:
-            made = re.fullmatch(ASSIGNMENT, line)
+            made: Any = re.fullmatch(ASSIGNMENT, line)
             require(made and not re.search("<[^()]*<", line), f"source: {line} is understood")
             parts = [
                 f"m[{a or b!r}]" if a or b else PYTHON[c] for a, b, c in TOKEN.findall(made[2])
@@ -276,9 +277,8 @@ def check_mode(proof: Any, step: Any, mode: str, side: int, wrong: Fraction) -> 
 
 def check_sampled(proof: Any, texts: list[str]) -> None:
     """Check a sampled observer: its C, and that no step leads out of the set."""
-    own, one, reach = proof["source"], proof["set"], proof["bounds"]["reach"]
-    D, S, n = proof["sensor"]["width_max"], one["S"], len(reach)
-    code = Code(texts, own["name"], own["format"], D)
+    code, one, reach = Code(proof, texts), proof["set"], proof["bounds"]["reach"]
+    D, S, n = code.widest, one["S"], len(reach)
     require(code.bodies["step"] == proof["operations"], "operations: those of the C")
     require(code.constants == proof["constants"], "constants: those of the C")
     start = code.run_function("init", {})
