@@ -161,10 +161,9 @@ def propose_sampled(problem: Problem, text: Source, single: bool) -> dict[str, A
         proof |= {"constants": code.constants, "operations": code.bodies["step"]}
         held = hold_exactly(proof["plant"])
         E, _ = map_step(proof, code, held, *list_modes(proof, code)[0][1:4])
-        proof["gains"] = [row[n] for row in E]
-        R = 1 / (1 - float(E[n][n]))
-        P = certificate.P / certificate.W / Ts
-        proof["storage"] = _to_exact({"P": P, "R": R})
+        proof["gains"] = list(list(zip(*E, strict=True))[n])
+        P = block_diag(certificate.P / certificate.W / Ts, 1 / (1 - float(E[n][n])))
+        proof["storage"] = {"P": _to_exact(P)}
         for one in _search_sets(proof, code, held):
             fitted = _fit_set(proof, code, held, one)
             with contextlib.suppress(ProofError):
@@ -202,10 +201,13 @@ def _read_modes(
     """
     reached = proof | {"bounds": proof["bounds"] | {"reach": reach}}
     right, _, silent, _ = list_modes(proof, code)
-    modes = [map_step(reached, code, held, *mode[1:4]) for mode in (right, silent)]
+    modes = []
+    for mode in (right, silent):
+        E, box = map_step(reached, code, held, *mode[1:4])
+        modes.append((np.array(E, float), np.array(box, float)))
     outside = np.array([right[-1], *proof["bounds"]["disturbance"]], float)
     sizes = [float(code.widest)] * 2 + [*np.maximum(outside, LEAST * outside.max())]
-    return [(np.array(E, float), np.array(box, float)) for E, box in modes], np.array(sizes)
+    return modes, np.array(sizes)
 
 
 def _search_sets(proof: dict[str, Any], code: Code, held: Any) -> list[dict[str, Any]]:
@@ -326,12 +328,11 @@ def _fit_set(proof: dict[str, Any], code: Code, held: Any, one: dict[str, Any]) 
         if min(scales) >= scale:
             break
         scale = min(scales) / ROOM
-    sized = {
-        name: one[name] | {key: one[name][key] * scale for key in ("loud", "clip")}
-        for name in names
-    }
-    bounds = proof["bounds"] | {"reach": reach}
-    return {"set": _to_exact(sized | {"S": S * scale, "radius": radius}), "bounds": bounds}
+    for name in names:
+        one[name]["loud"] *= scale
+        one[name]["clip"] *= scale
+    content = {"S": S * scale, "radius": radius, "side": one["side"], "silent": one["silent"]}
+    return {"set": _to_exact(content), "bounds": proof["bounds"] | {"reach": reach}}
 
 
 def _round_up(number: Any, digits: int) -> Fraction:

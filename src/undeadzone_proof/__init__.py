@@ -22,8 +22,8 @@ ASSIGNMENT = r"(?:const (?:bool|float|double) )?(\w+(?:->\w+\[\d+\])?) = ([^!=/]
 PYTHON = dict(zip(["(", "?", ":", "&&", "||", *")<+-*"], ["pick(", *",,&|)<+-*"], strict=True))
 WIDTHS = ["state->right[0]", "state->left[0]"]
 FAULTS = (LookupError, ValueError, TypeError, ArithmeticError, AttributeError, OSError, SyntaxError)
+ZERO, ONE = Fraction(0), Fraction(1)
 SERIES = Fraction(1, 1 << 100)
-HELD = [f"state->held[{k}]" for k in range(99)]
 
 
 class Refused(Exception):
@@ -38,13 +38,29 @@ def require(truth: Any, step: str) -> None:
 
 def weigh(row: Row, sizes: Row) -> Fraction:
     """Return the sum of products of two rows."""
-    return sum(map(Fraction.__mul__, row, sizes), Fraction(0))
+    return sum(map(Fraction.__mul__, row, sizes), ZERO)
 
 
 def multiply(X: list[Row], Y: list[Row]) -> list[Row]:
     """Return the product of matrices."""
     columns = list(map(list, zip(*Y, strict=True)))
     return [[weigh(row, column) for column in columns] for row in X]
+
+
+def mix(X: list[Row], Y: list[Row], a: Fraction, b: Fraction) -> list[Row]:
+    """Return a X + b Y."""
+    pairs = zip(X, Y, strict=True)
+    return [[a * x + b * y for x, y in zip(*rows, strict=True)] for rows in pairs]
+
+
+def make_identity(n: int) -> list[Row]:
+    """Return the identity matrix of n rows."""
+    return [[ZERO] * k + [ONE] + [ZERO] * (n - 1 - k) for k in range(n)]
+
+
+def select_entries(X: list[Row], keys: list[int]) -> list[Row]:
+    """Return some rows and columns of a matrix."""
+    return [[X[i][j] for j in keys] for i in keys]
 
 
 def require_positive(M: list[Row], step: str) -> None:
@@ -83,12 +99,12 @@ class Number:
 
     def __add__(self, other: Any) -> Any:
         """Return the rounded sum. 0 adds nothing, exactly."""
-        exact = any(x.low == x.high == 0 for x in (self, other))
-        return self.combine(other, Fraction(1), Fraction(1), exact)
+        exact = self.low == self.high == 0 or other.low == other.high == 0
+        return self.combine(other, ONE, ONE, exact)
 
     def __neg__(self) -> Number:
         """Return the negative, exactly."""
-        return self.combine(self, Fraction(-1), Fraction(0), True)
+        return self.combine(self, -ONE, ZERO, True)
 
     def __sub__(self, other: Any) -> Any:
         """Return the rounded difference."""
@@ -98,7 +114,7 @@ class Number:
         """Return the rounded product with a constant."""
         factor, form = (self, other) if self.low == self.high else (other, self)
         require(factor.low == factor.high, "source: one factor is a constant")
-        return form.combine(form, factor.low, Fraction(0), not factor.low)
+        return form.combine(form, factor.low, ZERO, not factor.low)
 
     def __lt__(self, other: Any) -> Any:
         """Return whether it is less: a truth, or both numbers if that is open. NaN is not."""
@@ -112,7 +128,7 @@ class Code:
 
     def __init__(self, proof: Any, texts: list[str]) -> None:
         """Read C and header. Raises Refused unless they have an observer and nothing else."""
-        name, kind = (proof["source"][key] for key in ("name", "format"))
+        name, kind = proof["source"]["name"], proof["source"]["format"]
         self.bits, self.least = FORMATS[kind]
         self.widest = proof["sensor"]["width_max"]
         text, header = (re.sub(r"/\*.*?\*/", "", each, flags=re.DOTALL) for each in texts)
@@ -138,7 +154,7 @@ class Code:
         e = x.numerator.bit_length() - x.denominator.bit_length()
         unit = Fraction(2) ** max(e - (x < Fraction(2) ** e) + 1 - self.bits, -self.least)
         x = round(x / unit) * unit
-        return Number(self, {"": x} if x else {}, Fraction(0), x, x)
+        return Number(self, {"": x} if x else {}, ZERO, x, x)
 
     def pick(self, truth: Any, one: Any = None, other: Any = None) -> Any:
         """Return an expression in parentheses, or the option that a truth picks.
@@ -152,13 +168,14 @@ class Code:
         least = one is truth[0]
         spared = end.low >= self.widest if least else end.low <= 0
         require(end.low == end.high and spared, "source: clips spare true widths")
-        low, high = ((min if least else max)(x, end.low) for x in (moved.low, moved.high))
-        return replace(moved, terms=moved.terms | {"clip": Fraction(1)}, low=low, high=high)
+        nearer: Any = min if least else max
+        low, high = nearer(moved.low, end.low), nearer(moved.high, end.low)
+        return replace(moved, terms=moved.terms | {"clip": ONE}, low=low, high=high)
 
     def run_function(self, name: str, ranges: dict[str, tuple[Any, Any]]) -> dict[str, Any]:
         """Return all numbers by their names in the C behind a function, from ranges of inputs."""
         memory: Any = dict(self.numbers)
-        memory |= {k: Number(self, {k: Fraction(1)}, Fraction(0), *x) for k, x in ranges.items()}
+        memory |= {k: Number(self, {k: ONE}, ZERO, *x) for k, x in ranges.items()}
         for line in self.bodies[name]:
             made: Any = re.fullmatch(ASSIGNMENT, line)
             require(made and not re.search("<[^()]*<", line), f"source: {line} is understood")
@@ -177,12 +194,12 @@ def hold_exactly(plant: Any) -> list[Row]:
     """
     n, m, cut = len(plant["A"]), len(plant["B"][0]), 1 << 200
     rows = [a + b for a, b in zip(plant["A"], plant["B"], strict=True)]
-    M = [[x * plant["Ts"] for x in row] for row in rows] + [[Fraction(0)] * (n + m)] * m
+    M = mix(rows, rows, plant["Ts"], ZERO) + [[ZERO] * (n + m)] * m
     require(max(sum(map(abs, row)) for row in M) <= 16, "hold: a sample is short")
-    total = term = [[Fraction(i == j) for j in range(n + m)] for i in range(n + m)]
+    total = term = make_identity(n + m)
     for k in range(1, 100):
         term = [[Fraction(int(x / k * cut), cut) for x in row] for row in multiply(term, M)]
-        total = [list(map(Fraction.__add__, *pair)) for pair in zip(total, term, strict=True)]
+        total = mix(total, term, ONE, ONE)
     return total[:n]
 
 
@@ -208,25 +225,27 @@ def map_step(
 
     And a bound of all else: rounding, and a plant that is not the C's.
     """
-    X, U, push, reach = (proof["bounds"][key] for key in ("x", "u", "disturbance", "reach"))
-    D, zero, n = code.widest, Fraction(0), len(X)
-    x, u = [f"state->x[{k}]" for k in range(n)], [f"in->u[{k}]" for k in range(len(U))]
-    ranges = {key: (-a - b, a + b) for key, a, b in zip(x, X, reach, strict=True)}
-    ranges |= {key: (-a, a) for key, a in zip(u, U, strict=True)} | {"in->y[0]": (low, high)}
-    ranges |= dict.fromkeys(WIDTHS, (zero, D)) | dict.fromkeys(HELD[: len(u)], (nan, nan))
+    bounds, D, (C,) = proof["bounds"], code.widest, proof["plant"]["C"]
+    X, U, n = bounds["x"], bounds["u"], len(C)
+    x = list(map("state->x[{}]".format, range(n)))
+    u = list(map("in->u[{}]".format, range(len(U))))
+    largest = zip(x + u, [*map(Fraction.__add__, X, bounds["reach"]), *U], strict=True)
+    ranges: Any = {key: (-size, size) for key, size in largest} | {"in->y[0]": (low, high)}
+    ranges |= dict.fromkeys(map("state->held[{}]".format, range(len(U))), (nan, nan))
+    ranges |= dict.fromkeys(WIDTHS, (ZERO, D))
     behind = code.run_function("step", ranges)
-    sizes = [*X, D, D, *map(Fraction.__add__, U, push)]
-    true = [[*row[:n], zero, zero, *row[n:]] for row in held]
-    true += [[Fraction(k == j) for j in range(len(sizes))] for k in (n, n + 1)]
-    slope, (C,) = proof["sensor"]["slope"], proof["plant"]["C"]
-    seen = [slope * c for c in [*C, Fraction(-(side > 0)), Fraction(side < 0), *[zero] * len(u)]]
+    sizes = [*X, D, D, *map(Fraction.__add__, U, bounds["disturbance"])]
+    true = [[*row[:n], ZERO, ZERO, *row[n:]] for row in held]
+    true += make_identity(len(sizes))[n : n + 2]
+    signed = [*C, Fraction(-(side > 0)), Fraction(side < 0), *[ZERO] * len(u)]
+    seen = mix([signed], [signed], proof["sensor"]["slope"], ZERO)[0]
     E, box = list[Row](), list[Fraction]()
     for k, name in enumerate(x + WIDTHS):
         form = behind[name]
         ok = form.terms.keys() <= {*x, *WIDTHS, *u, "in->y[0]", *["clip"] * (k >= n)}
         require(ok, "source: a step depends on the inputs alone")
         require(k < n or (form.low >= 0 and form.high <= D), "source: widths stay in their range")
-        *row, y = (form.terms.get(key, zero) for key in [*x, *WIDTHS, *u, "in->y[0]"])
+        *row, y = (form.terms.get(key, ZERO) for key in [*x, *WIDTHS, *u, "in->y[0]"])
         require(side or not y, "source: silence has no reading")
         rest = [a - b - y * c for a, b, c in zip(true[k], row, seen, strict=True)]
         lost = form.error + SERIES * sum(sizes) * (k < n)
@@ -238,27 +257,27 @@ def map_step(
 def subtract_square(X: list[Row], F: list[Row], S: list[Row]) -> list[Row]:
     """Return X - F'S F, X with zeros behind its rows and columns."""
     square = multiply(list(map(list, zip(*F, strict=True))), multiply(S, F))
-    wide = [[*row, *[Fraction(0)] * (len(square) - len(X))] for row in X]
-    wide += [[Fraction(0)] * len(square)] * (len(square) - len(X))
-    return [list(map(Fraction.__sub__, *rows)) for rows in zip(wide, square, strict=True)]
+    behind = len(square) - len(X)
+    wide = [row + [ZERO] * behind for row in X] + [[ZERO] * len(square)] * behind
+    return mix(wide, square, ONE, -ONE)
 
 
 def check_mode(proof: Any, step: Any, mode: str, side: int, wrong: Fraction) -> None:
     """Check that a step of a mode does not lead out of the set, and that V falls."""
-    (E, box), S, one, zero = step, proof["set"]["S"], proof["set"][mode], Fraction(0)
+    (E, box), S, one, own = step, proof["set"]["S"], proof["set"][mode], proof["storage"]["P"]
     n, k, (toward, back) = len(box) - 2, len(box) - 2 + (side < 0), one["clip"]
     other = n + (side >= 0)
-    rests = all(x == (i == other) for i, x in enumerate(E[other])) and not box[other]
+    rests = E[other] == make_identity(len(E[0]))[other] and not box[other]
     require(rests, "source: a width without a reading rests")
-    require(side < 1 or [row[n] for row in E] == proof["gains"], "gains: those of the C")
+    gains = list(list(zip(*E, strict=True))[n])
+    require(side < 1 or gains == proof["gains"], "gains: those of the C")
     keys = [*range(n), k] if side else [*range(n)]
-    P = [[*row, zero] for row in proof["storage"]["P"]] + [[zero] * n + [proof["storage"]["R"]]]
-    P = [row[: len(keys)] for row in P[: len(keys)]]
-    loop = [[E[i][j] for j in keys] for i in keys]
+    P = select_entries(own, [*range(len(keys))])
     require_positive(P, "storage: P > 0")
-    require_positive(subtract_square(P, loop, P), f"storage: V falls, {mode}")
+    falls = subtract_square(P, select_entries(E, keys), P)
+    require_positive(falls, f"storage: V falls, {mode}")
     F = [[*row, Fraction(i == k)] for i, row in enumerate(E)]
-    M = subtract_square([[(1 - one["decay"]) * x for x in row] for row in S], F, S)
+    M = subtract_square(mix(S, S, 1 - one["decay"], ZERO), F, S)
     for i, x in zip([k, other, *range(n + 2, len(M) - 1)], one["loud"], strict=True):
         M[i][i] += x
     for i, x in enumerate(F[k]):
@@ -271,7 +290,8 @@ def check_mode(proof: Any, step: Any, mode: str, side: int, wrong: Fraction) -> 
     require(signs, "set: signs")
     most = weigh([weigh(list(map(abs, row)), box) for row in S], box)
     require(most <= push**2, f"set: rounding, {mode}")
-    outside = weigh(one["loud"], [x * x for x in (D, D, wrong, *proof["bounds"]["disturbance"])])
+    sizes = [D, D, wrong, *proof["bounds"]["disturbance"]]
+    outside = weigh(one["loud"], list(map(Fraction.__mul__, sizes, sizes)))
     require(1 - one["decay"] + outside <= (1 - push) ** 2, f"set: V stays below 1, {mode}")
 
 
@@ -284,13 +304,13 @@ def check_sampled(proof: Any, texts: list[str]) -> None:
     start = code.run_function("init", {})
     within = all(start[key].low >= 0 and start[key].high <= D for key in WIDTHS)
     require(within, "source: widths begin in their range")
-    units = [[Fraction(i == k) for i in range(n)] for k in range(n)]
-    for c, most in zip([*proof["plant"]["C"], *units], [one["radius"], *reach], strict=True):
-        c = [*c, Fraction(0), Fraction(0)]
+    rows = proof["plant"]["C"] + make_identity(n)
+    for c, most in zip(rows, [one["radius"], *reach], strict=True):
+        c = [*c, ZERO, ZERO]
         bordered = [[*row, x] for row, x in zip(S, c, strict=True)] + [[*c, most * most]]
         require(most > 0, "set: signs")
         require_positive(bordered, "set: radius and reach contain it")
-    begin = sum(abs(x) for row in S[n:] for x in row[n:]) * D * D
+    begin = sum(map(abs, S[n][n:] + S[n + 1][n:])) * D * D
     require(begin <= 1, "set: it contains all widths")
     held = hold_exactly(proof["plant"])
     for mode, side, *ends, wrong in list_modes(proof, code):
@@ -299,14 +319,15 @@ def check_sampled(proof: Any, texts: list[str]) -> None:
 
 def check_continuous(proof: Any) -> None:
     """Check a continuous observer: V falls in silence, on branches, and on all between."""
-    A, (C,), L = proof["plant"]["A"], proof["plant"]["C"], proof["gains"]["L"]
-    P, W, margin = (proof["storage"][key] for key in ("P", "W", "margin"))
+    A, C, L = proof["plant"]["A"], proof["plant"]["C"], proof["gains"]["L"]
+    P, W, margin = proof["storage"]["P"], proof["storage"]["W"], proof["storage"]["margin"]
     require(W > 0 and margin > 0, "storage: W and the margin are above 0")
     require_positive(P, "storage: P > 0")
     PA = multiply(P, A)
-    cross = [a - W * b for a, b in zip(multiply([L], P)[0], C, strict=True)]
-    fall = [[-PA[i][k] - PA[k][i] for k in range(len(A))] + [cross[i]] for i in range(len(A))]
-    require_positive([*fall, [*cross, 2 * (1 - margin) * W]], "inequality: V falls")
+    (cross,) = mix(multiply([L], P), C, ONE, -W)
+    fall = mix(PA, list(map(list, zip(*PA, strict=True))), -ONE, -ONE)
+    bordered = [[*row, x] for row, x in zip(fall, cross, strict=True)]
+    require_positive([*bordered, [*cross, 2 * (1 - margin) * W]], "inequality: V falls")
 
 
 def to_words(value: Any) -> str:
@@ -323,7 +344,7 @@ def state_theorem(proof: Any) -> str:
     """Return what is proved, in words."""
     plant = f"x' = A x + B u, z = C x with {to_words(proof['plant'])}"
     if "source" not in proof:
-        margin, W = (to_words(proof["storage"][key]) for key in ("margin", "W"))
+        margin, W = to_words(proof["storage"]["margin"]), to_words(proof["storage"]["W"])
         return (
             f"{plant}: for every sequence of sides and every gamma > 0 the observer with "
             f"{to_words(proof['gains'])} has a V that falls faster than {margin} times 2 W e^2, "
