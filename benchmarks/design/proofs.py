@@ -118,10 +118,10 @@ SAMPLED = """plant A 0 0 -1; plant A -1 -1 1.5; plant B 0 0 -1; plant C 0 0 -9; 
     set S 0 0 -1; set S 0 0 0.5; set S -1 -1 1.1; set radius 0.99; set side decay 3;
     set side loud 2 0; set silent loud 0 -1; set side push 0; set side clip 1 -1"""
 CONTINUOUS = """plant A 0 0 -9; plant A -1 -1 -9; plant A 0 0 -99; plant A -1 -1 -99;
-    plant C 0 0 -99; plant C 0 0 99; plant C 0 -1 -99; plant C 0 -1 99; gains L 0 -999;
-    gains L 0 999; gains L -1 -999; gains L -1 999; storage P 0 0 -1; storage P 0 0 0; storage P 0 0 100;
-    storage P -1 -1 -1; storage P -1 -1 100; storage W -1; storage W 0; storage W 100;
-    storage margin 1.001; storage margin -1"""
+    plant C 0 0 -99; plant C 0 0 99; plant C 0 -1 -99; plant C 0 -1 99;
+    gains L 0 -999; gains L 0 999; gains L -1 -999; gains L -1 999;
+    storage P 0 0 -1; storage P 0 0 0; storage P 0 0 100; storage P -1 -1 -1; storage P -1 -1 100;
+    storage W -1; storage W 0; storage W 100; storage margin 1.001; storage margin -1"""
 
 
 def change_text(proof: Any) -> list[Any]:

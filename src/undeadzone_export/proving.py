@@ -53,6 +53,7 @@ SILENCES: Final = (0.03, 0.3)  # of it, that V may have in silence
 NEAR: Final = 1e-6  # of a state, that its set spans at least, at the start of the search
 QUIET: Final = 0.4  # of a step's decay, that rounding may take
 SPREAD: Final = 0.5  # of it, of the set at the start of the search
+DIGITS: Final = 4  # of a bound that is printed
 PASSES: Final = 4  # of a set's rounding, which grows with the set, at most
 LEAST: Final = 1e-9  # of the largest bound from outside, that the others count as, at least
 SIGMAS: Final = 4.0  # of a random disturbance, that its bound spans
@@ -184,7 +185,7 @@ def _ranges_of_run(problem: Problem) -> dict[str, Any]:
     else:
         push = np.zeros(problem.plant.m)
     sizes = {name: RANGE * np.abs(each).max(axis=0) for name, each in (("x", run.x), ("u", run.u))}
-    ranges = {name: [_round_up(x, 2) for x in size] for name, size in sizes.items()}
+    ranges = {name: list(map(_round_up, size)) for name, size in sizes.items()}
     return ranges | {"disturbance": push}
 
 
@@ -225,7 +226,7 @@ def _search_sets(proof: dict[str, Any], code: Code, held: Any) -> list[dict[str,
     driven = np.outer(E[:n, n], E[:n, n]) * D**2 / (SPREAD * slowest)
     X = solve_discrete_lyapunov(silent / np.sqrt(1 - SPREAD * slowest), driven)
     start = block_diag(np.linalg.inv(X + NEAR * np.diag(np.diag(X))), np.eye(2) / D**2)
-    reach = [_round_up(x, 4) for x in np.sqrt(np.diag(X))]
+    reach = list(map(_round_up, np.sqrt(np.diag(X))))
     around = *_read_modes(proof, code, held, reach), start
     C = np.array([*proof["plant"]["C"][0], 0, 0], float)
     found = [
@@ -317,7 +318,7 @@ def _fit_set(proof: dict[str, Any], code: Code, held: Any, one: dict[str, Any]) 
     S, names, scale = one["S"], ("side", "silent"), 1.0
     for _ in range(PASSES):
         most = np.sqrt(np.diag(c @ np.linalg.inv(S)[:-2, :-2] @ c.T) / scale)
-        radius, *reach = [_round_up(ROOM * x, 4) for x in most]
+        radius, *reach = map(_round_up, ROOM * most)
         modes, sizes = _read_modes(proof, code, held, reach)
         scales = [1.0]
         for (_, box), name in zip(modes, names, strict=True):
@@ -335,9 +336,9 @@ def _fit_set(proof: dict[str, Any], code: Code, held: Any, one: dict[str, Any]) 
     return {"set": _to_exact(content), "bounds": proof["bounds"] | {"reach": reach}}
 
 
-def _round_up(number: Any, digits: int) -> Fraction:
+def _round_up(number: Any) -> Fraction:
     """Return a number with a few digits, not below it."""
-    context = decimal.Context(prec=digits, rounding=decimal.ROUND_UP)
+    context = decimal.Context(prec=DIGITS, rounding=decimal.ROUND_UP)
     return Fraction(context.create_decimal(float(number)))
 
 
@@ -346,7 +347,7 @@ def _to_exact(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: _to_exact(each) for key, each in value.items()}
     if isinstance(value, list | np.ndarray):
-        return [_to_exact(each) for each in value]
+        return list(map(_to_exact, value))
     return Fraction(float(value)) if isinstance(value, float | np.floating) else value
 
 

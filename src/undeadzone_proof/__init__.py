@@ -10,6 +10,7 @@ import re
 import sys
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from functools import partial
 from math import nan
 from pathlib import Path
 from typing import Any
@@ -44,7 +45,7 @@ def weigh(row: Row, sizes: Row) -> Fraction:
 def multiply(X: list[Row], Y: list[Row]) -> list[Row]:
     """Return the product of matrices."""
     columns = list(map(list, zip(*Y, strict=True)))
-    return [[weigh(row, column) for column in columns] for row in X]
+    return [list(map(partial(weigh, row), columns)) for row in X]
 
 
 def mix(X: list[Row], Y: list[Row], a: Fraction, b: Fraction) -> list[Row]:
@@ -136,7 +137,8 @@ class Code:
         foreign = rf'#\s*(define|undef|include)\s+(?!{name.upper()}_|"{name}\.h"|<std|<math)'
         require(not re.search(foreign, text + header), "source: no foreign macros")
         require({kind} == {*re.findall(r"(\w+) \w+\[\d+\];", header)}, "source: one format")
-        require(all(guard in head for guard in GUARDS), "source: arithmetic is as written")
+        for guard in GUARDS:
+            require(guard in head, "source: arithmetic is as written")
         function = re.compile(rf"^void {name}_(\w+)\([^)]*\)\n{{\n([^}}#]*;)\n}}\n", re.M)
         require(not function.sub("", first + rest).strip(), "source: functions alone")
         found = dict(function.findall(first + rest))
@@ -225,8 +227,11 @@ def map_step(
 
     And a bound of all else: rounding, and a plant that is not the C's.
     """
-    bounds, D, (C,) = proof["bounds"], code.widest, proof["plant"]["C"]
-    X, U, n = bounds["x"], bounds["u"], len(C)
+    (C,) = proof["plant"]["C"]
+    bounds = proof["bounds"]
+    X, U = bounds["x"], bounds["u"]
+    D = code.widest
+    n = len(C)
     x = list(map("state->x[{}]".format, range(n)))
     u = list(map("in->u[{}]".format, range(len(U))))
     largest = zip(x + u, [*map(Fraction.__add__, X, bounds["reach"]), *U], strict=True)
@@ -265,8 +270,9 @@ def subtract_square(X: list[Row], F: list[Row], S: list[Row]) -> list[Row]:
 def check_mode(proof: Any, step: Any, mode: str, side: int, wrong: Fraction) -> None:
     """Check that a step of a mode does not lead out of the set, and that V falls."""
     (E, box), S, one, own = step, proof["set"]["S"], proof["set"][mode], proof["storage"]["P"]
-    n, k, (toward, back) = len(box) - 2, len(box) - 2 + (side < 0), one["clip"]
-    other = n + (side >= 0)
+    toward, back = one["clip"]
+    n = len(box) - 2
+    k, other = n + (side < 0), n + (side >= 0)
     rests = E[other] == make_identity(len(E[0]))[other] and not box[other]
     require(rests, "source: a width without a reading rests")
     gains = list(list(zip(*E, strict=True))[n])
@@ -302,8 +308,9 @@ def check_sampled(proof: Any, texts: list[str]) -> None:
     require(code.bodies["step"] == proof["operations"], "operations: those of the C")
     require(code.constants == proof["constants"], "constants: those of the C")
     start = code.run_function("init", {})
-    within = all(start[key].low >= 0 and start[key].high <= D for key in WIDTHS)
-    require(within, "source: widths begin in their range")
+    for key in WIDTHS:
+        within = start[key].low >= 0 and start[key].high <= D
+        require(within, "source: widths begin in their range")
     rows = proof["plant"]["C"] + make_identity(n)
     for c, most in zip(rows, [one["radius"], *reach], strict=True):
         c = [*c, ZERO, ZERO]
@@ -380,8 +387,10 @@ def verify_proof(proof: Any, source: Path | None = None) -> str:
         Refused: with the first step that does not hold.
     """
     if "source" in proof:
-        files = [source, source.with_suffix(".h")] if source else []
-        check_sampled(proof, [x.read_text("utf-8") for x in files] or proof["source"]["texts"])
+        texts = proof["source"].get("texts")
+        if source:
+            texts = [source.read_text("utf-8"), source.with_suffix(".h").read_text("utf-8")]
+        check_sampled(proof, texts)
     else:
         check_continuous(proof)
     require(proof["statement"] == state_theorem(proof), "statement: it says what is proved")
