@@ -114,9 +114,10 @@ def attack(proof: Any, sequences: int, seed: int) -> Attack:
 # Changes of a proof: the entry and its factor. The statement changes with it.
 SAMPLED = """plant A 0 0 -1; plant A -1 -1 1.5; plant B 0 0 -1; plant C 0 0 -9; plant C 0 -1 -1;
     plant Ts 1.1; sensor slope 1.5; sensor width_max 0.5; sensor width_max 1.5; bounds x 0 1e9;
-    bounds reach 0 0.9; gains 0 -1; gains 0 0.999; gains -2 1.001; storage P 0 0 -1;
-    storage P -1 -1 -1; set S 0 0 -1; set S 0 0 0.5; set S -1 -1 1.1; set radius 0.99; set side decay 3;
-    set side loud 2 0; set silent loud 0 -1; set side push 0; set side clip 1 -1"""
+    bounds reach 0 0.9; gains 0 -1; gains 0 0.999; gains -2 1.001;
+    storage P 0 0 -1; storage P -1 -1 -1; set S 0 0 -1; set S 0 0 0.5; set S -1 -1 1.1;
+    set radius 0.99; set side decay 3; set side loud 2 0; set silent loud 0 -1; set side push 0;
+    set side clip 1 -1"""
 CONTINUOUS = """plant A 0 0 -9; plant A -1 -1 -9; plant A 0 0 -99; plant A -1 -1 -99;
     plant C 0 0 -99; plant C 0 0 99; plant C 0 -1 -99; plant C 0 -1 99;
     gains L 0 -999; gains L 0 999; gains L -1 -999; gains L -1 999;
