@@ -159,6 +159,7 @@ def numbered(paper: Paper) -> list[str]:
         table(("equation", "stand-in"), STAND_INS.items()),
         table(heads[1], figures + assumed),
         "### Theorem 4.1 with its own law\n",
+        "As printed: diverges; repaired: [proved to the bits](proof.md) of the C that runs.\n",
         wrapped(DEFINITION),
         table(heads[2], counts),
     ]

@@ -89,6 +89,7 @@ CHAPTERS = {
         "adaptation.md",
         "certificate.md",
         "certificate_regions.md",
+        "proof.md",
         "rates.md",
         "simulation.md",
         "export_accuracy.md",

@@ -124,6 +124,7 @@ design_on = undeadzone_design.design_on
 export = undeadzone_export.export
 fit = undeadzone_identify.fit
 identify = undeadzone_identify.identify
+prove = undeadzone_export.prove
 replay_run = undeadzone_studies.replay_run
 run_ensemble = undeadzone_studies.run_ensemble
 sweep = undeadzone_studies.sweep

@@ -171,6 +171,7 @@ def _report_lines(report: dict[str, Any], files: list[str]) -> dict[str, Any]:
             for size in texts
         ],
         "self-test": report.get("self_test", []),
+        "proof": report["proof"] or [],
         "double": report["float_refusals"][:1],
         "REFUSED": report["refusals"],
         "leaner": [

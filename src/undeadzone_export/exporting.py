@@ -19,7 +19,7 @@ from undeadzone.compile.casadi_reader import count_instructions, read_constants
 from undeadzone.compile.graph import required_nodes
 from undeadzone.compile.print_c import c_literal
 from undeadzone.compile.simplify import round_to_type
-from undeadzone.errors import InputError
+from undeadzone.errors import InputError, ProofError
 from undeadzone.registry import OBSERVERS
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
@@ -31,6 +31,7 @@ from undeadzone_export.code import Code, build_code
 from undeadzone_export.exported_step import ExportedStep, Field, to_identifier, total_size
 from undeadzone_export.fmu.package import require_buildable
 from undeadzone_export.page.build import write_live_page
+from undeadzone_export.proving import FILE, proof_text, propose_sampled
 from undeadzone_export.selftest_vectors import (
     choose_samples,
     continue_scenario,
@@ -42,6 +43,7 @@ from undeadzone_export.targets import Material
 
 PRECISIONS = ("single", "double")
 FIRMWARE = ("c", "arduino")  # targets whose boards matter
+WITH_PROOF = ("c", "arduino", "python")  # targets whose folder has the C
 ELSEWHERE = ("arduino", "st")  # targets whose self-test runs on the target alone
 MANY = 20_000  # instructions of which an export takes a minute on a busy machine
 EACH = 1e-3  # of the processor's time that an export takes for each of them [s]
@@ -171,7 +173,8 @@ def export(
             report["leaner"] = _fit_leaner(scenario, labels, precisions, found)
     samples = choose_samples(draft.rows[: draft.problem.steps + 1], draft.step.readings)
     vectors = reference_vectors(draft.printed, samples)
-    material = Material(draft.printed, labels, draft.text, vectors, scenario.units, report)
+    proof, report["proof"] = _prove_draft(draft, to, labels.part, tunable)
+    material = Material(draft.printed, labels, draft.text, vectors, scenario.units, report, proof)
     if check and to not in ELSEWHERE:
         passed, report["self_test"] = compiler.run_selftest(material.c_files)
         if not passed:
@@ -180,6 +183,24 @@ def export(
     if not report["refusals"]:
         written = targets.write_folder(targets.export_files(to, material), Path(out), force)
     return Exported(written, report, draft.printed)
+
+
+def _prove_draft(
+    draft: _Draft, to: str, part: str, tunable: tuple[str, ...]
+) -> tuple[targets.Files, str | None]:
+    """Return the proof about the C of a certified observer by file name, and its statement.
+
+    Without a proof the reason takes the place of the statement. Other code has neither.
+    """
+    tag = draft.problem.scenario.observer.__struct_config__.tag
+    if tag != "certified" or tunable or part != "observer" or to not in WITH_PROOF:
+        return {}, None
+    try:
+        proof = propose_sampled(draft.problem, draft.text, draft.printed.single)
+    except (InputError, ProofError) as error:
+        return {}, f"none, {error}"
+    del proof["source"]["texts"]
+    return {FILE: proof_text(proof)}, str(proof["statement"])
 
 
 def _draft_code(

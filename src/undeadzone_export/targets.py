@@ -156,6 +156,7 @@ class Material(NamedTuple):
         vectors: the reference vectors of the self-test.
         units: names of the scenario's units.
         report: content of the manifest (`files` is added to it).
+        proof: what is proved about the C, by file name, beside it.
     """
 
     printed: Code
@@ -164,6 +165,7 @@ class Material(NamedTuple):
     vectors: Vectors
     units: Units
     report: dict[str, Any]
+    proof: Files
 
     @property
     def c_files(self) -> dict[str, str]:
@@ -188,16 +190,17 @@ def export_files(to: str, material: Material) -> Files:
     code = material.text.texts_by_name()
     content: Files = dict(code)
     if to == "arduino":
-        content = {f"src/{path}": text for path, text in code.items()}
+        content = {f"src/{path}": text for path, text in {**code, **material.proof}.items()}
         test = f"{name}_test.c"
         content[f"examples/{name}_test/{test}"] = material.c_files[test]
         around = _arduino_files(report)
     elif to == "c":
-        content = dict(material.c_files)
+        content = {**material.c_files, **material.proof}
         around = _build_system_files(report, bool(material.text.math))
     elif to == "st":
         content, around = _st_files(material)
     elif to == "python":
+        content |= material.proof
         content[f"{name}.py"] = _python_module(material.printed, report)
         around = {"README.md": _target_readme("python", {"name": name}, report)}
     else:

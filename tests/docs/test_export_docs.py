@@ -29,7 +29,7 @@ def test_the_code_in_the_page_is_the_exported_one(
     assert counts in PAGE
     for word in ("state", "in", "out"):
         assert f"{word} {report['sizes'][word]}" in PAGE
-    written = set(re.findall(r"`(arm_joint[\w.]*|manifest.json|README.md|Makefile)`", PAGE))
+    written = set(re.findall(r"`(arm_joint[\w.]*|\w+\.json|README.md|Makefile)`", PAGE))
     assert set(report["files"]) - {"CMakeLists.txt"} <= written
 
 

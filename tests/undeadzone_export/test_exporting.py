@@ -500,6 +500,7 @@ def test_an_arduino_library_has_its_layout(tmp_path: Path) -> None:
     files = {str(path.relative_to(tmp_path / "lib")) for path in done.files}
     assert files == {
         "library.properties", "src/joint.h", "src/joint.c",
+            "src/proof.json",
         "examples/joint_example/joint_example.ino", "examples/joint_test/joint_test.ino",
         "examples/joint_test/joint_test.c", "README.md", "manifest.json",
     }  # fmt: skip

@@ -7,7 +7,14 @@ from pathlib import Path
 import click
 
 import undeadzone as uz
-from undeadzone.cli.common import add_schema, build_origin, shell_command, to_json_text
+from undeadzone.cli.common import (
+    WRITTEN,
+    add_schema,
+    build_origin,
+    shell_command,
+    to_json_text,
+    value_option,
+)
 from undeadzone.cli.output import (
     Output,
     add_scenario_options,
@@ -23,8 +30,15 @@ from undeadzone.util.progress import terminal_progress as progress
     epilog="Example: undeadzone check examples/paper_5sin.toml --out verdict, then look at "
     "verdict/report.html"
 )
+@value_option(
+    "--proof",
+    "FILE",
+    "Write a proof in exact fractions about a certified observer, sampled with its C in double, "
+    "for python -m undeadzone_proof FILE.",
+    type=WRITTEN,
+)
 @add_scenario_options
-def check(scenario: Path, output: Output, confine: Path | None) -> int:
+def check(scenario: Path, output: Output, confine: Path | None, proof: Path | None) -> int:
     """Assess the scenario's gains, and the strength of the feedback from readings to z^.
 
     Prints whether one V proves x^ -> x for every sequence of sides, the decay rate of the error
@@ -43,6 +57,8 @@ def check(scenario: Path, output: Output, confine: Path | None) -> int:
     judged = uz.read(scenario, confine)
     with progress("judging", None, of=judged.observer) as advance:
         result = uz.check(judged)
+        proved = {} if proof is None else {"proved": uz.prove(judged, proof)}
+        written += [proof] if proof is not None else []
         if folder is not None:
             text = to_json_text(add_schema(result.summary()))
             written.append(write_text(text + "\n", folder / "check.json"))
@@ -54,8 +70,10 @@ def check(scenario: Path, output: Output, confine: Path | None) -> int:
             again = build_origin(scenario, judged.simulation.seed)
             advance(1)
             written += write_gains(result.assessment, attempts, folder, origin=again)
-    last = files_line(written) | _advise_after_check(
-        scenario, judged, result.summary()["certified"]
+    last = (
+        proved
+        | files_line(written)
+        | _advise_after_check(scenario, judged, result.summary()["certified"])
     )
     output.print_result(result.summary, result.blocks, written, last)
     return 0 if result.affirmed else 1
