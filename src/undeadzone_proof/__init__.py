@@ -393,7 +393,7 @@ def verify_proof(proof: Any, source: Path | None = None) -> str:
         check_sampled(proof, texts)
     else:
         check_continuous(proof)
-    require(proof["statement"] == state_theorem(proof), "statement: it says what is proved")
+    require(proof["statement"] == state_theorem(proof), "statement: it differs from what is proved")
     return state_theorem(proof)
 
 

@@ -208,7 +208,7 @@ def test_a_number_that_no_reading_shows_is_said() -> None:
     text = FORMULAS.replace("+ g * u", "+ g * s * u").replace("g = 9.0", "g = 3.0, s = 3.0")
     found = uz.fit(parse(text), make_log(), "plant.g,plant.s,sensor.right=0..1", threads=1)
     notes = {each.name: each.note for each in found.numbers}
-    assert "the log cannot tell it" in notes["plant.parameters.g"]
+    assert "the log does not determine it" in notes["plant.parameters.g"]
     assert "only the product with plant.parameters.s is known" in notes["plant.parameters.g"]
 
 

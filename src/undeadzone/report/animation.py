@@ -310,7 +310,7 @@ def _build_arm(run: Run, colour: str) -> Arm:
     end = len(run.poses)
     if run.divergence_time is not None:
         end = max(1, int(run.divergence_time * FRAMES))
-    return Arm(run.name, colour, run.poses[:end], run.rms_tip or 0.0)
+    return Arm(run.observer_name, colour, run.poses[:end], run.rms_tip or 0.0)
 
 
 def _tip_path(run: Run) -> Floats:

@@ -210,7 +210,7 @@ def _draw_tip_distances(axes: Axes, run: Run, rival: Run | None) -> None:
             one.t[one.plot_window],
             distance[one.plot_window],
             colour,
-            escape_formulas(one.name),
+            escape_formulas(one.observer_name),
         )
     finish_panel(axes, "Distance of the tip from its desired place", axis_label("distance", "m"))
 
@@ -288,7 +288,7 @@ def _draw_tip_plane(
         assert one.tip is not None
         first = one.t.size // 2 if one.divergence_time is None else 0
         points = one.tip[first : one.plot_window.stop, plane]
-        axes.plot(*points.T, color=colour, linewidth=1.1, label=escape_formulas(one.name))
+        axes.plot(*points.T, color=colour, linewidth=1.1, label=escape_formulas(one.observer_name))
     to_the_right, upwards = (axis_label("xyz"[coordinate], "m") for coordinate in plane)
     title = f"The tip{where}, last half of the run"
     finish_panel(axes, title, upwards, to_the_right, legend=0)

@@ -132,7 +132,7 @@ def _numbers_of_run(run: Run) -> dict[str, Any]:
             run.info.integration_error
         ),
         "diverged at [s]": run.divergence_time,
-        "observer": run.name,
+        "observer": run.observer_name,
         "time": f"{run.info.time}, step {run.info.step:g} s, {run.t[-1]:g} s",
     }
 

@@ -147,7 +147,7 @@ class Run(files.SignalResult):
         return slice(0, max(2, int(np.searchsorted(self.t, diverged))))
 
     @property
-    def name(self) -> str:
+    def observer_name(self) -> str:
         """Return the observer's name in figures.
 
         This is the method, or the label that distinguishes it from the compared one.

@@ -335,7 +335,7 @@ def _note_number(problem: FitProblem, found: Intervals, values: Floats, i: int) 
     if found.shown[i]:
         at_end = values[i] in (low, high)
         return f"at the end of its range: {low:.4g} to {high:.4g}" * at_end
-    words = f"the log cannot tell it: any value from {low:.4g} to {high:.4g} does"
+    words = f"the log does not determine it: any value from {low:.4g} to {high:.4g} does"
     row = found.correlations[i] * (np.arange(len(values)) != i)
     k = int(np.argmax(np.abs(row)))
     if abs(row[k]) > LINKED:
