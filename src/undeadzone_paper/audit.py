@@ -47,7 +47,7 @@ class Paper(NamedTuple):
     @property
     def count_variants(self) -> list[VariantCount]:
         """Count the variants by plant and start."""
-        return count_outcomes(self.variants)
+        return [VariantCount(*row) for row in count_outcomes(self.variants, 2)]
 
     def summary(self) -> dict[str, Any]:
         """Return all numbers, ready for JSON.

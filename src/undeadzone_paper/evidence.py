@@ -45,6 +45,7 @@ from undeadzone_paper.example import (
 )
 from undeadzone_paper.measures import with_printed_V
 from undeadzone_paper.theorem import (
+    AS_PRINTED,
     ESTIMATED,
     GIVEN,
     READINGS_OF_THEOREM,
@@ -342,7 +343,7 @@ def _law_runs(runner: Runner) -> tuple[Run, Run]:
     given, estimated = (
         runner.simulate_changed(
             example_of_theorem(
-                TheoremVariant(mismatch, 1.0, "(39)", "printed", False, -1.0, STARTED, D)
+                TheoremVariant(mismatch, AS_PRINTED, "(39)", "printed", False, -1.0, STARTED, D)
             ),
             simulation=Simulation(duration=DURATION),
         )

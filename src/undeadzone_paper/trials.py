@@ -60,6 +60,7 @@ from undeadzone_paper.law import PrintedLaw
 from undeadzone_paper.theorem import (
     ESTIMATED,
     GIVEN,
+    OTHER_SIGN,
     RIGHT,
     count_diverging,
     is_kindest,
@@ -489,7 +490,7 @@ def _theorem_claims(e: Evidence) -> Numbers:
         "survive": sum(
             outcome.variant.width == D and outcome.diverged_at is None for outcome in given_outcomes
         ),
-        "other_diverge": count_diverging(select_outcomes(e.theorem, GIVEN, -1.0)),
+        "other_diverge": count_diverging(select_outcomes(e.theorem, GIVEN, OTHER_SIGN)),
         "kindest": max(outcome.width_error or 0.0 for outcome in kind),
     }
     law = PrintedLaw(L=L_PRINTED, alpha=ALPHA)

@@ -21,14 +21,11 @@ from test_docs import PAGES, same
 import once
 import undeadzone_paper
 from documents import EXAMPLES, script_of_docs
-from undeadzone.controllers import PD
 from undeadzone.linalg.riccati import paper_riccati
-from undeadzone.plants.build import system
 from undeadzone.plants.options import linear_matrices
 from undeadzone.registry import CONTROLLERS
 from undeadzone.results.run import Run
 from undeadzone.scenario.reader import read
-from undeadzone.scenario.schema import Scenario, Simulation
 from undeadzone.simulation.simulate import simulate
 from undeadzone_paper import Paper, measures, write
 from undeadzone_paper.claims import (
@@ -52,8 +49,7 @@ from undeadzone_paper.example import (
     example_as_repaired,
 )
 from undeadzone_paper.figures import add_hats
-from undeadzone_paper.observer import Printed
-from undeadzone_paper.printed import DURATION, GAINS, STARTS, STEP, Outcome, gain_by_name
+from undeadzone_paper.printed import DURATION, GAINS, STARTS, STEP, example_of_variant
 from undeadzone_paper.trials import (
     OTHERS,
     calm_share,
@@ -197,35 +193,13 @@ def test_outcomes_are_consistent(paper: Paper) -> None:
 @pytest.mark.parametrize("index", [0, 151, 230, 389, 575])
 def test_a_variant_in_the_shared_graph_equals_its_own_loop(paper: Paper, index: int) -> None:
     outcome = paper.variants[index]
-    run = simulate(_alone(outcome), check_step=False)
+    run = simulate(example_of_variant(outcome.variant), check_step=False)
     if outcome.diverged_at is None:
         assert outcome.peak == pytest.approx(float(np.abs(run.z).max()), rel=1e-9)
         last = run.z[run.t > DURATION - 4.0 + STEP / 2]
         assert outcome.steady == pytest.approx(float(np.abs(last).max()), rel=1e-9)
     else:
         assert np.abs(run.u[run.t < outcome.diverged_at - STEP / 2]).max() < 1e6
-
-
-def _alone(outcome: Outcome) -> Scenario:
-    v = outcome.variant
-    model = system(READINGS[v.plant].plant)
-    x1, width = STARTS[v.start]
-    L = gain_by_name(v.L, model)
-    law = PD(L=L, alpha=ALPHA).build(model).params
-    return msgspec.structs.replace(
-        example_as_printed(5.0),
-        plant=msgspec.structs.replace(READINGS[v.plant].plant, x0=[x1, 0.0]),
-        observer=Printed(
-            L=L,
-            sigma=v.sigma,
-            alpha=ALPHA,
-            widths0=width,
-            feed_input=v.feeds_input,
-            left_sign=v.left_sign,
-        ),
-        controller=PD(k_p=v.pd_sign * law.k_p, k_d=v.pd_sign * law.k_d),
-        simulation=Simulation(duration=DURATION, step=STEP),
-    )
 
 
 def test_each_claim_has_one_text_and_one_measurement(paper: Paper) -> None:

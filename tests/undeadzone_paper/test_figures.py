@@ -16,6 +16,7 @@ from undeadzone_paper.figures import (
     plot_V,
 )
 from undeadzone_paper.page import claims_text
+from undeadzone_paper.theorem import AS_PRINTED
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +56,7 @@ def test_the_figure_of_the_theorem_shows_both_laws_and_every_reading_that_surviv
     survived = [
         outcome
         for outcome in evidence.theorem
-        if outcome.variant.sign == 1.0 and outcome.diverged_at is None
+        if outcome.variant.law == AS_PRINTED and outcome.diverged_at is None
     ]
     assert count == len(survived)
 
