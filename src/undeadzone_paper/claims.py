@@ -8,15 +8,14 @@ not hold. Anything that the paper announces and does not contain is not shown.
 from __future__ import annotations
 
 import re
-import tomllib
 from collections import Counter
 from collections.abc import Iterable
-from importlib.resources import files
 from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 
 from undeadzone.util.arrays import to_json_value
+from undeadzone_paper.equations import read_words
 from undeadzone_paper.evidence import CONDITIONS, Evidence
 from undeadzone_paper.trials import ClaimNumbers, measure_claims
 
@@ -139,9 +138,8 @@ def _is_within(value: float | None, limit: float) -> bool:
 
 def read_claim_texts() -> list[ClaimText]:
     """Read all claims from `claims.toml`. Conditions of the runs are filled in."""
-    file = files("undeadzone_paper").joinpath("claims.toml").read_text(encoding="utf-8")
     found = []
-    for key, entry in tomllib.loads(file).items():
+    for key, entry in read_words("claims.toml").items():
         text = ClaimText(id=key, **entry)
         quantity = text.quantity.format(**CONDITIONS)
         found.append(text._replace(quantity=quantity, why=" ".join(text.why.split())))

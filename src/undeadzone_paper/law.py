@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,16 +16,6 @@ from undeadzone.observers.adaptive.gain import innovation_gain
 from undeadzone.plants.system import System
 from undeadzone.registry import Options
 from undeadzone.util.arrays import Array, Floats, require_number
-
-STAND_INS: Final = {
-    "(29) B'P y~": "B'P C' y~: y~ is a scalar, and C' the only vector of the right shape",
-    "(29) P L C": "B'P L (chi_bar d~): C would multiply a scalar, and is left out",
-    "(29) d - d^": (
-        "widths of the file, or, if there are none, chi_bar d~ = -y~: (28) with x~ = 0, which is "
-        "also the direction in which (25) adapts"
-    ),
-    "(29) r": "r(t) is added as in (42): (29) has no reference",
-}
 
 
 class PrintedLaw(Options, frozen=True, kw_only=True, tag="printed"):

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import tomllib
-from importlib.resources import files
 from typing import Final, NamedTuple
+
+from undeadzone_paper.equations import read_words
 
 
 class Letter(NamedTuple):
@@ -30,5 +30,4 @@ HEAD: Final = ("in the paper", "what it is", "here", "scenario key", "C field")
 
 def read_letters() -> list[Letter]:
     """Read all letters from `letters.toml`."""
-    text = files("undeadzone_paper").joinpath("letters.toml").read_text(encoding="utf-8")
-    return [Letter(**entry) for entry in tomllib.loads(text)["letter"]]
+    return [Letter(**entry) for entry in read_words("letters.toml")["letter"]]

@@ -16,18 +16,6 @@ from undeadzone.plants.system import System
 from undeadzone.registry import Options
 from undeadzone.util.arrays import Array, Floats, require_number
 
-STAND_INS = {
-    "(16) L": "L in R^(1 x n) is read as n x 1, else L (y - y^) is no state",
-    "(21) d_l": "chi_l d^_l is read with d_l > 0, or with signed d_l < 0 (left_sign = 1)",
-    "(25) P L C": (
-        "the scalar tr(P L C) = C P L stands for the n x n matrix, the only scalar made of P, L "
-        "and C"
-    ),
-    "(42) derivative": (
-        "y' - y^' is that of a first-order filter (controller.filter_time): y' is not measured"
-    ),
-}
-
 
 class Printed(Options, frozen=True, kw_only=True, tag="printed"):
     """As printed: x^' = A x^ + L (y - y^), y^ = C x^ - Sat(C x^), d^' = -sigma y~ (C P L) chi.

@@ -21,10 +21,9 @@ from undeadzone.report.html import (
 )
 from undeadzone.report.style import write_figure
 from undeadzone.util.files import write_text
-from undeadzone_paper.both_sides import STAND_INS as STAND_INS_OF_SIDES
 from undeadzone_paper.claims import HOW, Claim, claims_on_figure, verdict_counts_text
 from undeadzone_paper.diagrams import plot_diagrams
-from undeadzone_paper.equations import DIAGRAMS, FIGURES
+from undeadzone_paper.equations import DIAGRAMS, FIGURES, STAND_INS
 from undeadzone_paper.evidence import BEGUN, RESTING
 from undeadzone_paper.example import (
     AMPLITUDES,
@@ -42,9 +41,7 @@ from undeadzone_paper.figures import (
     plot_tracking,
     plot_V,
 )
-from undeadzone_paper.law import STAND_INS as STAND_INS_OF_LAW
 from undeadzone_paper.letters import HEAD, read_letters
-from undeadzone_paper.observer import STAND_INS as STAND_INS_OF_OBSERVER
 from undeadzone_paper.printed import DEFINITION
 from undeadzone_paper.theorem import DEFINITION as DEFINITION_OF_THEOREM
 from undeadzone_paper.theorem import count_theorem
@@ -229,12 +226,6 @@ _SILENCE: Final = (
     "the sensor has nothing to say. Of the four readings of the plant only that of unity DC gain "
     "comes out."
 )
-STAND_INS: Final = {
-    **STAND_INS_OF_OBSERVER,
-    **STAND_INS_OF_LAW,
-    **STAND_INS_OF_SIDES,
-}
-"""What stands in for printed shapes that do not agree, by equation."""
 _BRINK: Final = (
     "Some of those with unity DC gain are at the brink: their counts change by two with the step."
 )

@@ -122,7 +122,9 @@ def run_variants(progress: Callable[[int], None] | None) -> list[Outcome]:
         progress: called with the number of steps just done
     """
     signs = (1.0, -1.0)
-    choices = product(READINGS, GAINS, STARTS, (False, True), signs, signs, (-1.0, 1.0))
+    choices: Iterable[tuple[Any, ...]] = product(
+        READINGS, GAINS, STARTS, (False, True), signs, signs, (-1.0, 1.0)
+    )
     variants = [Variant(plant, start, L, *more) for plant, L, start, *more in choices]
     runs = run_family([example_of_variant(variant) for variant in variants], progress)
     return [_build_outcome(*pair) for pair in zip(variants, runs, strict=True)]
