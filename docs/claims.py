@@ -25,9 +25,14 @@ from undeadzone_paper.claims import (
     value_text,
     verdict_counts_text,
 )
-from undeadzone_paper.equations import ASSUMPTIONS, DIAGRAMS, FIGURES, STAND_INS
-from undeadzone_paper.letters import HEAD as LETTERS_HEAD
-from undeadzone_paper.letters import read_letters
+from undeadzone_paper.equations import (
+    ASSUMPTIONS,
+    DIAGRAMS,
+    FIGURES,
+    LETTERS_HEAD,
+    STAND_INS,
+    read_letters,
+)
 from undeadzone_paper.theorem import DEFINITION, count_theorem
 
 ROOT: Final = Path(__file__).parents[1]

@@ -9,10 +9,9 @@ from typing import Any, Final, NamedTuple
 from undeadzone.results.run import Run
 from undeadzone_paper.both_sides import BothSides, compare_sides
 from undeadzone_paper.claims import Claim, claims_on_equation, judge_claims
-from undeadzone_paper.equations import EQUATIONS
-from undeadzone_paper.evidence import RESTING, Evidence, gather_evidence
+from undeadzone_paper.equations import EQUATIONS, read_letters
+from undeadzone_paper.evidence import NOMINAL, RESTING, Evidence, gather_evidence
 from undeadzone_paper.facts import Fact, compute_facts
-from undeadzone_paper.letters import read_letters
 from undeadzone_paper.measures import largest_absolute, width_convergence_rate
 from undeadzone_paper.printed import (
     DEFINITION,
@@ -54,13 +53,14 @@ class Paper(NamedTuple):
 
         `printed` is the literal example with r = 5 sin 2 pi t, `repaired` its repair.
         """
-        five, two = self.evidence.repaired
+        repaired = self.evidence.repaired
+        five, two = repaired[NOMINAL]
         texts = [claim.text for claim in self.claims]
         return {
-            "printed": _numbers_as_printed(self.evidence.printed[RESTING][0]),
+            "printed": _numbers_as_printed(self.evidence.printed[NOMINAL][RESTING][0]),
             "repaired": _numbers_as_repaired(five),
             "repaired_2sin": _numbers_as_repaired(two),
-            "repaired_sampled": _numbers_as_repaired(self.evidence.sampled),
+            "repaired_sampled": _numbers_as_repaired(repaired["sampled"][0]),
             "variants": {
                 "definition": DEFINITION,
                 "counts": [item._asdict() for item in self.count_variants],

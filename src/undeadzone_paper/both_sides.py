@@ -23,7 +23,7 @@ from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.util.arrays import Floats
 from undeadzone_paper import measures as m
-from undeadzone_paper.evidence import RESTING, Evidence
+from undeadzone_paper.evidence import NOMINAL, RESTING, Evidence
 from undeadzone_paper.example import (
     ALPHA,
     L_PRINTED,
@@ -96,7 +96,7 @@ class ErrorSignals(NamedTuple):
 
 def compare_sides(evidence: Evidence) -> dict[int, BothSides]:
     """Compute both sides of every equation, by its number."""
-    repaired = evidence.repaired[0]
+    repaired = evidence.repaired[NOMINAL][0]
     linear = linear_matrices(example_as_printed(1.0).plant)
     p = _signals_as_printed(evidence.law[0], linear)
     q = _signals_as_mended(repaired)
@@ -106,7 +106,7 @@ def compare_sides(evidence: Evidence) -> dict[int, BothSides]:
         **dict(zip((9, 10), _indicator_errors(p).T, strict=True)),
         **_differences_as_printed(p, linear),
         **_differences_of_V(p, linear),
-        30: _error_at_zero_V(evidence.printed[RESTING][0]),
+        30: _error_at_zero_V(evidence.printed[NOMINAL][RESTING][0]),
     }
     mended = {
         **_differences(read, linear, 1.0),

@@ -1,4 +1,6 @@
-"""The paper's equations (1)-(42), figures 1-8 and assumptions, in the words of `equations.toml`.
+"""The paper's equations (1)-(42), figures 1-8, assumptions and letters, in words.
+
+The words stand in `equations.toml` and `letters.toml`.
 
 The paper's claims about them stand in `claims.toml`, and only there.
 """
@@ -32,6 +34,24 @@ class Equation(NamedTuple):
     compares: str
 
 
+class Letter(NamedTuple):
+    """One letter of the paper. `letters.toml` explains each entry.
+
+    Attributes:
+        paper: the letter
+        meaning: its meaning, and its place
+        ours: what this package calls it
+        key: of the scenario
+        c: field of the exported C code
+    """
+
+    paper: str
+    meaning: str
+    ours: str
+    key: str
+    c: str
+
+
 def read_words(name: str) -> dict[str, Any]:
     """Read a file of words that lies beside this one."""
     return tomllib.loads(files("undeadzone_paper").joinpath(name).read_text(encoding="utf-8"))
@@ -49,3 +69,10 @@ FIGURES: Final = _by_number(_WORDS["figures"])
 STAND_INS: Final = _WORDS["stand_ins"]
 """What stands in for printed shapes that do not agree, by equation."""
 EQUATIONS: Final = tuple(Equation(**entry) for entry in _WORDS["equations"])
+
+LETTERS_HEAD: Final = ("in the paper", "what it is", "here", "scenario key", "C field")
+
+
+def read_letters() -> list[Letter]:
+    """Read all letters from `letters.toml`."""
+    return [Letter(**entry) for entry in read_words("letters.toml")["letter"]]

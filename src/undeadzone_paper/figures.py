@@ -138,7 +138,7 @@ def plot_V(runs: RunTrio, reference: str) -> Figure:
 
 
 def plot_theorem(
-    runs: tuple[Run, Run], repaired: Run, outcomes: Sequence[TheoremOutcome]
+    runs: tuple[Run, ...], repaired: Run, outcomes: Sequence[TheoremOutcome]
 ) -> Figure:
     """Plot Theorem 4.1 with its own law (29).
 

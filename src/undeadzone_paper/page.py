@@ -23,8 +23,8 @@ from undeadzone.report.style import write_figure
 from undeadzone.util.files import write_text
 from undeadzone_paper.claims import HOW, Claim, claims_on_figure, verdict_counts_text
 from undeadzone_paper.diagrams import plot_diagrams
-from undeadzone_paper.equations import DIAGRAMS, FIGURES, STAND_INS
-from undeadzone_paper.evidence import BEGUN, RESTING
+from undeadzone_paper.equations import DIAGRAMS, FIGURES, LETTERS_HEAD, STAND_INS, read_letters
+from undeadzone_paper.evidence import BEGUN, NOMINAL, RESTING
 from undeadzone_paper.example import (
     AMPLITUDES,
     READINGS,
@@ -41,7 +41,6 @@ from undeadzone_paper.figures import (
     plot_tracking,
     plot_V,
 )
-from undeadzone_paper.letters import HEAD, read_letters
 from undeadzone_paper.printed import DEFINITION
 from undeadzone_paper.theorem import DEFINITION as DEFINITION_OF_THEOREM
 from undeadzone_paper.theorem import count_theorem
@@ -113,7 +112,9 @@ def write_audit_figures(
             progress(1)
         return write_figure(drawn, folder / f"{name}.svg")
 
-    trios = zip(evidence.printed[RESTING], evidence.printed[BEGUN], evidence.repaired, strict=True)
+    printed = evidence.printed[NOMINAL]
+    repaired = evidence.repaired[NOMINAL]
+    trios = zip(printed[RESTING], printed[BEGUN], repaired, strict=True)
     numbered = {}
     for amplitude, trio in zip(AMPLITUDES, trios, strict=True):
         suffix = "" if amplitude == AMPLITUDES[0] else f"_{amplitude:g}sin"
@@ -126,7 +127,7 @@ def write_audit_figures(
         }
         numbered[amplitude] = [keep(figure, name + suffix) for name, figure in drawn.items()]
     silence = plot_silence(*response_to_force(AMPLITUDES[0]))
-    theorem = plot_theorem(evidence.law, evidence.repaired[0], evidence.theorem)
+    theorem = plot_theorem(evidence.law, repaired[0], evidence.theorem)
     return AuditFigures(
         keep(silence, "silence"),
         keep(theorem, "theorem"),
@@ -163,7 +164,7 @@ def write_audit_page(paper: Paper, images: AuditFigures, path: Path, origin: Ori
         build_section("Theorem 4.1 with its own law", *_theorem_section(paper, images.theorem)),
         build_section("Figures 1-8", *_figures_section(paper.claims, images)),
         build_section("Equations (1)-(42)", *_equations_section(paper)),
-        build_section("The paper's letters", build_table(HEAD, read_letters())),
+        build_section("The paper's letters", build_table(LETTERS_HEAD, read_letters())),
         build_section("Numbers against their closed forms", _facts_table(paper)),
         origin=origin,
     )

@@ -2,26 +2,32 @@
 
 from __future__ import annotations
 
-from typing import Any
+import numpy as np
 
-from undeadzone.scenario.schema import Scenario
-from undeadzone_paper import evidence
-from undeadzone_paper.example import example_as_printed
+from undeadzone_paper import Paper, measures
+from undeadzone_paper.evidence import CONDITIONS, TABLES
 
 
-def test_wrong_widths_never_move_along_the_reference_of_the_paper() -> None:
-    """With a tanh term and without one; the widths never move."""
-    calls: list[tuple[Scenario, dict[str, Any]]] = []
+def test_wrong_widths_never_move_along_the_reference_of_the_paper(paper: Paper) -> None:
+    """With a tanh term and without one."""
+    for run in paper.evidence.repaired["tanh"]:
+        np.testing.assert_allclose(run.d_hat, 1.0 - CONDITIONS["mismatched"], atol=1e-6)
+        np.testing.assert_allclose(run.r[:, 0], 5.0 * np.sin(2 * np.pi * run.t), atol=1e-9)
 
-    class Recorder:
-        def simulate_changed(self, scenario: Scenario, **changes: Any) -> None:
-            calls.append((scenario, changes))
 
-    runner: Any = Recorder()
-    evidence._constant_width_runs(runner)
-    assert [scenario.reference for scenario, _ in calls] == [example_as_printed(5.0).reference] * 2
-    assert [changes["observer"].widths0 for _, changes in calls] == [[0.8, 0.8]] * 2
-    assert all(changes["observer"].gamma < 1e-6 for _, changes in calls)
-    plain, robust = (changes.get("controller") for _, changes in calls)
-    assert plain is None
-    assert robust.robust.gain == 5.0
+def test_the_words_of_the_conditions_have_their_numbers() -> None:
+    words, conditions = TABLES["words"], TABLES["conditions"]
+    far = TABLES["repaired"]["far"]
+    starts = [conditions[names[-1]]["plant"]["x0"] for names in far]
+    assert words["noise"] == conditions["noise"]["sensor"]["noise"]
+    assert words["disturbance"] == conditions["gust"]["disturbance"]["amplitude"]
+    assert words["slope"] == conditions["scaled"]["sensor"]["slope"]
+    assert [words["starts"], words["farthest"]] == [len(far), np.abs(starts).max()]
+    np.testing.assert_allclose(1.0 - words["mismatch"], conditions["weaker"]["model"]["B"][1])
+
+
+def test_every_measured_claim_names_a_measure_and_rows_that_exist() -> None:
+    for measure, printed, repaired in TABLES["measured"].values():
+        assert callable(getattr(measures, measure))
+        assert printed in TABLES["printed"]
+        assert repaired in TABLES["repaired"]
