@@ -15,7 +15,6 @@ import numpy as np
 from undeadzone.interfaces import Reading, require_graph
 from undeadzone.linalg.matrices import Matrices, companion_form
 from undeadzone.linalg.poles import observer_gain
-from undeadzone.linalg.riccati import paper_riccati
 from undeadzone.nonlinearities.sensor import saturation_bound, zone
 from undeadzone.plants.options import linear_matrices
 from undeadzone.results.run import Run
@@ -178,9 +177,9 @@ def _differences(s: ErrorSignals, linear: Matrices, sign: float) -> dict[int, Fl
     seen = s.x_error @ C[0]
     reading = s.y - (s.z - offset)
     innovation = s.e - (s.z - s.z_hat - off)
-    drift = A - np.outer(s.L, C[0])
     in_errors = np.outer(seen - off, s.L)
     moved = s.x_error @ A.T + s.push - np.outer(s.e, s.L)
+    drift = m.error_matrix(linear, s.L)
     return {
         11: reading,
         12: reading,
@@ -200,14 +199,14 @@ def _differences(s: ErrorSignals, linear: Matrices, sign: float) -> dict[int, Fl
 
 def _differences_as_printed(p: ErrorSignals, linear: Matrices) -> dict[int, Any]:
     """Return left less right side of equations that are printed in a form of their own."""
-    A, B, _ = linear
-    P = _printed_P(linear)
+    A, B, C = linear
+    drift = m.error_matrix(linear)
+    P = m.printed_riccati(linear, drift).P
     sat = np.clip(p.z, -D, D)
     estimated = np.clip(p.z_hat, -p.d_hat[:, 1], p.d_hat[:, 0])
     sign = np.sign(p.y)
     above = _branch_flags(p.z, 0.0) - _branch_flags(p.z, D)
-    step = SIGMA * float(linear.C[0] @ P @ p.L) * p.chi
-    drift = A - np.outer(p.L, linear.C[0])
+    step = SIGMA * float(C[0] @ P @ p.L) * p.chi
     residual = drift.T @ P + P @ drift - 2 * ALPHA * P @ B @ B.T @ P + np.eye(len(A))
     slope = A - [[0.0, 1.0], [0.0, -3.0]]  # of (41)
     return {
@@ -299,13 +298,6 @@ def _error_at_zero_V(run: Run) -> float:
     return m.largest_absolute((run.x - run.x_hat)[is_zero]) if is_zero.any() else 0.0
 
 
-def _printed_P(linear: Matrices) -> Floats:
-    """Return P of (34) with A - L C, L of (40) (2 x 2)."""
-    A, B, C = linear
-    drift = A - np.outer(L_PRINTED, C[0])
-    return paper_riccati(drift, B, ALPHA, np.eye(len(A))).P
-
-
 def _differences_of_V(p: ErrorSignals, linear: Matrices) -> dict[int, Floats]:
     """Return V' along p less the right sides of (31)-(36).
 
@@ -313,9 +305,9 @@ def _differences_of_V(p: ErrorSignals, linear: Matrices) -> dict[int, Floats]:
     stands y~ C P L chi_bar d~.
     """
     A, B, C = linear
-    P = _printed_P(linear)
     c = C[0]
-    drift = A - np.outer(p.L, c)
+    drift = m.error_matrix(linear)
+    P = m.printed_riccati(linear, drift).P
     size = float(c @ P @ c)
     gain = float(c @ P @ p.L)
     d_moved = -SIGMA * gain * p.e[:, None] * p.chi  # d^', so that d~' = -d^'

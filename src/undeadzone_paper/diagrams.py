@@ -20,7 +20,7 @@ from undeadzone.report.style import create_panels
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.util import tree
-from undeadzone_paper.equations import DIAGRAMS
+from undeadzone_paper.equations import DIAGRAMS, read_words
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -46,27 +46,11 @@ OBSERVER = "observer"
 INVERSE = "inverse"
 OUT = "out"
 HALF: Final = (0.75, 0.3)  # of a block, width and height
-PLACES: Final[dict[str, Point]] = {
-    REFERENCE: (0.8, 2.0),
-    CONTROLLER: (3.2, 2.0),
-    PLANT: (5.8, 2.0),
-    SENSOR: (8.4, 2.0),
-    OBSERVER: (5.8, 0.5),
-    INVERSE: (8.9, 0.5),
-}
+_LAYOUT: Final = read_words("diagrams.toml")
+PLACES: Final[dict[str, Point]] = _LAYOUT["places"]
 PATHS: Final[dict[tuple[str, str], list[Point]]] = {
-    (REFERENCE, CONTROLLER): [(1.55, 2.0), (2.45, 2.0)],
-    (CONTROLLER, PLANT): [(3.95, 2.0), (5.05, 2.0)],
-    (PLANT, SENSOR): [(6.55, 2.0), (7.65, 2.0)],
-    (SENSOR, OUT): [(9.15, 2.0), (10.3, 2.0)],
-    (CONTROLLER, OBSERVER): [(4.4, 2.0), (4.4, 0.7), (5.05, 0.7)],
-    (SENSOR, OBSERVER): [(8.1, 1.7), (8.1, 1.2), (6.2, 1.2), (6.2, 0.8)],
-    (SENSOR, INVERSE): [(8.8, 1.7), (8.8, 0.8)],
-    (OBSERVER, CONTROLLER): [(5.05, 0.3), (3.2, 0.3), (3.2, 1.7)],
-    (OBSERVER, INVERSE): [(6.55, 0.5), (8.15, 0.5)],
-    (INVERSE, OUT): [(9.65, 0.5), (10.6, 0.5)],
+    (row["from"], row["to"]): row["corners"] for row in _LAYOUT["arrows"]
 }
-"""Corners of the arrows; a word stands at the middle of the first long part."""
 
 
 class Arrow(NamedTuple):
@@ -90,11 +74,8 @@ def trace_diagram(scenario: Scenario) -> Diagram:
     plant = problem.plant
     observer = require_graph(problem.observer)
     law = problem.controller
-    x = ca.SX.sym("x", plant.n)
-    u = ca.SX.sym("u", plant.m)
-    y = ca.SX.sym("y", plant.p)
-    side = ca.SX.sym("side", plant.p)
-    z = ca.SX.sym("z", plant.p)
+    x, u = ca.SX.sym("x", plant.n), ca.SX.sym("u", plant.m)
+    y, side, z = (ca.SX.sym(name, plant.p) for name in ("y", "side", "z"))
     _, s = tree.create_symbols(observer.init(observer.params), "s")
     following, estimate = observer.step(observer.params, s, u, Reading(y, side))
     state = tree.stack_leaves(following)
@@ -111,27 +92,28 @@ def trace_diagram(scenario: Scenario) -> Diagram:
     zone = problem.sensor
     read = branch(z, where(z, zone.right, zone.left), zone.right, zone.left, zone.slope, zone.kind)
     inverse = estimate.z_inverse
-    arrows = [
-        Arrow(REFERENCE, CONTROLLER, _signals_in(answer, targets)),
-        Arrow(CONTROLLER, PLANT, _signals_in(plant.move(plant.params, x, u), {"u": u})),
-        Arrow(PLANT, SENSOR, _signals_in(read, {"z": z})),
-        Arrow(SENSOR, OUT, ("y",)),
-        Arrow(CONTROLLER, OBSERVER, _signals_in(state, {"u": u})),
-        Arrow(SENSOR, OBSERVER, _signals_in(state, {"y": y, "side": side})),
-        Arrow(OBSERVER, CONTROLLER, _signals_in(answer, estimated)),
-        Arrow(SENSOR, INVERSE, _signals_in(inverse, {"y": y, "side": side})),
-        Arrow(OBSERVER, INVERSE, _signals_in(inverse, {"d\u0302": tree.stack_leaves(s)})),
-        Arrow(INVERSE, OUT, (HATS["z_inverse"],)),
-    ]
-    names = {
-        REFERENCE: REFERENCE,
-        CONTROLLER: f"controller\n{_tag(scenario.controller)}",
-        PLANT: PLANT,
-        SENSOR: f"sensor\n{zone.kind}",
-        OBSERVER: f"observer\n{_tag(scenario.observer)}",
-        INVERSE: "inverse",
+    read_signals = {"y": y, "side": side}
+    widths = {"d\u0302": tree.stack_leaves(s)}
+    moved = plant.move(plant.params, x, u)
+    arrows = {
+        (REFERENCE, CONTROLLER): _signals_in(answer, targets),
+        (CONTROLLER, PLANT): _signals_in(moved, {"u": u}),
+        (PLANT, SENSOR): _signals_in(read, {"z": z}),
+        (SENSOR, OUT): ("y",),
+        (CONTROLLER, OBSERVER): _signals_in(state, {"u": u}),
+        (SENSOR, OBSERVER): _signals_in(state, read_signals),
+        (OBSERVER, CONTROLLER): _signals_in(answer, estimated),
+        (SENSOR, INVERSE): _signals_in(inverse, read_signals),
+        (OBSERVER, INVERSE): _signals_in(inverse, widths),
+        (INVERSE, OUT): (HATS["z_inverse"],),
     }
-    return Diagram(names, [arrow for arrow in arrows if arrow.signals])
+    kinds = {
+        CONTROLLER: _tag(scenario.controller),
+        SENSOR: zone.kind,
+        OBSERVER: _tag(scenario.observer),
+    }
+    names = {name: "\n".join([name, *kinds.get(name, "").split()]) for name in PLACES}
+    return Diagram(names, [Arrow(*ends, named) for ends, named in arrows.items() if named])
 
 
 def _tag(options: Any) -> str:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
-from undeadzone.linalg.riccati import paper_riccati
+from undeadzone.linalg.matrices import Matrices
+from undeadzone.linalg.riccati import Riccati, paper_riccati
 from undeadzone.nonlinearities.sensor import deadzone, indicators, zone
 from undeadzone.plants.options import linear_matrices
 from undeadzone.results.run import LAST, Run
@@ -34,14 +35,24 @@ def width_errors(run: Run) -> Floats:
     return run.d_hat - np.array(run.info.widths)
 
 
+def error_matrix(linear: Matrices, L: Sequence[float] | Floats = L_PRINTED) -> Floats:
+    """Return A - L C of a plant of order 2 (2 x 2) [1/s]."""
+    return np.asarray(linear.A - np.outer(L, linear.C))
+
+
+def printed_riccati(linear: Matrices, drift: Floats, alpha: float = ALPHA) -> Riccati:
+    """Return P and K of (34) with a drift for its A, and Q = I."""
+    return paper_riccati(drift, linear.B, alpha, np.eye(2))
+
+
 def with_printed_V(run: Run) -> Run:
     """Return the run with V of (30) for sigma = 1.
 
     The scalar C P C' stands for the n x n matrix P beside the scalar y~.
     """
-    A, B, C = linear_matrices(example_as_printed(1.0).plant)
-    P = paper_riccati(A - np.array([L_PRINTED]).T @ C, B, ALPHA, np.eye(2)).P
-    of_reading = run.innovation[:, 0] ** 2 * float((C @ P @ C.T)[0, 0])
+    linear = linear_matrices(example_as_printed(1.0).plant)
+    P = printed_riccati(linear, error_matrix(linear)).P
+    of_reading = run.innovation[:, 0] ** 2 * float((linear.C @ P @ linear.C.T)[0, 0])
     of_widths = (width_errors(run) ** 2).sum(axis=1) / 2
     return Run(run.info, run.signals, V=of_reading + of_widths)
 

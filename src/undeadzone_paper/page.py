@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from itertools import chain
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 from undeadzone.report.html import (
     Html,
@@ -56,6 +55,8 @@ LOOPS: Final = {
 }
 """Loops whose block diagrams are drawn, by what their panels say."""
 
+SUFFIXES: Final = dict(zip(AMPLITUDES, ("", "_2sin"), strict=True))  # of names of figures
+
 _COLOURS: Final = {
     "holds": "yes",
     "holds after repair": "mid",
@@ -64,35 +65,12 @@ _COLOURS: Final = {
 }
 
 
-class AuditFigures(NamedTuple):
-    """Files of the audit's figures.
-
-    Attributes:
-        silence: why the samples are censored
-        theorem: Theorem 4.1 with its own law
-        diagrams: figures 1 and 2
-        numbered: figures 3-8, z beside the reference, and V, by reference
-    """
-
-    silence: Path
-    theorem: Path
-    diagrams: list[Path]
-    numbered: dict[float, list[Path]]
-
-    @property
-    def paths(self) -> list[Path]:
-        """Return all files."""
-        return [
-            self.silence,
-            self.theorem,
-            *self.diagrams,
-            *chain.from_iterable(self.numbered.values()),
-        ]
+Images: TypeAlias = dict[str, Path]  # files of figures by name
 
 
 def write_audit_figures(
     paper: Paper, folder: Path, progress: Callable[[int], None] | None
-) -> AuditFigures:
+) -> Images:
     """Write the figures as SVG. Raises FileError.
 
     Args:
@@ -104,39 +82,34 @@ def write_audit_figures(
         silence.svg, theorem.svg, figure_1.svg, figure_2.svg, figure_3.svg ... figure_8.svg,
         tracking.svg, V.svg for r = 5 sin, figure_3_2sin.svg ... for r = 2 sin.
     """
-    evidence = paper.evidence
-
-    def keep(drawn: Figure, name: str) -> Path:
-        """Write a figure."""
+    images = {}
+    for name, drawn in _draw_figures(paper):
+        images[name] = write_figure(drawn, folder / f"{name}.svg")
         if progress is not None:
             progress(1)
-        return write_figure(drawn, folder / f"{name}.svg")
+    return images
 
+
+def _draw_figures(paper: Paper) -> Iterator[tuple[str, Figure]]:
+    """Draw the figures one by one, each with its name."""
+    evidence = paper.evidence
     printed = evidence.printed[NOMINAL]
     repaired = evidence.repaired[NOMINAL]
+    yield "silence", plot_silence(*response_to_force(AMPLITUDES[0]))
+    yield "theorem", plot_theorem(evidence.law, repaired[0], evidence.theorem)
+    for number in DIAGRAMS:
+        yield f"figure_{number}", plot_diagrams(number, LOOPS)
     trios = zip(printed[RESTING], printed[BEGUN], repaired, strict=True)
-    numbered = {}
-    for amplitude, trio in zip(AMPLITUDES, trios, strict=True):
-        suffix = "" if amplitude == AMPLITUDES[0] else f"_{amplitude:g}sin"
+    for (amplitude, suffix), trio in zip(SUFFIXES.items(), trios, strict=True):
         runs = RunTrio(*trio)
         words = f"r = {amplitude:g} sin 2πt"
-        drawn = {
-            **{f"figure_{number}": plot_paper_figure(number, runs, words) for number in FIGURES},
-            "tracking": plot_tracking(runs, words),
-            "V": plot_V(runs, words),
-        }
-        numbered[amplitude] = [keep(figure, name + suffix) for name, figure in drawn.items()]
-    silence = plot_silence(*response_to_force(AMPLITUDES[0]))
-    theorem = plot_theorem(evidence.law, repaired[0], evidence.theorem)
-    return AuditFigures(
-        keep(silence, "silence"),
-        keep(theorem, "theorem"),
-        [keep(plot_diagrams(number, LOOPS), f"figure_{number}") for number in DIAGRAMS],
-        numbered,
-    )
+        for number in FIGURES:
+            yield f"figure_{number}{suffix}", plot_paper_figure(number, runs, words)
+        yield f"tracking{suffix}", plot_tracking(runs, words)
+        yield f"V{suffix}", plot_V(runs, words)
 
 
-def write_audit_page(paper: Paper, images: AuditFigures, path: Path, origin: Origin | None) -> Path:
+def write_audit_page(paper: Paper, images: Images, path: Path, origin: Origin | None) -> Path:
     """Write one self-contained HTML page with all results. Raises FileError.
 
     Args:
@@ -159,9 +132,9 @@ def write_audit_page(paper: Paper, images: AuditFigures, path: Path, origin: Ori
         build_section(
             "As printed",
             *_variants_section(paper),
-            encode_picture(images.silence.read_bytes(), caption),
+            encode_picture(images["silence"].read_bytes(), caption),
         ),
-        build_section("Theorem 4.1 with its own law", *_theorem_section(paper, images.theorem)),
+        build_section("Theorem 4.1 with its own law", *_theorem_section(paper, images["theorem"])),
         build_section("Figures 1-8", *_figures_section(paper.claims, images)),
         build_section("Equations (1)-(42)", *_equations_section(paper)),
         build_section("The paper's letters", build_table(LETTERS_HEAD, read_letters())),
@@ -290,34 +263,31 @@ def _theorem_section(paper: Paper, image: Path) -> list[Html]:
     ]
 
 
-def _figures_section(claims: list[Claim], images: AuditFigures) -> list[Html]:
+def _figures_section(claims: list[Claim], images: Images) -> list[Html]:
     """Return figures 1-8 of the first reference, and folded those of the second."""
     drawn = "drawn from the loop's graph: an arrow ends at the block that depends on it"
+    beside = "as printed (left) and repaired (right)"
     captions = {
         **{number: f"{words}, {drawn}" for number, words in DIAGRAMS.items()},
-        **{
-            number: f"{add_hats(words)}, as printed (left) and repaired (right)"
-            for number, words in FIGURES.items()
-        },
+        **{number: f"{add_hats(words)}, {beside}" for number, words in FIGURES.items()},
     }
-    full_captions = [
-        f"Figure {number}: {words}. {claims_text(number, claims)}"
-        for number, words in captions.items()
-    ]
-    full_captions += [
-        "z beside the desired trajectory, as in the text of figures 3 and 4.",
-        "V.",
-    ]
-    first, second = images.numbered.values()
-    pictures = [
-        encode_picture(image.read_bytes(), caption)
-        for image, caption in zip((*images.diagrams, *first), full_captions, strict=True)
-    ]
-    again = [
-        encode_picture(image.read_bytes(), caption)
-        for image, caption in zip(second, full_captions[len(DIAGRAMS) :], strict=True)
-    ]
-    return [*pictures, fold_section("The same for the reference 2 sin 2πt", *again)]
+    full = {
+        **{
+            f"figure_{number}": f"Figure {number}: {words}. {claims_text(number, claims)}"
+            for number, words in captions.items()
+        },
+        "tracking": "z beside the desired trajectory, as in the text of figures 3 and 4.",
+        "V": "V.",
+    }
+    first, second = (
+        [
+            encode_picture(images[name + suffix].read_bytes(), caption)
+            for name, caption in full.items()
+            if name + suffix in images
+        ]
+        for suffix in SUFFIXES.values()
+    )
+    return [*first, fold_section("The same for the reference 2 sin 2πt", *second)]
 
 
 def claims_text(number: int, claims: list[Claim]) -> str:

@@ -42,7 +42,10 @@ def write(
     ]
     if figures:
         images = write_audit_figures(paper, folder, progress)
-        written += [*images.paths, write_audit_page(paper, images, folder / "report.html", origin)]
+        written += [
+            *images.values(),
+            write_audit_page(paper, images, folder / "report.html", origin),
+        ]
     return written
 
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from typing import Any, Final, NamedTuple, TypeAlias
 
 import casadi as ca
-import msgspec
 import numpy as np
 from scipy.optimize import brentq
 
@@ -16,11 +15,9 @@ from undeadzone.interfaces import Estimate, Reading, require_graph
 from undeadzone.linalg.hold import zoh
 from undeadzone.linalg.matrices import Matrices
 from undeadzone.linalg.poles import observer_gain
-from undeadzone.linalg.riccati import paper_riccati
 from undeadzone.nonlinearities.sensor import (
     deadzone,
     offset,
-    resolve,
     saturation,
     saturation_bound,
     zone,
@@ -28,6 +25,7 @@ from undeadzone.nonlinearities.sensor import (
 from undeadzone.plants.build import system
 from undeadzone.plants.options import linear_matrices
 from undeadzone.results.run import Run
+from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
@@ -43,7 +41,6 @@ from undeadzone_paper.evidence import (
     Evidence,
 )
 from undeadzone_paper.example import (
-    ALPHA,
     L_POLES,
     L_PRINTED,
     POLES,
@@ -168,7 +165,7 @@ def _deviation(run: Run, x: Floats) -> float:
 def _gain_claims(linear: Matrices) -> Numbers:
     """Compute the numbers of the claims on the gains (40) and (42)."""
     placed = observer_gain(linear, POLES, None).ravel()
-    printed_drift = _error_matrix(linear, L_PRINTED)
+    printed_drift = m.error_matrix(linear, L_PRINTED)
     left, right = np.sort(np.linalg.eigvals(printed_drift).real)
     return {
         "observer-poles": _single(
@@ -180,27 +177,22 @@ def _gain_claims(linear: Matrices) -> Numbers:
         "riccati-gain": _single(
             max(innovation_loop_pole(linear, alpha) for alpha in _alphas()),
             _worst_rightmost_pole(linear, linear.A),
-            brink=destabilising_alpha(linear, _error_matrix(linear, L_POLES)),
+            brink=destabilising_alpha(linear, m.error_matrix(linear, L_POLES)),
             fed=float(right),
             fed_back=_worst_rightmost_pole(linear, printed_drift),
         ),
     }
 
 
-def _error_matrix(linear: Matrices, L: Iterable[float]) -> Floats:
-    """Return A - L C of a plant of order 2 (2 x 2) [1/s]."""
-    return linear.A - np.reshape(np.asarray(L), (2, 1)) @ linear.C
-
-
-def pole_error(linear: Matrices, L: Iterable[float]) -> float:
+def pole_error(linear: Matrices, L: Sequence[float] | Floats) -> float:
     """Return the largest distance of a pole of A - L C from the paper's target [1/s]."""
-    poles = np.sort(np.linalg.eigvals(_error_matrix(linear, L)))
+    poles = np.sort(np.linalg.eigvals(m.error_matrix(linear, L)))
     return m.largest_absolute(poles - np.sort(POLES))
 
 
 def rightmost_pole(linear: Matrices, drift: Floats, alpha: float) -> float:
     """Return the rightmost pole of A - B K [1/s], K by (34) with `drift` for A."""
-    K = paper_riccati(drift, linear.B, alpha, np.eye(2)).K
+    K = m.printed_riccati(linear, drift, alpha).K
     return float(np.linalg.eigvals(linear.A - linear.B @ K).real.max())
 
 
@@ -221,8 +213,8 @@ def innovation_loop_pole(linear: Matrices, alpha: float) -> float:
     x~' = (A - L C) x~ - B (k_p C + k_d C (A - L C)) x~, as C B = 0. The plant adds the poles of A.
     """
     _, B, C = linear
-    drift = _error_matrix(linear, L_PRINTED)
-    k_p, k_d = paper_riccati(drift, B, alpha, np.eye(2)).K[0]
+    drift = m.error_matrix(linear, L_PRINTED)
+    k_p, k_d = m.printed_riccati(linear, drift, alpha).K[0]
     closed = drift - B @ (k_p * C + k_d * C @ drift)
     return float(np.linalg.eigvals(closed).real.max())
 
@@ -370,7 +362,7 @@ def _comparison_claims(e: Evidence) -> Numbers:
         for name, table in OTHERS.items()
     }
     words = ", ".join(f"{count:.0f} {name}" for name, count in laws.items())
-    sign, smooth = calm_share(np.sign), calm_share(_smooth_sign)
+    sign, smooth = calm_share(np.sign), calm_share(lambda s: np.tanh(SHARPNESS * s))
     return {
         "others-too-complex": ClaimNumbers(
             {name: SIMPLE / (count + observer) for name, count in laws.items()},
@@ -412,8 +404,8 @@ def _theorem_claims(e: Evidence) -> Numbers:
             },
         ),
         "theorem-known": _single(
-            _change_of_input(PrintedLaw(L=L_PRINTED, alpha=ALPHA)),
-            _change_of_input(example_as_repaired(5.0).controller),
+            _change_of_input(*[PrintedLaw(L=L_PRINTED, widths=d) for d in (D, D + 1.0)]),
+            _change_of_input(*[example_as_repaired(5.0).controller] * 2),
         ),
         "theorem-bounded": ClaimNumbers(
             {case: count_diverging(group) / len(group) for case, group in printed.items()},
@@ -422,29 +414,19 @@ def _theorem_claims(e: Evidence) -> Numbers:
     }
 
 
-def _change_of_input(options: Any) -> float:
-    """Return the change of u at equal estimates when the d that a law is given grows by 1 [u]."""
+def _change_of_input(law: Any, other: Any) -> float:
+    """Return the difference of u at equal estimates between a law and the same with another d."""
     model = system(example_as_printed(1.0).plant)
     x = np.array([2.0, 0.0])
     one = np.ones(1)
     estimate = Estimate(x, x[:1], one, one, x[:1], one)
     target = Target(np.zeros(1), np.zeros(2), np.zeros(1))
-    inputs = []
-    for width in (D, D + 1.0):
-        known = "widths" in options.__struct_fields__
-        law_options = msgspec.structs.replace(options, widths=width) if known else options
-        law = law_options.build(model)
-        _, u = law.step(law.params, law.init(law.params), estimate, target)
-        inputs.append(float(np.asarray(u).item()))
-    return abs(inputs[1] - inputs[0])
+    built = [options.build(model) for options in (law, other)]
+    inputs = [each.step(each.params, each.init(each.params), estimate, target)[1] for each in built]
+    return m.largest_absolute(np.subtract(*inputs))
 
 
-def _smooth_sign(s: float) -> float:
-    """Return the sign by (8)."""
-    return float(np.tanh(SHARPNESS * s))
-
-
-def calm_share(switch: Callable[[float], float]) -> float:
+def calm_share(switch: Callable[[Any], Any]) -> float:
     """Return the share of steps without a jump of a sliding mode's u by half its gain [1].
 
     The plant (39) is held at 0 from x = (1, 0): s = 2 x1 + x2, u = x1 - gain switch(s), the state
@@ -468,34 +450,26 @@ def calm_share(switch: Callable[[float], float]) -> float:
 
 def observer_operations(scenario: Scenario) -> float:
     """Count the arithmetic operations of one step of a scenario's observer alone."""
-    model = system(scenario.plant)
-    sensor = resolve(scenario.sensor, model.p, scenario.simulation.step)
-    observer = require_graph(scenario.observer.build(model, sensor))
-    p_column, p = tree.create_symbols(observer.params, "p")
-    s_column, s = tree.create_symbols(observer.init(observer.params), "s")
-    u, y, side = (ca.SX.sym(name) for name in ("u", "y", "side"))
-    following, estimate = observer.step(p, s, u, Reading(y, side))
-    return _count_operations([s_column, p_column, u, y, side], [following, estimate])
+    u, y, side = map(ca.SX.sym, ("u", "y", "side"))
+    observer = require_graph(resolve_scenario(scenario).observer)
+    return _count_operations(observer, u, Reading(y, side))
 
 
 def controller_operations(scenario: Scenario) -> float:
     """Count the arithmetic operations of one step of a scenario's controller alone."""
-    model = system(scenario.plant)
-    law = scenario.controller.build(model)
-    p_column, p = tree.create_symbols(law.params, "p")
-    s_column, s = tree.create_symbols(law.init(law.params), "s")
-    x = ca.SX.sym("x", model.n)
-    x_ref = ca.SX.sym("x_ref", model.n)
-    z, e, r, u_ff, right, left = (ca.SX.sym(name) for name in ("z", "e", "r", "u", "dr", "dl"))
-    following, u = law.step(p, s, Estimate(x, z, right, left, z, e), Target(r, x_ref, u_ff))
-    inputs = [s_column, p_column, x, x_ref, z, e, r, u_ff, right, left]
-    return _count_operations(inputs, [following, u])
+    problem = resolve_scenario(scenario)
+    x, x_ref = (ca.SX.sym(name, problem.plant.n) for name in ("x", "x_ref"))
+    z, e, r, u_ff, right, left = map(ca.SX.sym, ("z", "e", "r", "u", "dr", "dl"))
+    estimate = Estimate(x, z, right, left, z, e)
+    return _count_operations(problem.controller, estimate, Target(r, x_ref, u_ff))
 
 
-def _count_operations(inputs: list[ca.SX], outputs: list[Any]) -> float:
-    """Count the arithmetic operations of a graph."""
-    columns = [tree.stack_leaves(output) for output in outputs]
-    function = ca.Function("step", inputs, columns, {"cse": True})
+def _count_operations(method: Any, *inputs: Any) -> float:
+    """Count the arithmetic operations of one step of an observer or a controller."""
+    _, p = tree.create_symbols(method.params, "p")
+    _, s = tree.create_symbols(method.init(method.params), "s")
+    answer = tree.stack_leaves(method.step(p, s, *inputs))
+    function = ca.Function("step", ca.symvar(answer), [answer], {"cse": True})
     moves = (ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST)
-    instructions = [function.instruction_id(k) for k in range(function.n_instructions())]
+    instructions = map(function.instruction_id, range(function.n_instructions()))
     return float(sum(instruction not in moves for instruction in instructions))
