@@ -20,8 +20,7 @@ from undeadzone_paper import Paper, audit
 from undeadzone_paper.claims import (
     HOW,
     Claim,
-    claims_on_assumption,
-    claims_on_figure,
+    claims_on,
     value_text,
     verdict_counts_text,
 )
@@ -143,11 +142,11 @@ def numbered(paper: Paper) -> list[str]:
             )
         )
     figures = [
-        (f"figure {key}", words, files(key), links(claims_on_figure(key, texts), places))
+        (f"figure {key}", words, files(key), links(claims_on("figure", key, texts), places))
         for key, words in {**DIAGRAMS, **FIGURES}.items()
     ]
     assumed = [
-        (f"A{key}", words, "", links(claims_on_assumption(key, texts), places))
+        (f"A{key}", words, "", links(claims_on("assumption", key, texts), places))
         for key, words in ASSUMPTIONS.items()
     ]
     counts = [tuple(map(str, count)) for count in count_theorem(paper.evidence.theorem)]

@@ -7,8 +7,9 @@ from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
 from undeadzone.results.run import Run
+from undeadzone.util.arrays import to_json_value
 from undeadzone_paper.both_sides import BothSides, compare_sides
-from undeadzone_paper.claims import Claim, claims_on_equation, judge_claims
+from undeadzone_paper.claims import Claim, claims_on, judge_claims
 from undeadzone_paper.equations import EQUATIONS, read_letters
 from undeadzone_paper.evidence import NOMINAL, RESTING, Evidence, gather_evidence
 from undeadzone_paper.facts import Fact, compute_facts
@@ -56,30 +57,31 @@ class Paper(NamedTuple):
         repaired = self.evidence.repaired
         five, two = repaired[NOMINAL]
         texts = [claim.text for claim in self.claims]
-        return {
+        summary = {
             "printed": _numbers_as_printed(self.evidence.printed[NOMINAL][RESTING][0]),
             "repaired": _numbers_as_repaired(five),
             "repaired_2sin": _numbers_as_repaired(two),
             "repaired_sampled": _numbers_as_repaired(repaired["sampled"][0]),
             "variants": {
                 "definition": DEFINITION,
-                "counts": [item._asdict() for item in self.count_variants],
+                "counts": self.count_variants,
             },
-            "facts": [fact._asdict() for fact in self.facts],
+            "facts": self.facts,
             "verdicts": dict(Counter(claim.verdict for claim in self.claims)),
             "claims": [claim.summary() for claim in self.claims],
-            "theorem": [item._asdict() for item in count_theorem(self.evidence.theorem)],
-            "arm": self.evidence.arm.summary(),
+            "theorem": count_theorem(self.evidence.theorem),
+            "arm": self.evidence.arm,
             "equations": [
                 {
                     **equation._asdict(),
                     **self.sides[equation.number]._asdict(),
-                    "claims": claims_on_equation(equation.number, texts),
+                    "claims": claims_on("equation", equation.number, texts),
                 }
                 for equation in EQUATIONS
             ],
-            "letters": [letter._asdict() for letter in read_letters()],
+            "letters": read_letters(),
         }
+        return dict(to_json_value(summary))
 
 
 def audit(progress: Progress | None = None) -> Paper:

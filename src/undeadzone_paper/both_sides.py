@@ -175,25 +175,23 @@ def _differences(s: ErrorSignals, linear: Matrices, sign: float) -> dict[int, Fl
     sat = np.clip(s.z, -D, D)
     off = s.take_off(s.d_error)
     seen = s.x_error @ C[0]
-    reading = s.y - (s.z - offset)
     innovation = s.e - (s.z - s.z_hat - off)
+    in_states = s.e - (seen - off)
     in_errors = np.outer(seen - off, s.L)
     moved = s.x_error @ A.T + s.push - np.outer(s.e, s.L)
     drift = m.error_matrix(linear, s.L)
     return {
-        11: reading,
-        12: reading,
+        **dict.fromkeys((11, 12), s.y - (s.z - offset)),
         13: np.abs(sat) - np.abs(offset),
-        18: np.outer(innovation, s.L),
-        19: np.outer(innovation, s.L),
-        20: np.outer(s.e - (seen - off), s.L),
+        **dict.fromkeys((18, 19), np.outer(innovation, s.L)),
+        20: np.outer(in_states, s.L),
         21: offset - sat,
         22: moved - (s.x @ A.T + s.push - s.x_hat @ A.T - in_errors),
         23: moved - (s.x_error @ A.T + s.push - in_errors),
         24: moved - (s.x_error @ drift.T + s.push + sign * np.outer(off, s.L)),
         26: s.y + s.take_off(s.d_hat) - (s.z - off),
         27: innovation,
-        28: s.e - (seen - off),
+        28: in_states,
     }
 
 
@@ -212,16 +210,13 @@ def _differences_as_printed(p: ErrorSignals, linear: Matrices) -> dict[int, Any]
     return {
         1: p.y - np.where(p.z > D, p.z - D, np.where(p.z < -D, p.z + D, 0.0)),
         2: np.maximum(0.0, np.abs(sat) - abs(D - D)),  # |d_r - d_l|, here 0
-        3: p.y - (p.z - sat),
-        4: p.z - p.y - sat,
+        **dict.fromkeys((3, 4, 14, 17), p.y - (p.z - sat)),
         5: above[:, 0],
         6: above[:, 1],
         7: (sign - p.side)[p.side != 0],
         8: np.tanh(SHARPNESS * p.y) - sign,
-        14: p.y - p.z + sat,
         15: A - companion_form(np.zeros(len(A))).A,
         16: motion_at_truth(example_as_printed(1.0), p),
-        17: p.y - (p.z - sat),
         18: np.outer(p.e - (p.z - sat - p.z_hat + estimated), p.L),
         25: _largest_rise(step, p),
         29: ALPHA * float(B[:, 0] @ P @ p.L) * (p.take_off(p.d_error) + p.e),

@@ -6,7 +6,6 @@ An arrow is drawn if the results of the block at its end depend on the signal in
 from __future__ import annotations
 
 from collections.abc import Mapping
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import casadi as ca
@@ -48,8 +47,8 @@ OUT = "out"
 HALF: Final = (0.75, 0.3)  # of a block, width and height
 _LAYOUT: Final = read_words("diagrams.toml")
 PLACES: Final[dict[str, Point]] = _LAYOUT["places"]
-PATHS: Final[dict[tuple[str, str], list[Point]]] = {
-    (row["from"], row["to"]): row["corners"] for row in _LAYOUT["arrows"]
+PATHS: Final[dict[tuple[str, str], dict[str, Any]]] = {
+    (row["from"], row["to"]): row for row in _LAYOUT["arrows"]
 }
 
 
@@ -91,22 +90,24 @@ def trace_diagram(scenario: Scenario) -> Diagram:
     answer = ca.vertcat(command, tree.stack_leaves(changed)) if memory is not None else command
     zone = problem.sensor
     read = branch(z, where(z, zone.right, zone.left), zone.right, zone.left, zone.slope, zone.kind)
-    inverse = estimate.z_inverse
-    read_signals = {"y": y, "side": side}
-    widths = {"d\u0302": tree.stack_leaves(s)}
-    moved = plant.move(plant.params, x, u)
-    arrows = {
-        (REFERENCE, CONTROLLER): _signals_in(answer, targets),
-        (CONTROLLER, PLANT): _signals_in(moved, {"u": u}),
-        (PLANT, SENSOR): _signals_in(read, {"z": z}),
-        (SENSOR, OUT): ("y",),
-        (CONTROLLER, OBSERVER): _signals_in(state, {"u": u}),
-        (SENSOR, OBSERVER): _signals_in(state, read_signals),
-        (OBSERVER, CONTROLLER): _signals_in(answer, estimated),
-        (SENSOR, INVERSE): _signals_in(inverse, read_signals),
-        (OBSERVER, INVERSE): _signals_in(inverse, widths),
-        (INVERSE, OUT): (HATS["z_inverse"],),
+    sources = {
+        REFERENCE: targets,
+        CONTROLLER: {"u": u},
+        PLANT: {"z": z},
+        SENSOR: {"y": y, "side": side},
+        OBSERVER: {**estimated, "d\u0302": tree.stack_leaves(s)},
     }
+    results = {
+        CONTROLLER: answer,
+        PLANT: plant.move(plant.params, x, u),
+        SENSOR: read,
+        OBSERVER: state,
+        INVERSE: estimate.z_inverse,
+    }
+    arrows = {
+        ends: _signals_in(results[ends[1]], sources[ends[0]]) for ends in PATHS if OUT not in ends
+    }
+    arrows |= {(SENSOR, OUT): ("y",), (INVERSE, OUT): (HATS["z_inverse"],)}
     kinds = {
         CONTROLLER: _tag(scenario.controller),
         SENSOR: zone.kind,
@@ -178,14 +179,10 @@ def _draw_diagram(axes: Axes, diagram: Diagram, title: str) -> None:
 
 def _draw_arrow(axes: Axes, arrow: Arrow) -> None:
     """Draw an arrow along its corners, with the names of its signals."""
-    corners = PATHS[arrow.source, arrow.target]
+    path = PATHS[arrow.source, arrow.target]
+    corners = path["corners"]
     axes.plot(*zip(*corners, strict=True), color=ink.ESTIMATE, linewidth=1.0)
     head = {"arrowstyle": "-|>", "color": ink.ESTIMATE, "shrinkA": 0, "shrinkB": 0}
     axes.annotate("", corners[-1], corners[-2], arrowprops=head)
-    longest = max(pairwise(corners), key=lambda part: abs(part[1][0] - part[0][0]))
-    (x0, y0), (x1, y1) = longest
-    words = ", ".join(arrow.signals)
-    if x0 == x1:
-        axes.text(x0 + 0.1, (y0 + y1) / 2, words, ha="left", va="center", color=ink.ESTIMATE)
-    else:
-        axes.text((x0 + x1) / 2, y0 + 0.06, words, ha="center", va="bottom", color=ink.ESTIMATE)
+    x, y = path["word"]
+    axes.text(x, y, ", ".join(arrow.signals), color=ink.ESTIMATE, **path["align"])

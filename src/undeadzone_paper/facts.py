@@ -10,10 +10,7 @@ from scipy.optimize import brentq
 from undeadzone.analysis.certificate.passivity import certify
 from undeadzone.linalg.matrices import Matrices
 from undeadzone.linalg.poles import observer_gain
-from undeadzone.plants.build import system
 from undeadzone.plants.options import linear_matrices
-from undeadzone.scenario.problem import resolve_scenario
-from undeadzone.simulation.simulate import outputs_of, prepare
 from undeadzone.util.arrays import Floats
 from undeadzone_paper.example import (
     ALPHA,
@@ -26,6 +23,7 @@ from undeadzone_paper.example import (
     example_as_printed,
 )
 from undeadzone_paper.measures import error_matrix, largest_absolute, printed_riccati
+from undeadzone_paper.printed import run_family
 from undeadzone_paper.trials import destabilising_alpha, rightmost_pole
 
 REQUIRED: Final = -sum(POLES), POLES[0] * POLES[1]  # p, q of the polynomial s^2 + p s + q
@@ -161,16 +159,12 @@ def response_to_force(amplitude: float) -> tuple[Floats, dict[str, Floats]]:
     Returns:
         Instants t [s], and z at them by reading of the plant.
     """
-    problem = resolve_scenario(example_as_printed(amplitude))
-    start = prepare(problem)
-    loop = start.loop
-    law: Any = loop.params.controller
-    silent = loop.params._replace(controller=law._replace(k_p=0.0 * law.k_p, k_d=0.0 * law.k_d))
-    outputs = {}
-    for name, reading in READINGS.items():
-        driven = loop._replace(params=silent._replace(plant=system(reading.plant).params))
-        outputs[name] = outputs_of(start._replace(loop=driven)).z[:, 0]
-    return np.arange(problem.steps + 1) * problem.scenario.simulation.step, outputs
+    silent = example_as_printed(amplitude) | {"controller": {"k_p": 0.0, "k_d": 0.0}}
+    rest = {"plant": {"x0": [0.0, 0.0]}}
+    scenarios = [silent | {"plant": reading.plant} | rest for reading in READINGS.values()]
+    responses = [outputs.z[:, 0] for outputs in run_family(scenarios, None)]
+    t = np.arange(responses[0].size) * silent.simulation.step
+    return t, dict(zip(READINGS, responses, strict=True))
 
 
 def _response_facts(amplitude: float) -> Pairs:
@@ -193,8 +187,6 @@ def _response_facts(amplitude: float) -> Pairs:
 
 def _double_pole_response(force: float, w: float, t: Floats) -> Floats:
     """Return x of x'' + 2 w x' + w^2 x = force sin OMEGA t from rest, exactly (N)."""
-    G = force / (w + 1j * OMEGA) ** 2
-    # x = Im(G e^{j OMEGA t}) + (c + e t) e^{-w t} with x(0) = x'(0) = 0
-    c = -G.imag
-    e = w * c - (1j * OMEGA * G).imag
-    return np.asarray((G * np.exp(1j * OMEGA * t)).imag + (c + e * t) * np.exp(-w * t))
+    s = 1j * OMEGA
+    G = force / (w + s) ** 2
+    return np.asarray((G * (np.exp(s * t) - (1 + (w + s) * t) * np.exp(-w * t))).imag)

@@ -73,22 +73,49 @@ class Printed(Options, frozen=True, kw_only=True, tag="printed"):
 
     def _observer_numbers(self, model: System) -> PrintedParams:
         """Return the observer's numbers. Raises InputError, ShapeError, StructureError."""
-        A, B, C = model.linear
-        L = innovation_gain(self.L, model)
-        alpha = require_number("observer.alpha", self.alpha, above=0.0)
-        P = paper_riccati(A - L @ C, B, alpha, require_weight("observer.Q", self.Q, model.n)).P
+        L, _, P = printed_gains(self, model, "observer")
         right, left = to_width_pairs("observer.widths0", self.widths0, 1)[0]
         return PrintedParams(
             model=model.params,
             L=L,
-            sigma=np.float64(require_number("observer.sigma", self.sigma)),
-            cpl=C @ P @ L,
-            sharpness=np.float64(require_number("observer.sharpness", self.sharpness)),
+            cpl=model.linear.C @ P @ L,
             feed_input=np.float64(self.feed_input),
-            left_sign=np.float64(require_number("observer.left_sign", self.left_sign)),
             right0=np.array([right]),
             left0=np.array([left]),
+            **read_numbers(self, "observer", "sigma", "sharpness", "left_sign"),
         )
+
+
+def printed_gains(options: Any, model: System, table: str) -> tuple[Floats, float, Floats]:
+    """Return L (n x 1), alpha, and P of (34) with A - L C.
+
+    Args:
+        options: of the observer or the law as printed, with L, alpha and Q
+        model: the model
+        table: of the options in a scenario, named in errors
+
+    Raises:
+        InputError, ShapeError, StructureError: options that the model cannot take
+    """
+    A, B, C = model.linear
+    L = innovation_gain(options.L, model, f"{table}.L")
+    alpha = require_number(f"{table}.alpha", options.alpha, above=0.0)
+    Q = require_weight(f"{table}.Q", options.Q, model.n)
+    return L, alpha, paper_riccati(A - L @ C, B, alpha, Q).P
+
+
+def read_numbers(options: Any, table: str, *names: str) -> dict[str, Any]:
+    """Return the options of these names, one number each. Raises InputError, ShapeError.
+
+    Args:
+        options: of the observer or the law as printed
+        table: of the options in a scenario, named in errors
+        names: of the options
+    """
+    return {
+        name: np.float64(require_number(f"{table}.{name}", getattr(options, name)))
+        for name in names
+    }
 
 
 class PrintedParams(NamedTuple):

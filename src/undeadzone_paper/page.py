@@ -20,7 +20,7 @@ from undeadzone.report.html import (
 )
 from undeadzone.report.style import write_figure
 from undeadzone.util.files import write_text
-from undeadzone_paper.claims import HOW, Claim, claims_on_figure, verdict_counts_text
+from undeadzone_paper.claims import HOW, Claim, claims_on, verdict_counts_text
 from undeadzone_paper.diagrams import plot_diagrams
 from undeadzone_paper.equations import DIAGRAMS, FIGURES, LETTERS_HEAD, STAND_INS, read_letters
 from undeadzone_paper.evidence import BEGUN, NOMINAL, RESTING
@@ -292,7 +292,7 @@ def _figures_section(claims: list[Claim], images: Images) -> list[Html]:
 
 def claims_text(number: int, claims: list[Claim]) -> str:
     """Return the verdicts on the claims on a figure, as a sentence."""
-    named = claims_on_figure(number, (claim.text for claim in claims))
+    named = claims_on("figure", number, (claim.text for claim in claims))
     verdicts = {claim.text.id: claim.verdict for claim in claims}
     listed = ", ".join(f"{name} ({verdicts[name]})" for name in named)
     return f"Claims: {listed}." if named else "No claim names it."

@@ -23,6 +23,7 @@ from undeadzone.simulation.loop import Outputs
 from undeadzone_paper.example import (
     ALPHA,
     DURATION,
+    READINGS,
     STARTED,
     D,
     example_as_printed,
@@ -39,8 +40,8 @@ NEAR_REST: Final = 0.01  # x1(0); at 0 rounding would decide about a loop that b
 UNEQUAL: Final = 0.2  # d^(0) that is not d
 
 PLANTS: Final = {
-    "(39)": Plant(A=[[0.0, 1.0], [-1.0, -2.0]], B=[[0.0], [1.0]], C=[[1.0, 0.0]]),
-    "(15)": Plant(A=[[0.0, 1.0], [0.0, 0.0]], B=[[0.0], [1.0]], C=[[1.0, 0.0]]),
+    "(39)": READINGS["omega_n = 1"].plant,
+    "(15)": Plant(companion=[0.0, 0.0]),
 }
 GAINS: Final = {"printed": "(40)", "placed": "the poles"}
 GIVEN = "given"

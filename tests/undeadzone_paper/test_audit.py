@@ -31,9 +31,7 @@ from undeadzone_paper import Paper, measures, write
 from undeadzone_paper.claims import (
     Claim,
     ClaimText,
-    claims_on_assumption,
-    claims_on_equation,
-    claims_on_figure,
+    claims_on,
     read_claim_texts,
     verdict_counts_text,
 )
@@ -281,19 +279,19 @@ def test_the_headline_follows_the_verdicts(paper: Paper) -> None:
 
 def test_claims_are_found_by_figure_and_by_assumption(paper: Paper) -> None:
     texts = read_claim_texts()
-    assert claims_on_figure(3, texts) == ["reading-tracked", "figures-3-4"]
-    assert claims_on_figure(8, texts) == ["beta", "adaptation-bounded"]
-    assert claims_on_assumption(2, texts) == ["physical", "unknown-width"]
+    assert claims_on("figure", 3, texts) == ["reading-tracked", "figures-3-4"]
+    assert claims_on("figure", 8, texts) == ["beta", "adaptation-bounded"]
+    assert claims_on("assumption", 2, texts) == ["physical", "unknown-width"]
     for number in range(1, 9):
-        assert claims_on_figure(number, texts), number
+        assert claims_on("figure", number, texts), number
     for number in range(1, 5):
-        assert claims_on_assumption(number, texts), number
+        assert claims_on("assumption", number, texts), number
 
 
 def test_equations_name_the_claims_that_judge_them(paper: Paper) -> None:
-    assert claims_on_equation(34, read_claim_texts()) == ["riccati-gain", "lyapunov"]
-    assert claims_on_equation(29, read_claim_texts())[0] == "theorem"
-    assert claims_on_equation(40, read_claim_texts()) == ["observer-poles"]
+    assert claims_on("equation", 34, read_claim_texts()) == ["riccati-gain", "lyapunov"]
+    assert claims_on("equation", 29, read_claim_texts())[0] == "theorem"
+    assert claims_on("equation", 40, read_claim_texts()) == ["observer-poles"]
     equations = {entry["number"]: entry for entry in paper.summary()["equations"]}
     assert equations[7]["claims"] == ["indicators"]
     assert equations[28]["status"] == "corrected"  # chi_bar in it is that of (21)
