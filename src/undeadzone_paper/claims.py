@@ -104,6 +104,14 @@ HOW: Final = (
 )
 
 
+COUNTS: Final[str] = (
+    "{first} Of {works} such, {working[holds after repair]} hold after repair, "
+    "{working[does not hold]} do not hold. Of all {total} statements {counts[holds]} hold as "
+    "printed, {counts[holds after repair]} after repair, {counts[does not hold]} do not hold, "
+    "{counts[not shown]} are announced and not shown."
+)
+
+
 def verdict_counts_text(claims: Iterable[Claim]) -> str:
     """Return the counts of the verdicts, first of the claims that the design works."""
     claims = list(claims)
@@ -111,12 +119,12 @@ def verdict_counts_text(claims: Iterable[Claim]) -> str:
     counts = Counter(claim.verdict for claim in claims)
     hold = working["holds"]
     first = "No statement" if hold == 0 else f"{hold} statement{'s' * (hold > 1)}"
-    return (
-        f"{first} that the design works hold{'s' * (hold < 2)} as printed. Of {working.total()} "
-        f"such, {working['holds after repair']} hold after repair, "
-        f"{working['does not hold']} do not hold. Of all {counts.total()} statements "
-        f"{counts['holds']} hold as printed, {counts['holds after repair']} after repair, "
-        f"{counts['does not hold']} do not hold, {counts['not shown']} are announced and not shown."
+    return COUNTS.format(
+        first=f"{first} that the design works hold{'s' * (hold < 2)} as printed.",
+        working=working,
+        works=working.total(),
+        counts=counts,
+        total=counts.total(),
     )
 
 

@@ -77,17 +77,14 @@ def trace_diagram(scenario: Scenario) -> Diagram:
     y, side, z = (ca.SX.sym(name, plant.p) for name in ("y", "side", "z"))
     _, s = tree.create_symbols(observer.init(observer.params), "s")
     following, estimate = observer.step(observer.params, s, u, Reading(y, side))
-    state = tree.stack_leaves(following)
     symbols = {name: ca.SX.sym(name, *getattr(estimate, name).shape) for name in HATS}
     estimated = {HATS[name]: symbol for name, symbol in symbols.items()}
     sizes = {"r": len(problem.tracked), "x_ref": plant.n, "u_ff": plant.m}
     targets = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
     plan = ca.SX.zeros(law.plan_size)
-    start = law.init(law.params)
-    memory = None if start is None else tree.create_symbols(start, "c")[1]
+    _, memory = tree.create_symbols(law.init(law.params), "c")
     symbolic = estimate._replace(**symbols)
-    changed, command = law.step(law.params, memory, symbolic, Target(**targets, plan=plan))
-    answer = ca.vertcat(command, tree.stack_leaves(changed)) if memory is not None else command
+    answer = law.step(law.params, memory, symbolic, Target(**targets, plan=plan))
     zone = problem.sensor
     read = branch(z, where(z, zone.right, zone.left), zone.right, zone.left, zone.slope, zone.kind)
     sources = {
@@ -98,10 +95,10 @@ def trace_diagram(scenario: Scenario) -> Diagram:
         OBSERVER: {**estimated, "d\u0302": tree.stack_leaves(s)},
     }
     results = {
-        CONTROLLER: answer,
+        CONTROLLER: tree.stack_leaves(answer),
         PLANT: plant.move(plant.params, x, u),
         SENSOR: read,
-        OBSERVER: state,
+        OBSERVER: tree.stack_leaves(following),
         INVERSE: estimate.z_inverse,
     }
     arrows = {
@@ -140,41 +137,28 @@ def plot_diagrams(number: int, loops: Mapping[str, Scenario]) -> Figure:
     height = (1.1, 2.4)[number - 1]
     sketch, panels = create_panels(rows, f"Figure {number}: {DIAGRAMS[number]}", height=height)
     for name, scenario in loops.items():
-        diagram = trace_diagram(scenario)
-        if number == 1:
-            diagram = _without_observer(diagram)
-        _draw_diagram(panels[name], diagram, name)
+        blocks = [block for block in PLACES if number == 2 or block not in (OBSERVER, INVERSE)]
+        _draw_diagram(panels[name], trace_diagram(scenario), name, blocks)
     return sketch
 
 
-def _without_observer(diagram: Diagram) -> Diagram:
-    """Return the blocks of figure 1 with the arrows between them."""
-    names = {
-        key: name for key, name in diagram.names.items() if PLACES[key][1] > PLACES[OBSERVER][1]
-    }
-    ends = {*names, OUT}
-    return Diagram(
-        names,
-        [arrow for arrow in diagram.arrows if arrow.source in names and arrow.target in ends],
-    )
-
-
-def _draw_diagram(axes: Axes, diagram: Diagram, title: str) -> None:
-    """Draw the blocks and arrows of a diagram."""
+def _draw_diagram(axes: Axes, diagram: Diagram, title: str, blocks: list[str]) -> None:
+    """Draw blocks of a diagram, and the arrows between them."""
     from matplotlib.patches import Rectangle
 
     axes.set_axis_off()
-    low = min(PLACES[key][1] for key in diagram.names) - 0.6
+    low = min(PLACES[key][1] for key in blocks) - 0.6
     axes.set(xlim=(0.0, 11.6), ylim=(low, 2.6))
     axes.set_title(title, loc="left", fontsize=9.5, fontweight="bold")
     wide, high = HALF
-    for key, name in diagram.names.items():
+    for key in blocks:
         x, y = PLACES[key]
         box = Rectangle((x - wide, y - high), 2 * wide, 2 * high, fill=False, edgecolor=ink.TRUTH)
         axes.add_patch(box)
-        axes.text(x, y, name, ha="center", va="center")
+        axes.text(x, y, diagram.names[key], ha="center", va="center")
     for arrow in diagram.arrows:
-        _draw_arrow(axes, arrow)
+        if {arrow.source, arrow.target} <= {*blocks, OUT}:
+            _draw_arrow(axes, arrow)
 
 
 def _draw_arrow(axes: Axes, arrow: Arrow) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, TypeAlias
+from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
 
 from undeadzone.report.html import (
     Html,
@@ -65,12 +65,20 @@ _COLOURS: Final = {
 }
 
 
-Images: TypeAlias = dict[str, Path]  # files of figures by name
+class Drawn(NamedTuple):
+    """Figure of the audit with its name and its caption on the page."""
+
+    name: str
+    caption: str
+    figure: Figure
+
+
+Pictures: TypeAlias = dict[Path, Html]  # the pictures of the page by the files of their figures
 
 
 def write_audit_figures(
     paper: Paper, folder: Path, progress: Callable[[int], None] | None
-) -> Images:
+) -> Pictures:
     """Write the figures as SVG. Raises FileError.
 
     Args:
@@ -79,42 +87,61 @@ def write_audit_figures(
         progress: called with 1 for each figure written
 
     Returns:
-        silence.svg, theorem.svg, figure_1.svg, figure_2.svg, figure_3.svg ... figure_8.svg,
-        tracking.svg, V.svg for r = 5 sin, figure_3_2sin.svg ... for r = 2 sin.
+        Pictures of silence.svg, theorem.svg, figure_1.svg, figure_2.svg, figure_3.svg ...
+        figure_8.svg, tracking.svg, V.svg for r = 5 sin, figure_3_2sin.svg ... for r = 2 sin.
     """
-    images = {}
-    for name, drawn in _draw_figures(paper):
-        images[name] = write_figure(drawn, folder / f"{name}.svg")
+    pictures = {}
+    for name, caption, figure in _draw_figures(paper):
+        path = write_figure(figure, folder / f"{name}.svg")
+        pictures[path] = encode_picture(path.read_bytes(), caption)
         if progress is not None:
             progress(1)
-    return images
+    return pictures
 
 
-def _draw_figures(paper: Paper) -> Iterator[tuple[str, Figure]]:
-    """Draw the figures one by one, each with its name."""
+def _draw_figures(paper: Paper) -> Iterator[Drawn]:
+    """Draw the figures one by one."""
     evidence = paper.evidence
     printed = evidence.printed[NOMINAL]
     repaired = evidence.repaired[NOMINAL]
-    yield "silence", plot_silence(*response_to_force(AMPLITUDES[0]))
-    yield "theorem", plot_theorem(evidence.law, repaired[0], evidence.theorem)
-    for number in DIAGRAMS:
-        yield f"figure_{number}", plot_diagrams(number, LOOPS)
+    force = plot_silence(*response_to_force(AMPLITUDES[0]))
+    theorem = plot_theorem(evidence.law, repaired[0], evidence.theorem)
+    yield Drawn("silence", _CAPTIONS["silence"], force)
+    yield Drawn("theorem", _CAPTIONS["theorem"], theorem)
+    for number, words in DIAGRAMS.items():
+        caption = f"Figure {number}: {words}, {_CAPTIONS['diagrams']}. "
+        caption += claims_text(number, paper.claims)
+        yield Drawn(f"figure_{number}", caption, plot_diagrams(number, LOOPS))
     trios = zip(printed[RESTING], printed[BEGUN], repaired, strict=True)
     for (amplitude, suffix), trio in zip(SUFFIXES.items(), trios, strict=True):
         runs = RunTrio(*trio)
-        words = f"r = {amplitude:g} sin 2πt"
-        for number in FIGURES:
-            yield f"figure_{number}{suffix}", plot_paper_figure(number, runs, words)
-        yield f"tracking{suffix}", plot_tracking(runs, words)
-        yield f"V{suffix}", plot_V(runs, words)
+        reference = f"r = {amplitude:g} sin 2πt"
+        for number, words in FIGURES.items():
+            caption = f"Figure {number}: {add_hats(words)}, {_CAPTIONS['figures']}. "
+            caption += claims_text(number, paper.claims)
+            name = f"figure_{number}{suffix}"
+            yield Drawn(name, caption, plot_paper_figure(number, runs, reference))
+        tracking = plot_tracking(runs, reference)
+        yield Drawn(f"tracking{suffix}", _CAPTIONS["tracking"], tracking)
+        yield Drawn(f"V{suffix}", "V.", plot_V(runs, reference))
 
 
-def write_audit_page(paper: Paper, images: Images, path: Path, origin: Origin | None) -> Path:
+_CAPTIONS: Final = {
+    "silence": "Each reading of the plant with the reference acting as a force, from rest.",
+    "theorem": "Error of the state and of the widths from x1 = 5 with d^ = d, and what is left of "
+    "each reading in the end.",
+    "diagrams": "drawn from the loop's graph: an arrow ends at the block that depends on it",
+    "figures": "as printed (left) and repaired (right)",
+    "tracking": "z beside the desired trajectory, as in the text of figures 3 and 4.",
+}
+
+
+def write_audit_page(paper: Paper, pictures: Pictures, path: Path, origin: Origin | None) -> Path:
     """Write one self-contained HTML page with all results. Raises FileError.
 
     Args:
         paper: the audit
-        images: as `write_audit_figures` gave them
+        pictures: as `write_audit_figures` gave them
         path: of the page
         origin: data to compute the same again (None: unknown)
     """
@@ -122,7 +149,8 @@ def write_audit_page(paper: Paper, images: Images, path: Path, origin: Origin | 
         "What the paper's second-order example does when it is run as printed, what was repaired, "
         "and what then holds of what it claims."
     )
-    caption = "Each reading of the plant with the reference acting as a force, from rest."
+    silence, theorem, *numbered = pictures.values()
+    again = sum(SUFFIXES[AMPLITUDES[1]] in path.name for path in pictures)
     text = build_page(
         "Output deadzone: the paper's example, as printed and repaired",
         build_paragraph(verdict_counts_text(paper.claims)),
@@ -132,10 +160,14 @@ def write_audit_page(paper: Paper, images: Images, path: Path, origin: Origin | 
         build_section(
             "As printed",
             *_variants_section(paper),
-            encode_picture(images["silence"].read_bytes(), caption),
+            silence,
         ),
-        build_section("Theorem 4.1 with its own law", *_theorem_section(paper, images["theorem"])),
-        build_section("Figures 1-8", *_figures_section(paper.claims, images)),
+        build_section("Theorem 4.1 with its own law", *_theorem_section(paper), theorem),
+        build_section(
+            "Figures 1-8",
+            *numbered[:-again],
+            fold_section("The same for the reference 2 sin 2πt", *numbered[-again:]),
+        ),
         build_section("Equations (1)-(42)", *_equations_section(paper)),
         build_section("The paper's letters", build_table(LETTERS_HEAD, read_letters())),
         build_section("Numbers against their closed forms", _facts_table(paper)),
@@ -250,44 +282,12 @@ _THEOREM_HEAD: Final = (
 )
 
 
-def _theorem_section(paper: Paper, image: Path) -> list[Html]:
-    """Return the counts of Theorem 4.1 with its own law, and its figure."""
-    words = (
-        "Error of the state and of the widths from x1 = 5 with d^ = d, and what is left of each "
-        "reading in the end."
-    )
+def _theorem_section(paper: Paper) -> list[Html]:
+    """Return the counts of Theorem 4.1 with its own law."""
     return [
         build_paragraph(DEFINITION_OF_THEOREM),
         build_table(_THEOREM_HEAD, count_theorem(paper.evidence.theorem)),
-        encode_picture(image.read_bytes(), words),
     ]
-
-
-def _figures_section(claims: list[Claim], images: Images) -> list[Html]:
-    """Return figures 1-8 of the first reference, and folded those of the second."""
-    drawn = "drawn from the loop's graph: an arrow ends at the block that depends on it"
-    beside = "as printed (left) and repaired (right)"
-    captions = {
-        **{number: f"{words}, {drawn}" for number, words in DIAGRAMS.items()},
-        **{number: f"{add_hats(words)}, {beside}" for number, words in FIGURES.items()},
-    }
-    full = {
-        **{
-            f"figure_{number}": f"Figure {number}: {words}. {claims_text(number, claims)}"
-            for number, words in captions.items()
-        },
-        "tracking": "z beside the desired trajectory, as in the text of figures 3 and 4.",
-        "V": "V.",
-    }
-    first, second = (
-        [
-            encode_picture(images[name + suffix].read_bytes(), caption)
-            for name, caption in full.items()
-            if name + suffix in images
-        ]
-        for suffix in SUFFIXES.values()
-    )
-    return [*first, fold_section("The same for the reference 2 sin 2πt", *second)]
 
 
 def claims_text(number: int, claims: list[Claim]) -> str:

@@ -88,15 +88,17 @@ def measure_claims(evidence: Evidence) -> Numbers:
         **_gain_claims(linear_matrices(example_as_printed(1.0).plant)),
         **_observer_claims(evidence),
         **_width_claims(evidence),
-        **_remedy_claims(evidence),
+        **{name: _measure_ratios(evidence, cases) for name, cases in TABLES["relative"].items()},
         **_comparison_claims(evidence),
         **_theorem_claims(evidence),
-        **{name: _missing_words(*words) for name, words in ANNOUNCED.items()},
+        **{name: _missing_words(*words) for name, words in TABLES["announced"].items()},
     }
     without, with_term = map(m.tracking_error, evidence.repaired["tanh"])
+    (at_output,) = evidence.repaired["zone at the output"]
     silent = evidence.printed[NOMINAL][RESTING][0]
     named = {
         "tanh-term": {"worse": with_term / without},
+        "output-harder": {"silence": float((at_output.side[:, 0] == 0).mean())},
         "tracking": {"moved": m.largest_absolute(silent.z[silent.last])},
     }
     return numbers | {name: numbers[name]._replace(named=more) for name, more in named.items()}
@@ -109,6 +111,15 @@ def _measure_rows(e: Evidence, measure: str, printed: str, repaired: str) -> Cla
         {case: worst(runs) for case, runs in e.printed[printed].items()},
         worst(e.repaired[repaired]),
     )
+
+
+def _measure_ratios(e: Evidence, cases: dict[str, list[str]]) -> ClaimNumbers:
+    """Compute a quantity on a row of repaired runs, relative to another row, by case."""
+    ratios = {}
+    for case, (measure, row, beside) in cases.items():
+        worst = partial(m.worst_value, getattr(m, measure))
+        ratios[case] = worst(e.repaired[row]) / worst(e.repaired[beside])
+    return ClaimNumbers(ratios, None)
 
 
 def _single(value: float, repaired: float | None = None, **named: Any) -> ClaimNumbers:
@@ -281,6 +292,7 @@ def _width_claims(e: Evidence) -> Numbers:
         for case, runs in e.printed[NOMINAL].items()
         if m.worst_value(m.reading_error, runs) <= EQUAL
     }
+    beforehand = max(abs(width.value - D) for width in e.identified)
     unaware = [run for (run,) in e.printed["unaware"].values()]
     inside, grazing, outside, *_ = e.repaired["amplitudes"]
     right, left = grazing.d_hat[-1]
@@ -301,40 +313,10 @@ def _width_claims(e: Evidence) -> Numbers:
             outside=max(m.width_error(outside), errors[NOMINAL]),
         ),
         "reference-centre": _single(abs(float(period.mean()) - (D - D) / 2), still=errors["still"]),
-        "physical": _single(max((width.high - width.low) / 2 for width in e.identified)),
-    }
-
-
-def _remedy_claims(e: Evidence) -> Numbers:
-    """Compute the numbers of a filter, of identification, and of a zone at the input."""
-    in_noise, in_gust = map(m.width_error, e.repaired["filtered"])
-    filtered = {
-        "with noise on y": in_noise / m.width_error(*e.repaired["noisy"]),
-        "with a disturbance": in_gust / m.width_error(*e.repaired["disturbed"]),
-    }
-    beforehand = max(abs(width.value - D) for width in e.identified)
-    at_input, at_output = e.repaired["zones"]
-    return {
-        "filtering": ClaimNumbers(filtered, None),
         "predetermined": _single(beforehand),
         "identification": _single(beforehand / m.width_error(*e.repaired["logged"])),
-        "input-easier": _single(m.tracking_error(at_input) / m.tracking_error(at_output)),
-        "output-harder": _single(
-            m.output_error(at_input) / m.output_error(at_output),
-            silence=float((at_output.side[:, 0] == 0).mean()),
-        ),
+        "physical": _single(max((width.high - width.low) / 2 for width in e.identified)),
     }
-
-
-ANNOUNCED: Final = {
-    "beta": ("beta",),
-    "compared": ("fuzzy", "neural", "sliding mode"),
-    "figures-3-4": ("theta_d",),
-    "keyword": ("sliding surface",),
-    "effort": ("control effort",),
-    "tanh-term": ("robust term",),
-}
-"""Words of what the paper announces, by claim."""
 
 
 def _missing_words(*words: str) -> ClaimNumbers:
@@ -342,13 +324,6 @@ def _missing_words(*words: str) -> ClaimNumbers:
     text = "\n".join([*FIGURES.values(), *(equation.what for equation in EQUATIONS)])
     return _single(float(sum(word not in text for word in words)))
 
-
-OTHERS: Final[dict[str, dict[str, Any]]] = {
-    "with fuzzy logic": {"method": "fuzzy_feedback", "reach": [5.0, 32.0]},
-    "with a network": {"method": "rbf_feedback", "reach": [5.0, 32.0]},
-    "with a sliding mode": {"method": "sliding_mode", "gain": 5.0},
-}
-"""Controllers of the kinds that the paper calls too complex, as other packages register them."""
 
 SIMPLE: Final = 1000.0  # operations that a practical step may take
 
@@ -359,7 +334,7 @@ def _comparison_claims(e: Evidence) -> Numbers:
     observer = observer_operations(example | TABLES["conditions"]["blind"])
     laws = {
         name: controller_operations(example | {"controller": table})
-        for name, table in OTHERS.items()
+        for name, table in TABLES["controllers"].items()
     }
     words = ", ".join(f"{count:.0f} {name}" for name, count in laws.items())
     sign, smooth = calm_share(np.sign), calm_share(lambda s: np.tanh(SHARPNESS * s))

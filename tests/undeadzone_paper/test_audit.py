@@ -36,7 +36,7 @@ from undeadzone_paper.claims import (
     verdict_counts_text,
 )
 from undeadzone_paper.equations import EQUATIONS, FIGURES
-from undeadzone_paper.evidence import BEGUN, CONDITIONS, NOMINAL, RESTING, SIGNED
+from undeadzone_paper.evidence import BEGUN, CONDITIONS, NOMINAL, RESTING, SIGNED, TABLES
 from undeadzone_paper.example import (
     ALPHA,
     L_POLES,
@@ -49,7 +49,6 @@ from undeadzone_paper.example import (
 from undeadzone_paper.figures import add_hats
 from undeadzone_paper.printed import DURATION, GAINS, STARTS, STEP, example_of_variant
 from undeadzone_paper.trials import (
-    OTHERS,
     calm_share,
     controller_operations,
     destabilising_alpha,
@@ -405,7 +404,7 @@ def test_operations_of_controllers_are_counted() -> None:
     """Of u_ff - K (x^ - x_ref): two products and two sums for x^, two differences, two more."""
     repaired = example_as_repaired(5.0)
     assert controller_operations(repaired) == 8
-    for table in OTHERS.values():
+    for table in TABLES["controllers"].values():
         law = CONTROLLERS.decode_options(table)
         count = controller_operations(msgspec.structs.replace(repaired, controller=law))
         assert 8 < count < 1000
