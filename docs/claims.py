@@ -20,15 +20,18 @@ from undeadzone_paper import Paper, audit
 from undeadzone_paper.claims import (
     HOW,
     Claim,
-    claims_on_assumption,
-    claims_on_figure,
+    claims_on,
     value_text,
     verdict_counts_text,
 )
-from undeadzone_paper.equations import ASSUMPTIONS, DIAGRAMS, FIGURES
-from undeadzone_paper.letters import HEAD as LETTERS_HEAD
-from undeadzone_paper.letters import read_letters
-from undeadzone_paper.page import STAND_INS
+from undeadzone_paper.equations import (
+    ASSUMPTIONS,
+    DIAGRAMS,
+    FIGURES,
+    LETTERS_HEAD,
+    STAND_INS,
+    read_letters,
+)
 from undeadzone_paper.theorem import DEFINITION, count_theorem
 
 ROOT: Final = Path(__file__).parents[1]
@@ -139,11 +142,11 @@ def numbered(paper: Paper) -> list[str]:
             )
         )
     figures = [
-        (f"figure {key}", words, files(key), links(claims_on_figure(key, texts), places))
+        (f"figure {key}", words, files(key), links(claims_on("figure", key, texts), places))
         for key, words in {**DIAGRAMS, **FIGURES}.items()
     ]
     assumed = [
-        (f"A{key}", words, "", links(claims_on_assumption(key, texts), places))
+        (f"A{key}", words, "", links(claims_on("assumption", key, texts), places))
         for key, words in ASSUMPTIONS.items()
     ]
     counts = [tuple(map(str, count)) for count in count_theorem(paper.evidence.theorem)]

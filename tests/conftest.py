@@ -64,6 +64,7 @@ TOGETHER = {
     "test_manipulator": "paper",
     "test_recomputed": "paper",
     "test_theorem": "paper",
+    "test_trials": "paper",
     "test_budget": "source",
     "test_language": "source",
     "test_layers": "source",

@@ -6,7 +6,7 @@ the arm that hangs down, linearised, without the gap, and d^(0) = d (A2), d half
 
 from __future__ import annotations
 
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -27,7 +27,7 @@ from undeadzone.scenario.schema import Scenario, Simulation
 from undeadzone.signals.exosystem import Sine
 from undeadzone.simulation.simulate import simulate
 from undeadzone.util import tree
-from undeadzone.util.arrays import Floats, to_json_value
+from undeadzone.util.arrays import Floats
 from undeadzone_paper.example import ALPHA, POLES
 from undeadzone_paper.law import PrintedLaw
 from undeadzone_paper.measures import rms_or_inf
@@ -55,20 +55,6 @@ class ArmRuns(NamedTuple):
     estimation: dict[str, float]
     contact_tracking: float
     contact_estimation: float
-
-    def summary(self) -> dict[str, Any]:
-        """Return the errors ready for JSON, with None for infinite values."""
-        return {
-            "tracking": _finite_values(self.tracking),
-            "estimation": _finite_values(self.estimation),
-            "contact_tracking": to_json_value(self.contact_tracking),
-            "contact_estimation": to_json_value(self.contact_estimation),
-        }
-
-
-def _finite_values(errors: dict[str, float]) -> dict[str, Any]:
-    """Return errors by name, with None for infinite values."""
-    return {name: to_json_value(error) for name, error in errors.items()}
 
 
 def geared_arm() -> Scenario:

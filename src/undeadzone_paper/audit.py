@@ -7,12 +7,12 @@ from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
 from undeadzone.results.run import Run
+from undeadzone.util.arrays import to_json_value
 from undeadzone_paper.both_sides import BothSides, compare_sides
-from undeadzone_paper.claims import Claim, claims_on_equation, judge_claims
-from undeadzone_paper.equations import EQUATIONS
-from undeadzone_paper.evidence import RESTING, Evidence, gather_evidence
+from undeadzone_paper.claims import Claim, claims_on, judge_claims
+from undeadzone_paper.equations import EQUATIONS, read_letters
+from undeadzone_paper.evidence import NOMINAL, RESTING, Evidence, gather_evidence
 from undeadzone_paper.facts import Fact, compute_facts
-from undeadzone_paper.letters import read_letters
 from undeadzone_paper.measures import largest_absolute, width_convergence_rate
 from undeadzone_paper.printed import (
     DEFINITION,
@@ -47,39 +47,41 @@ class Paper(NamedTuple):
     @property
     def count_variants(self) -> list[VariantCount]:
         """Count the variants by plant and start."""
-        return count_outcomes(self.variants)
+        return [VariantCount(*row) for row in count_outcomes(self.variants, 2)]
 
     def summary(self) -> dict[str, Any]:
         """Return all numbers, ready for JSON.
 
         `printed` is the literal example with r = 5 sin 2 pi t, `repaired` its repair.
         """
-        five, two = self.evidence.repaired
+        repaired = self.evidence.repaired
+        five, two = repaired[NOMINAL]
         texts = [claim.text for claim in self.claims]
-        return {
-            "printed": _numbers_as_printed(self.evidence.printed[RESTING][0]),
+        summary = {
+            "printed": _numbers_as_printed(self.evidence.printed[NOMINAL][RESTING][0]),
             "repaired": _numbers_as_repaired(five),
             "repaired_2sin": _numbers_as_repaired(two),
-            "repaired_sampled": _numbers_as_repaired(self.evidence.sampled),
+            "repaired_sampled": _numbers_as_repaired(repaired["sampled"][0]),
             "variants": {
                 "definition": DEFINITION,
-                "counts": [item._asdict() for item in self.count_variants],
+                "counts": self.count_variants,
             },
-            "facts": [fact._asdict() for fact in self.facts],
+            "facts": self.facts,
             "verdicts": dict(Counter(claim.verdict for claim in self.claims)),
             "claims": [claim.summary() for claim in self.claims],
-            "theorem": [item._asdict() for item in count_theorem(self.evidence.theorem)],
-            "arm": self.evidence.arm.summary(),
+            "theorem": count_theorem(self.evidence.theorem),
+            "arm": self.evidence.arm,
             "equations": [
                 {
                     **equation._asdict(),
                     **self.sides[equation.number]._asdict(),
-                    "claims": claims_on_equation(equation.number, texts),
+                    "claims": claims_on("equation", equation.number, texts),
                 }
                 for equation in EQUATIONS
             ],
-            "letters": [letter._asdict() for letter in read_letters()],
+            "letters": read_letters(),
         }
+        return dict(to_json_value(summary))
 
 
 def audit(progress: Progress | None = None) -> Paper:

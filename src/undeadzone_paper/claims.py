@@ -8,15 +8,14 @@ not hold. Anything that the paper announces and does not contain is not shown.
 from __future__ import annotations
 
 import re
-import tomllib
 from collections import Counter
 from collections.abc import Iterable
-from importlib.resources import files
 from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 
 from undeadzone.util.arrays import to_json_value
+from undeadzone_paper.equations import read_words
 from undeadzone_paper.evidence import CONDITIONS, Evidence
 from undeadzone_paper.trials import ClaimNumbers, measure_claims
 
@@ -94,18 +93,22 @@ class Claim(NamedTuple):
 
     def summary(self) -> dict[str, Any]:
         """Return the claim ready for JSON, with None for missing or infinite values."""
-        return {
-            **self.text._asdict(),
-            "printed": None if self.worst_printed is None else to_json_value(self.worst_printed),
-            "repaired": None if self.repaired is None else to_json_value(self.repaired),
-            "measured": self.numbers_text,
-            "verdict": self.verdict,
-        }
+        numbers = {"printed": self.worst_printed, "repaired": self.repaired}
+        words = {"measured": self.numbers_text, "verdict": self.verdict}
+        return {**self.text._asdict(), **to_json_value(numbers), **words}
 
 
 HOW: Final = (
     "A verdict is computed: the measured number against its limit, as printed first (the worst "
     "case counts), then repaired."
+)
+
+
+COUNTS: Final[str] = (
+    "{first} Of {works} such, {working[holds after repair]} hold after repair, "
+    "{working[does not hold]} do not hold. Of all {total} statements {counts[holds]} hold as "
+    "printed, {counts[holds after repair]} after repair, {counts[does not hold]} do not hold, "
+    "{counts[not shown]} are announced and not shown."
 )
 
 
@@ -116,12 +119,12 @@ def verdict_counts_text(claims: Iterable[Claim]) -> str:
     counts = Counter(claim.verdict for claim in claims)
     hold = working["holds"]
     first = "No statement" if hold == 0 else f"{hold} statement{'s' * (hold > 1)}"
-    return (
-        f"{first} that the design works hold{'s' * (hold < 2)} as printed. Of {working.total()} "
-        f"such, {working['holds after repair']} hold after repair, "
-        f"{working['does not hold']} do not hold. Of all {counts.total()} statements "
-        f"{counts['holds']} hold as printed, {counts['holds after repair']} after repair, "
-        f"{counts['does not hold']} do not hold, {counts['not shown']} are announced and not shown."
+    return COUNTS.format(
+        first=f"{first} that the design works hold{'s' * (hold < 2)} as printed.",
+        working=working,
+        works=working.total(),
+        counts=counts,
+        total=counts.total(),
     )
 
 
@@ -139,51 +142,39 @@ def _is_within(value: float | None, limit: float) -> bool:
 
 def read_claim_texts() -> list[ClaimText]:
     """Read all claims from `claims.toml`. Conditions of the runs are filled in."""
-    file = files("undeadzone_paper").joinpath("claims.toml").read_text(encoding="utf-8")
     found = []
-    for key, entry in tomllib.loads(file).items():
+    for key, entry in read_words("claims.toml").items():
         text = ClaimText(id=key, **entry)
         quantity = text.quantity.format(**CONDITIONS)
         found.append(text._replace(quantity=quantity, why=" ".join(text.why.split())))
     return found
 
 
-def claims_on_equation(number: int, claims: Iterable[ClaimText]) -> list[str]:
-    """Return the ids of the claims on an equation.
+PLACES: Final = {
+    "equation": r"\((\d+)\)(?:-\((\d+)\))?",  # "(34)" or "(30)-(36)"
+    "figure": r"figures? ([1-8])(?: and ([1-8]))?",  # "figure 2" or "figures 3 and 4"
+    "assumption": r"A([1-4])()",
+}
+"""How the places of claims name what is numbered: the first, and the last if there are several."""
+
+
+def claims_on(kind: str, number: int, claims: Iterable[ClaimText]) -> list[str]:
+    """Return the ids of the claims on an equation, a figure or an assumption.
 
     Args:
-        number: of the equation
-        claims: all of them (their `where` names equations as "(34)" or "(30)-(36)")
+        kind: one of `PLACES`
+        number: of the equation, the figure or the assumption
+        claims: all of them
     """
-    return [claim.id for claim in claims if number in _equation_numbers(claim.where)]
+    return [claim.id for claim in claims if number in _numbers_in(claim.where, PLACES[kind])]
 
 
-def _equation_numbers(where: str) -> set[int]:
-    """Return the numbers of the equations that a text names."""
+def _numbers_in(where: str, pattern: str) -> set[int]:
+    """Return the numbers that a place names."""
     named: set[int] = set()
-    for first, last in re.findall(r"\((\d+)\)(?:-\((\d+)\))?", where):
+    for first, last in re.findall(pattern, where):
         named.update(range(int(first), int(last or first) + 1))
     return named
-
-
-def claims_on_figure(number: int, claims: Iterable[ClaimText]) -> list[str]:
-    """Return the ids of the claims on a figure.
-
-    Args:
-        number: of the figure
-        claims: all of them (their `where` names figures as "figure 2" or "figures 3 and 4")
-    """
-    found = re.compile(r"figures? ([1-8](?: and [1-8])*)")
-    return [
-        claim.id
-        for claim in claims
-        if any(str(number) in named for named in found.findall(claim.where))
-    ]
-
-
-def claims_on_assumption(number: int, claims: Iterable[ClaimText]) -> list[str]:
-    """Return the ids of the claims on an assumption, A1 to A4."""
-    return [claim.id for claim in claims if f"A{number}" in claim.where]
 
 
 def judge_claims(evidence: Evidence) -> list[Claim]:

@@ -6,7 +6,6 @@ An arrow is drawn if the results of the block at its end depend on the signal in
 from __future__ import annotations
 
 from collections.abc import Mapping
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import casadi as ca
@@ -20,7 +19,7 @@ from undeadzone.report.style import create_panels
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.util import tree
-from undeadzone_paper.equations import DIAGRAMS
+from undeadzone_paper.equations import DIAGRAMS, read_words
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -46,27 +45,11 @@ OBSERVER = "observer"
 INVERSE = "inverse"
 OUT = "out"
 HALF: Final = (0.75, 0.3)  # of a block, width and height
-PLACES: Final[dict[str, Point]] = {
-    REFERENCE: (0.8, 2.0),
-    CONTROLLER: (3.2, 2.0),
-    PLANT: (5.8, 2.0),
-    SENSOR: (8.4, 2.0),
-    OBSERVER: (5.8, 0.5),
-    INVERSE: (8.9, 0.5),
+_LAYOUT: Final = read_words("diagrams.toml")
+PLACES: Final[dict[str, Point]] = _LAYOUT["places"]
+PATHS: Final[dict[tuple[str, str], dict[str, Any]]] = {
+    (row["from"], row["to"]): row for row in _LAYOUT["arrows"]
 }
-PATHS: Final[dict[tuple[str, str], list[Point]]] = {
-    (REFERENCE, CONTROLLER): [(1.55, 2.0), (2.45, 2.0)],
-    (CONTROLLER, PLANT): [(3.95, 2.0), (5.05, 2.0)],
-    (PLANT, SENSOR): [(6.55, 2.0), (7.65, 2.0)],
-    (SENSOR, OUT): [(9.15, 2.0), (10.3, 2.0)],
-    (CONTROLLER, OBSERVER): [(4.4, 2.0), (4.4, 0.7), (5.05, 0.7)],
-    (SENSOR, OBSERVER): [(8.1, 1.7), (8.1, 1.2), (6.2, 1.2), (6.2, 0.8)],
-    (SENSOR, INVERSE): [(8.8, 1.7), (8.8, 0.8)],
-    (OBSERVER, CONTROLLER): [(5.05, 0.3), (3.2, 0.3), (3.2, 1.7)],
-    (OBSERVER, INVERSE): [(6.55, 0.5), (8.15, 0.5)],
-    (INVERSE, OUT): [(9.65, 0.5), (10.6, 0.5)],
-}
-"""Corners of the arrows; a word stands at the middle of the first long part."""
 
 
 class Arrow(NamedTuple):
@@ -90,48 +73,45 @@ def trace_diagram(scenario: Scenario) -> Diagram:
     plant = problem.plant
     observer = require_graph(problem.observer)
     law = problem.controller
-    x = ca.SX.sym("x", plant.n)
-    u = ca.SX.sym("u", plant.m)
-    y = ca.SX.sym("y", plant.p)
-    side = ca.SX.sym("side", plant.p)
-    z = ca.SX.sym("z", plant.p)
+    x, u = ca.SX.sym("x", plant.n), ca.SX.sym("u", plant.m)
+    y, side, z = (ca.SX.sym(name, plant.p) for name in ("y", "side", "z"))
     _, s = tree.create_symbols(observer.init(observer.params), "s")
     following, estimate = observer.step(observer.params, s, u, Reading(y, side))
-    state = tree.stack_leaves(following)
     symbols = {name: ca.SX.sym(name, *getattr(estimate, name).shape) for name in HATS}
     estimated = {HATS[name]: symbol for name, symbol in symbols.items()}
     sizes = {"r": len(problem.tracked), "x_ref": plant.n, "u_ff": plant.m}
     targets = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
     plan = ca.SX.zeros(law.plan_size)
-    start = law.init(law.params)
-    memory = None if start is None else tree.create_symbols(start, "c")[1]
+    _, memory = tree.create_symbols(law.init(law.params), "c")
     symbolic = estimate._replace(**symbols)
-    changed, command = law.step(law.params, memory, symbolic, Target(**targets, plan=plan))
-    answer = ca.vertcat(command, tree.stack_leaves(changed)) if memory is not None else command
+    answer = law.step(law.params, memory, symbolic, Target(**targets, plan=plan))
     zone = problem.sensor
     read = branch(z, where(z, zone.right, zone.left), zone.right, zone.left, zone.slope, zone.kind)
-    inverse = estimate.z_inverse
-    arrows = [
-        Arrow(REFERENCE, CONTROLLER, _signals_in(answer, targets)),
-        Arrow(CONTROLLER, PLANT, _signals_in(plant.move(plant.params, x, u), {"u": u})),
-        Arrow(PLANT, SENSOR, _signals_in(read, {"z": z})),
-        Arrow(SENSOR, OUT, ("y",)),
-        Arrow(CONTROLLER, OBSERVER, _signals_in(state, {"u": u})),
-        Arrow(SENSOR, OBSERVER, _signals_in(state, {"y": y, "side": side})),
-        Arrow(OBSERVER, CONTROLLER, _signals_in(answer, estimated)),
-        Arrow(SENSOR, INVERSE, _signals_in(inverse, {"y": y, "side": side})),
-        Arrow(OBSERVER, INVERSE, _signals_in(inverse, {"d\u0302": tree.stack_leaves(s)})),
-        Arrow(INVERSE, OUT, (HATS["z_inverse"],)),
-    ]
-    names = {
-        REFERENCE: REFERENCE,
-        CONTROLLER: f"controller\n{_tag(scenario.controller)}",
-        PLANT: PLANT,
-        SENSOR: f"sensor\n{zone.kind}",
-        OBSERVER: f"observer\n{_tag(scenario.observer)}",
-        INVERSE: "inverse",
+    sources = {
+        REFERENCE: targets,
+        CONTROLLER: {"u": u},
+        PLANT: {"z": z},
+        SENSOR: {"y": y, "side": side},
+        OBSERVER: {**estimated, "d\u0302": tree.stack_leaves(s)},
     }
-    return Diagram(names, [arrow for arrow in arrows if arrow.signals])
+    results = {
+        CONTROLLER: tree.stack_leaves(answer),
+        PLANT: plant.move(plant.params, x, u),
+        SENSOR: read,
+        OBSERVER: tree.stack_leaves(following),
+        INVERSE: estimate.z_inverse,
+    }
+    arrows = {
+        ends: _signals_in(results[ends[1]], sources[ends[0]]) for ends in PATHS if OUT not in ends
+    }
+    arrows |= {(SENSOR, OUT): ("y",), (INVERSE, OUT): (HATS["z_inverse"],)}
+    kinds = {
+        CONTROLLER: _tag(scenario.controller),
+        SENSOR: zone.kind,
+        OBSERVER: _tag(scenario.observer),
+    }
+    names = {name: "\n".join([name, *kinds.get(name, "").split()]) for name in PLACES}
+    return Diagram(names, [Arrow(*ends, named) for ends, named in arrows.items() if named])
 
 
 def _tag(options: Any) -> str:
@@ -157,53 +137,36 @@ def plot_diagrams(number: int, loops: Mapping[str, Scenario]) -> Figure:
     height = (1.1, 2.4)[number - 1]
     sketch, panels = create_panels(rows, f"Figure {number}: {DIAGRAMS[number]}", height=height)
     for name, scenario in loops.items():
-        diagram = trace_diagram(scenario)
-        if number == 1:
-            diagram = _without_observer(diagram)
-        _draw_diagram(panels[name], diagram, name)
+        blocks = [block for block in PLACES if number == 2 or block not in (OBSERVER, INVERSE)]
+        _draw_diagram(panels[name], trace_diagram(scenario), name, blocks)
     return sketch
 
 
-def _without_observer(diagram: Diagram) -> Diagram:
-    """Return the blocks of figure 1 with the arrows between them."""
-    names = {
-        key: name for key, name in diagram.names.items() if PLACES[key][1] > PLACES[OBSERVER][1]
-    }
-    ends = {*names, OUT}
-    return Diagram(
-        names,
-        [arrow for arrow in diagram.arrows if arrow.source in names and arrow.target in ends],
-    )
-
-
-def _draw_diagram(axes: Axes, diagram: Diagram, title: str) -> None:
-    """Draw the blocks and arrows of a diagram."""
+def _draw_diagram(axes: Axes, diagram: Diagram, title: str, blocks: list[str]) -> None:
+    """Draw blocks of a diagram, and the arrows between them."""
     from matplotlib.patches import Rectangle
 
     axes.set_axis_off()
-    low = min(PLACES[key][1] for key in diagram.names) - 0.6
+    low = min(PLACES[key][1] for key in blocks) - 0.6
     axes.set(xlim=(0.0, 11.6), ylim=(low, 2.6))
     axes.set_title(title, loc="left", fontsize=9.5, fontweight="bold")
     wide, high = HALF
-    for key, name in diagram.names.items():
+    for key in blocks:
         x, y = PLACES[key]
         box = Rectangle((x - wide, y - high), 2 * wide, 2 * high, fill=False, edgecolor=ink.TRUTH)
         axes.add_patch(box)
-        axes.text(x, y, name, ha="center", va="center")
+        axes.text(x, y, diagram.names[key], ha="center", va="center")
     for arrow in diagram.arrows:
-        _draw_arrow(axes, arrow)
+        if {arrow.source, arrow.target} <= {*blocks, OUT}:
+            _draw_arrow(axes, arrow)
 
 
 def _draw_arrow(axes: Axes, arrow: Arrow) -> None:
     """Draw an arrow along its corners, with the names of its signals."""
-    corners = PATHS[arrow.source, arrow.target]
+    path = PATHS[arrow.source, arrow.target]
+    corners = path["corners"]
     axes.plot(*zip(*corners, strict=True), color=ink.ESTIMATE, linewidth=1.0)
     head = {"arrowstyle": "-|>", "color": ink.ESTIMATE, "shrinkA": 0, "shrinkB": 0}
     axes.annotate("", corners[-1], corners[-2], arrowprops=head)
-    longest = max(pairwise(corners), key=lambda part: abs(part[1][0] - part[0][0]))
-    (x0, y0), (x1, y1) = longest
-    words = ", ".join(arrow.signals)
-    if x0 == x1:
-        axes.text(x0 + 0.1, (y0 + y1) / 2, words, ha="left", va="center", color=ink.ESTIMATE)
-    else:
-        axes.text((x0 + x1) / 2, y0 + 0.06, words, ha="center", va="bottom", color=ink.ESTIMATE)
+    x, y = path["word"]
+    axes.text(x, y, ", ".join(arrow.signals), color=ink.ESTIMATE, **path["align"])

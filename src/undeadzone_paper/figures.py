@@ -56,39 +56,39 @@ X2 = "x\u2082"
 X2_HAT = "x\u0302\u2082"
 D_HAT: Final = "d\u0302"
 
-_LINES: Final = {
-    3: (
-        SignalLine("y", ink.TRUTH, lambda run: run.y[:, 0]),
-        SignalLine(Y_HAT, ink.ESTIMATE, reading_estimate),
-    ),
-    4: (
-        SignalLine(
-            f"{Y_HAT} \u2212 y", ink.ESTIMATE, lambda run: reading_estimate(run) - run.y[:, 0]
-        ),
-    ),
-    5: (
-        SignalLine(X1, ink.TRUTH, lambda run: run.x[:, 0]),
-        SignalLine(X1_HAT, ink.ESTIMATE, lambda run: run.x_hat[:, 0]),
-    ),
-    6: (
-        SignalLine(
-            f"{X1_HAT} \u2212 {X1}", ink.ESTIMATE, lambda run: run.x_hat[:, 0] - run.x[:, 0]
-        ),
-    ),
-    7: (
-        SignalLine(
-            f"{X2_HAT} \u2212 {X2}", ink.ESTIMATE, lambda run: run.x_hat[:, 1] - run.x[:, 1]
-        ),
-    ),
-    8: (
-        SignalLine(f"{D_HAT} right", ink.ESTIMATE, lambda run: run.d_hat[:, 0]),
-        SignalLine(f"{D_HAT} left", ink.OTHER, lambda run: run.d_hat[:, 1]),
-    ),
-}
-_TRACKING: Final = (
-    SignalLine("\u03b8 desired", ink.REFERENCE, lambda run: run.r[:, 0]),
-    SignalLine("z", ink.TRUTH, lambda run: run.z[:, 0]),
+
+def _line_of_error(estimate: SignalLine, truth: SignalLine) -> SignalLine:
+    """Return the line of an estimate less the truth."""
+    name = f"{estimate.name} \u2212 {truth.name}"
+    return SignalLine(name, ink.ESTIMATE, lambda run: estimate.value(run) - truth.value(run))
+
+
+def _line_of(name: str, colour: str, field: str, column: int = 0) -> SignalLine:
+    """Return the line of a column of a run's signal."""
+    return SignalLine(name, colour, lambda run: getattr(run, field)[:, column])
+
+
+_READING: Final = _line_of("y", ink.TRUTH, "y")
+_READING_HAT: Final = SignalLine(Y_HAT, ink.ESTIMATE, reading_estimate)
+_FIRST: Final = _line_of(X1, ink.TRUTH, "x")
+_FIRST_HAT: Final = _line_of(X1_HAT, ink.ESTIMATE, "x_hat")
+_FIRST_ERROR: Final = _line_of_error(_FIRST_HAT, _FIRST)
+_SECOND_ERROR: Final = _line_of_error(
+    _line_of(X2_HAT, ink.ESTIMATE, "x_hat", 1), _line_of(X2, ink.TRUTH, "x", 1)
 )
+_OUTPUT: Final = _line_of("z", ink.TRUTH, "z")
+_WIDTHS: Final = (
+    _line_of(f"{D_HAT} right", ink.ESTIMATE, "d_hat"),
+    _line_of(f"{D_HAT} left", ink.OTHER, "d_hat", 1),
+)
+_LINES: Final = {
+    3: (_READING, _READING_HAT),
+    4: (_line_of_error(_READING_HAT, _READING),),
+    5: (_FIRST, _FIRST_HAT),
+    6: (_FIRST_ERROR,),
+    7: (_SECOND_ERROR,),
+    8: _WIDTHS,
+}
 
 
 def plot_paper_figure(number: int, runs: RunTrio, reference: str) -> Figure:
@@ -106,7 +106,8 @@ def plot_paper_figure(number: int, runs: RunTrio, reference: str) -> Figure:
 def plot_tracking(runs: RunTrio, reference: str) -> Figure:
     """Plot z beside the desired trajectory, as in the text of figures 3 and 4."""
     title = f"Output z and desired trajectory, {reference}"
-    return _plot_pair(title, _TRACKING, runs, _TRACKING[1])
+    desired = _line_of("\u03b8 desired", ink.REFERENCE, "r")
+    return _plot_pair(title, (desired, _OUTPUT), runs, _OUTPUT)
 
 
 def _plot_pair(
@@ -138,7 +139,7 @@ def plot_V(runs: RunTrio, reference: str) -> Figure:
 
 
 def plot_theorem(
-    runs: tuple[Run, Run], repaired: Run, outcomes: Sequence[TheoremOutcome]
+    runs: tuple[Run, ...], repaired: Run, outcomes: Sequence[TheoremOutcome]
 ) -> Figure:
     """Plot Theorem 4.1 with its own law (29).
 
@@ -150,27 +151,22 @@ def plot_theorem(
     title = "Theorem 4.1 with its own law (29): d \u2212 d\u0302 given, and estimated"
     sketch, panels = create_panels([["state", "widths", "readings"]], title, height=3.0)
     names = {GIVEN: ink.PRINTED, ESTIMATED: ink.OTHER}
-    for (name, colour), run in zip(names.items(), runs, strict=True):
-        error = _LINES[6][0].value(run)
+    shown = zip((*runs, repaired), (names | {"repaired": ink.ESTIMATE}).items(), strict=True)
+    for run, (name, colour) in shown:
+        error = _FIRST_ERROR.value(run)
         panels["state"].plot(run.t, error, color=colour, linewidth=1.0, label=name)
         off = np.abs(run.d_hat - D).max(axis=1)
         panels["widths"].plot(run.t, off, color=colour, label=name)
-    panels["state"].plot(
-        repaired.t, _LINES[6][0].value(repaired), color=ink.ESTIMATE, label="repaired"
-    )
-    off = np.abs(repaired.d_hat - D).max(axis=1)
-    panels["widths"].plot(repaired.t, off, color=ink.ESTIMATE, label="repaired")
-    finish_panel(
-        panels["state"], f"{X1_HAT} \u2212 {X1}, (39), L of (40)", "error of the state", legend=2
-    )
-    finish_panel(
-        panels["widths"], f"Largest |{D_HAT} \u2212 d|, which began at 0", "error [z]", legend=2
-    )
+    words = f"{_FIRST_ERROR.name}, (39), L of (40)"
+    finish_panel(panels["state"], words, "error of the state", legend=2)
+    words = f"Largest |{D_HAT} \u2212 d|, which began at 0"
+    finish_panel(panels["widths"], words, "error [z]", legend=2)
+    readings = panels["readings"]
     for name, colour in names.items():
-        _plot_sorted_errors(panels["readings"], outcomes, name, colour)
-    panels["readings"].axhline(RIGHT, color=ink.ZONE, linewidth=1.0, label="right up to here")
+        _plot_sorted_errors(readings, outcomes, name, colour)
+    readings.axhline(RIGHT, color=ink.ZONE, linewidth=1.0, label="right up to here")
     words = "Error of each reading at its end"
-    finish_panel(panels["readings"], words, "error", "reading, sorted; missing: diverged", 3)
+    finish_panel(readings, words, "error", "reading, sorted; missing: diverged", 3)
     return sketch
 
 
@@ -179,12 +175,9 @@ def _plot_sorted_errors(
 ) -> None:
     """Plot the errors of the readings of (29) as printed, in their order."""
     errors = [outcome.worst_error for outcome in select_outcomes(outcomes, mismatch)]
-    values = np.sort(errors)
-    finite = np.isfinite(values)
+    finite = [error for error in sorted(errors) if np.isfinite(error)]
     axes.set_yscale("log")
-    axes.plot(
-        np.arange(values.size)[finite] + 1, np.maximum(values[finite], LEAST), ".", color=colour
-    )
+    axes.plot(range(1, len(finite) + 1), np.maximum(finite, LEAST), ".", color=colour)
 
 
 def add_hats(words: str) -> str:
@@ -202,16 +195,13 @@ def _values_of_V(run: Run) -> Floats:
 
 def _plot_lines(axes: Axes, lines: tuple[SignalLine, ...], run: Run) -> None:
     """Plot the lines of a run: oscillating pairs early, an error or the widths over all of it."""
-    widths = lines is _LINES[8]
-    paired = len(lines) == 2 and not widths
+    paired = len(lines) == 2 and lines is not _WIDTHS
     window = run.t <= (EARLY if paired else run.t[-1])
-    if widths:
+    if lines is _WIDTHS:
         axes.axhline(D, color=ink.TRUTH, linewidth=3.0, alpha=0.25, label="truth")
-    for line in lines:
-        t = run.t[window]
+    for line, dashes in zip(lines, ("-", DASHED if paired else "-"), strict=False):
         value = line.value(run)[window]
-        dashes = DASHED if paired and line is lines[1] else "-"
-        axes.plot(t, value, color=line.colour, label=line.name, linestyle=dashes)
+        axes.plot(run.t[window], value, color=line.colour, label=line.name, linestyle=dashes)
 
 
 def _plot_from_rest(axes: Axes, run: Run, value: Callable[[Run], Floats]) -> None:
@@ -231,16 +221,14 @@ def plot_silence(t: Floats, outputs: Mapping[str, Floats]) -> Figure:
     """
     title = "Why the sensor is silent: 5 sin 2πt as a force, from rest"
     sketch, panels = create_panels([["all", "all", "inside"]], title, height=3.0)
-    everything = panels["all"]
-    inside = panels["inside"]
+    everything, inside = panels.values()
     early = t <= EARLY
-    shade_zone(everything, D, D)
-    shade_zone(inside, D, D)
-    for (reading, z), colour in zip(outputs.items(), _COLOURS, strict=True):
-        name = reading.replace("omega_n", "\u03c9\u2099").replace(" pi", "π")
-        everything.plot(t[early], z[early], color=colour, label=name)
-        if np.abs(z).max() < D:
-            inside.plot(t[early], z[early], color=colour, label=name)
+    for axes in panels.values():
+        shade_zone(axes, D, D)
+        for (reading, z), colour in zip(outputs.items(), _COLOURS, strict=True):
+            name = reading.replace("omega_n", "\u03c9\u2099").replace(" pi", "π")
+            if axes is everything or np.abs(z).max() < D:
+                axes.plot(t[early], z[early], color=colour, label=name)
     inside.set_ylim(-D / 2, D / 2)
     leaves = "Only with unity DC gain does the output leave the dead zone"
     finish_panel(everything, leaves, "output z", legend=5)

@@ -2,30 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate
-from undeadzone.linalg.riccati import paper_riccati, require_weight
 from undeadzone.nonlinearities.sensor import indicators, saturation
 from undeadzone.observers.adaptive.adaptation_laws import to_width_pairs
-from undeadzone.observers.adaptive.gain import innovation_gain
 from undeadzone.plants.system import System
 from undeadzone.registry import Options
-from undeadzone.util.arrays import Array, Floats, require_number
-
-STAND_INS: Final = {
-    "(29) B'P y~": "B'P C' y~: y~ is a scalar, and C' the only vector of the right shape",
-    "(29) P L C": "B'P L (chi_bar d~): C would multiply a scalar, and is left out",
-    "(29) d - d^": (
-        "widths of the file, or, if there are none, chi_bar d~ = -y~: (28) with x~ = 0, which is "
-        "also the direction in which (25) adapts"
-    ),
-    "(29) r": "r(t) is added as in (42): (29) has no reference",
-}
+from undeadzone.util.arrays import Array, Floats
+from undeadzone_paper.observer import printed_gains, read_numbers
 
 
 class PrintedLaw(Options, frozen=True, kw_only=True, tag="printed"):
@@ -75,10 +64,8 @@ class PrintedLaw(Options, frozen=True, kw_only=True, tag="printed"):
 
     def _law_numbers(self, model: System) -> LawParams:
         """Return the law's numbers. Raises InputError, ShapeError, StructureError."""
-        A, B, C = model.linear
-        L = innovation_gain(self.L, model, "controller.L")
-        alpha = require_number("controller.alpha", self.alpha, above=0.0)
-        P = paper_riccati(A - L @ C, B, alpha, require_weight("controller.Q", self.Q, model.n)).P
+        L, alpha, P = printed_gains(self, model, "controller")
+        _, B, C = model.linear
         widths = 0.0 if self.widths is None else self.widths
         right, left = to_width_pairs("controller.widths", widths, 1)[0]
         return LawParams(
@@ -86,9 +73,7 @@ class PrintedLaw(Options, frozen=True, kw_only=True, tag="printed"):
             of_widths=alpha * (B.T @ P @ L)[0],
             right=np.array([right]),
             left=np.array([left]),
-            sharpness=np.float64(require_number("controller.sharpness", self.sharpness)),
-            sign=np.float64(require_number("controller.sign", self.sign)),
-            left_sign=np.float64(require_number("controller.left_sign", self.left_sign)),
+            **read_numbers(self, "controller", "sharpness", "sign", "left_sign"),
         )
 
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Sequence
+
 import numpy as np
 
-from undeadzone.linalg.riccati import paper_riccati
+from undeadzone.linalg.matrices import Matrices
+from undeadzone.linalg.riccati import Riccati, paper_riccati
 from undeadzone.nonlinearities.sensor import deadzone, indicators, zone
 from undeadzone.plants.options import linear_matrices
 from undeadzone.results.run import LAST, Run
@@ -32,14 +35,24 @@ def width_errors(run: Run) -> Floats:
     return run.d_hat - np.array(run.info.widths)
 
 
+def error_matrix(linear: Matrices, L: Sequence[float] | Floats = L_PRINTED) -> Floats:
+    """Return A - L C of a plant of order 2 (2 x 2) [1/s]."""
+    return np.asarray(linear.A - np.outer(L, linear.C))
+
+
+def printed_riccati(linear: Matrices, drift: Floats, alpha: float = ALPHA) -> Riccati:
+    """Return P and K of (34) with a drift for its A, and Q = I."""
+    return paper_riccati(drift, linear.B, alpha, np.eye(2))
+
+
 def with_printed_V(run: Run) -> Run:
     """Return the run with V of (30) for sigma = 1.
 
     The scalar C P C' stands for the n x n matrix P beside the scalar y~.
     """
-    A, B, C = linear_matrices(example_as_printed(1.0).plant)
-    P = paper_riccati(A - np.array([L_PRINTED]).T @ C, B, ALPHA, np.eye(2)).P
-    of_reading = run.innovation[:, 0] ** 2 * float((C @ P @ C.T)[0, 0])
+    linear = linear_matrices(example_as_printed(1.0).plant)
+    P = printed_riccati(linear, error_matrix(linear)).P
+    of_reading = run.innovation[:, 0] ** 2 * float((linear.C @ P @ linear.C.T)[0, 0])
     of_widths = (width_errors(run) ** 2).sum(axis=1) / 2
     return Run(run.info, run.signals, V=of_reading + of_widths)
 
@@ -51,35 +64,40 @@ def rms_or_inf(values: Floats) -> float:
     return size if size < LIMIT else np.inf
 
 
+def worst_value(measure: Callable[[Run], float], runs: Iterable[Run]) -> float:
+    """Return the largest value of a quantity among runs, infinite if one of them diverges."""
+    return max(np.inf if run.divergence_time is not None else measure(run) for run in runs)
+
+
 def reading_error(run: Run) -> float:
     """Return the rms of y^ - y over the last 2 s [y]."""
     return rms_or_inf((reading_estimate(run) - run.y[:, 0])[run.last])
 
 
-def state_error(run: Run, index: int) -> float:
-    """Return the rms of x^ - x of one state over the last 2 s."""
-    return rms_or_inf((run.x_hat - run.x)[run.last, index])
+def first_state_error(run: Run) -> float:
+    """Return the rms of x^1 - x1 over the last 2 s."""
+    return rms_or_inf((run.x_hat - run.x)[run.last, 0])
+
+
+def second_state_error(run: Run) -> float:
+    """Return the rms of x^2 - x2 over the last 2 s."""
+    return rms_or_inf((run.x_hat - run.x)[run.last, 1])
 
 
 def width_error(run: Run) -> float:
     """Return the largest |d^ - d| over the last 2 s [z]."""
-    return _largest_or_inf(width_errors(run)[run.last])
+    return largest_absolute(width_errors(run)[run.last])
 
 
 def growth_of_widths(run: Run) -> float:
-    """Return the largest |d^| in the second half of the run relative to the first half [1].
-
-    Infinite if the run diverges.
-    """
-    if run.divergence_time is not None:
-        return np.inf
+    """Return the largest |d^| in the second half of the run relative to the first half [1]."""
     half = run.t.size // 2
-    return _largest_or_inf(run.d_hat[half:]) / _largest_or_inf(run.d_hat[:half])
+    return largest_absolute(run.d_hat[half:]) / largest_absolute(run.d_hat[:half])
 
 
-def width_difference(run: Run, other: Run) -> float:
-    """Return the largest difference of d^ between two runs [z]."""
-    return _largest_or_inf(run.d_hat - other.d_hat)
+def output_error(run: Run) -> float:
+    """Return the rms of z^ - z over the last 2 s [z]."""
+    return rms_or_inf((run.z_hat - run.z)[run.last])
 
 
 def tracking_error(run: Run) -> float:
@@ -110,25 +128,23 @@ def indicator_error(run: Run, sharpness: float) -> float:
     """
     where = zone(run.z, *np.array(run.info.widths))
     right, left = indicators(run.y, sharpness)
-    return _largest_or_inf(np.hstack([right - (where > 0), left - (where < 0)]))
+    return largest_absolute(np.hstack([right - (where > 0), left - (where < 0)]))
 
 
 def side_error(run: Run) -> float:
     """Return the largest difference of the measured side from the true branch of z [1]."""
-    return _largest_or_inf(run.side - zone(run.z, *np.array(run.info.widths)))
+    return largest_absolute(run.side - zone(run.z, *np.array(run.info.widths)))
 
 
 def steep_ratio(run: Run, slope: float = 0.1) -> float:
     """Return how often x^_1 - x_1 is steep in the last 5 s, relative to the first 5 s [1].
 
-    The first 5 s count as one steep sample at least. The ratio is infinite if the run diverges.
+    The first 5 s count as one steep sample at least.
 
     Args:
         run: the run.
         slope: rate of x^_1 - x_1 above which it is steep [x_1/s].
     """
-    if run.divergence_time is not None:
-        return np.inf
     steep = np.abs(np.gradient((run.x_hat - run.x)[:, 0], run.info.step)) > slope
     span = round(5.0 / run.info.step)
     return float(steep[-span:].mean() / max(steep[:span].mean(), 1 / span))
@@ -137,11 +153,10 @@ def steep_ratio(run: Run, slope: float = 0.1) -> float:
 def lyapunov_rise(run: Run) -> float:
     """Return the largest increase of V above an earlier value, relative to its largest [1].
 
-    Infinite if the run diverges.
+    Infinite without V.
     """
-    if run.divergence_time is not None or run.largest_rise_of_V is None:
-        return np.inf
-    return run.largest_rise_of_V
+    rise = run.largest_rise_of_V
+    return np.inf if rise is None else rise
 
 
 def width_convergence_rate(run: Run) -> float:
@@ -154,9 +169,3 @@ def width_convergence_rate(run: Run) -> float:
     half = size.size // 2
     ratio = size[half - second : half].max() / size[-second:].max()
     return float(np.log(ratio) / (run.t[-1] - run.t[half - 1]))
-
-
-def _largest_or_inf(values: Floats) -> float:
-    """Return the largest absolute value, or inf if the values diverge."""
-    size = largest_absolute(values)
-    return size if size < LIMIT else np.inf

@@ -16,18 +16,6 @@ from undeadzone.plants.system import System
 from undeadzone.registry import Options
 from undeadzone.util.arrays import Array, Floats, require_number
 
-STAND_INS = {
-    "(16) L": "L in R^(1 x n) is read as n x 1, else L (y - y^) is no state",
-    "(21) d_l": "chi_l d^_l is read with d_l > 0, or with signed d_l < 0 (left_sign = 1)",
-    "(25) P L C": (
-        "the scalar tr(P L C) = C P L stands for the n x n matrix, the only scalar made of P, L "
-        "and C"
-    ),
-    "(42) derivative": (
-        "y' - y^' is that of a first-order filter (controller.filter_time): y' is not measured"
-    ),
-}
-
 
 class Printed(Options, frozen=True, kw_only=True, tag="printed"):
     """As printed: x^' = A x^ + L (y - y^), y^ = C x^ - Sat(C x^), d^' = -sigma y~ (C P L) chi.
@@ -85,22 +73,49 @@ class Printed(Options, frozen=True, kw_only=True, tag="printed"):
 
     def _observer_numbers(self, model: System) -> PrintedParams:
         """Return the observer's numbers. Raises InputError, ShapeError, StructureError."""
-        A, B, C = model.linear
-        L = innovation_gain(self.L, model)
-        alpha = require_number("observer.alpha", self.alpha, above=0.0)
-        P = paper_riccati(A - L @ C, B, alpha, require_weight("observer.Q", self.Q, model.n)).P
+        L, _, P = printed_gains(self, model, "observer")
         right, left = to_width_pairs("observer.widths0", self.widths0, 1)[0]
         return PrintedParams(
             model=model.params,
             L=L,
-            sigma=np.float64(require_number("observer.sigma", self.sigma)),
-            cpl=C @ P @ L,
-            sharpness=np.float64(require_number("observer.sharpness", self.sharpness)),
+            cpl=model.linear.C @ P @ L,
             feed_input=np.float64(self.feed_input),
-            left_sign=np.float64(require_number("observer.left_sign", self.left_sign)),
             right0=np.array([right]),
             left0=np.array([left]),
+            **read_numbers(self, "observer", "sigma", "sharpness", "left_sign"),
         )
+
+
+def printed_gains(options: Any, model: System, table: str) -> tuple[Floats, float, Floats]:
+    """Return L (n x 1), alpha, and P of (34) with A - L C.
+
+    Args:
+        options: of the observer or the law as printed, with L, alpha and Q
+        model: the model
+        table: of the options in a scenario, named in errors
+
+    Raises:
+        InputError, ShapeError, StructureError: options that the model cannot take
+    """
+    A, B, C = model.linear
+    L = innovation_gain(options.L, model, f"{table}.L")
+    alpha = require_number(f"{table}.alpha", options.alpha, above=0.0)
+    Q = require_weight(f"{table}.Q", options.Q, model.n)
+    return L, alpha, paper_riccati(A - L @ C, B, alpha, Q).P
+
+
+def read_numbers(options: Any, table: str, *names: str) -> dict[str, Any]:
+    """Return the options of these names, one number each. Raises InputError, ShapeError.
+
+    Args:
+        options: of the observer or the law as printed
+        table: of the options in a scenario, named in errors
+        names: of the options
+    """
+    return {
+        name: np.float64(require_number(f"{table}.{name}", getattr(options, name)))
+        for name in names
+    }
 
 
 class PrintedParams(NamedTuple):

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from itertools import chain
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
 
 from undeadzone.report.html import (
     Html,
@@ -21,11 +20,10 @@ from undeadzone.report.html import (
 )
 from undeadzone.report.style import write_figure
 from undeadzone.util.files import write_text
-from undeadzone_paper.both_sides import STAND_INS as STAND_INS_OF_SIDES
-from undeadzone_paper.claims import HOW, Claim, claims_on_figure, verdict_counts_text
+from undeadzone_paper.claims import HOW, Claim, claims_on, verdict_counts_text
 from undeadzone_paper.diagrams import plot_diagrams
-from undeadzone_paper.equations import DIAGRAMS, FIGURES
-from undeadzone_paper.evidence import BEGUN, RESTING
+from undeadzone_paper.equations import DIAGRAMS, FIGURES, LETTERS_HEAD, STAND_INS, read_letters
+from undeadzone_paper.evidence import BEGUN, NOMINAL, RESTING
 from undeadzone_paper.example import (
     AMPLITUDES,
     READINGS,
@@ -42,9 +40,6 @@ from undeadzone_paper.figures import (
     plot_tracking,
     plot_V,
 )
-from undeadzone_paper.law import STAND_INS as STAND_INS_OF_LAW
-from undeadzone_paper.letters import HEAD, read_letters
-from undeadzone_paper.observer import STAND_INS as STAND_INS_OF_OBSERVER
 from undeadzone_paper.printed import DEFINITION
 from undeadzone_paper.theorem import DEFINITION as DEFINITION_OF_THEOREM
 from undeadzone_paper.theorem import count_theorem
@@ -60,6 +55,8 @@ LOOPS: Final = {
 }
 """Loops whose block diagrams are drawn, by what their panels say."""
 
+SUFFIXES: Final = dict(zip(AMPLITUDES, ("", "_2sin"), strict=True))  # of names of figures
+
 _COLOURS: Final = {
     "holds": "yes",
     "holds after repair": "mid",
@@ -68,35 +65,20 @@ _COLOURS: Final = {
 }
 
 
-class AuditFigures(NamedTuple):
-    """Files of the audit's figures.
+class Drawn(NamedTuple):
+    """Figure of the audit with its name and its caption on the page."""
 
-    Attributes:
-        silence: why the samples are censored
-        theorem: Theorem 4.1 with its own law
-        diagrams: figures 1 and 2
-        numbered: figures 3-8, z beside the reference, and V, by reference
-    """
+    name: str
+    caption: str
+    figure: Figure
 
-    silence: Path
-    theorem: Path
-    diagrams: list[Path]
-    numbered: dict[float, list[Path]]
 
-    @property
-    def paths(self) -> list[Path]:
-        """Return all files."""
-        return [
-            self.silence,
-            self.theorem,
-            *self.diagrams,
-            *chain.from_iterable(self.numbered.values()),
-        ]
+Pictures: TypeAlias = dict[Path, Html]  # the pictures of the page by the files of their figures
 
 
 def write_audit_figures(
     paper: Paper, folder: Path, progress: Callable[[int], None] | None
-) -> AuditFigures:
+) -> Pictures:
     """Write the figures as SVG. Raises FileError.
 
     Args:
@@ -105,45 +87,61 @@ def write_audit_figures(
         progress: called with 1 for each figure written
 
     Returns:
-        silence.svg, theorem.svg, figure_1.svg, figure_2.svg, figure_3.svg ... figure_8.svg,
-        tracking.svg, V.svg for r = 5 sin, figure_3_2sin.svg ... for r = 2 sin.
+        Pictures of silence.svg, theorem.svg, figure_1.svg, figure_2.svg, figure_3.svg ...
+        figure_8.svg, tracking.svg, V.svg for r = 5 sin, figure_3_2sin.svg ... for r = 2 sin.
     """
-    evidence = paper.evidence
-
-    def keep(drawn: Figure, name: str) -> Path:
-        """Write a figure."""
+    pictures = {}
+    for name, caption, figure in _draw_figures(paper):
+        path = write_figure(figure, folder / f"{name}.svg")
+        pictures[path] = encode_picture(path.read_bytes(), caption)
         if progress is not None:
             progress(1)
-        return write_figure(drawn, folder / f"{name}.svg")
+    return pictures
 
-    trios = zip(evidence.printed[RESTING], evidence.printed[BEGUN], evidence.repaired, strict=True)
-    numbered = {}
-    for amplitude, trio in zip(AMPLITUDES, trios, strict=True):
-        suffix = "" if amplitude == AMPLITUDES[0] else f"_{amplitude:g}sin"
+
+def _draw_figures(paper: Paper) -> Iterator[Drawn]:
+    """Draw the figures one by one."""
+    evidence = paper.evidence
+    printed = evidence.printed[NOMINAL]
+    repaired = evidence.repaired[NOMINAL]
+    force = plot_silence(*response_to_force(AMPLITUDES[0]))
+    theorem = plot_theorem(evidence.law, repaired[0], evidence.theorem)
+    yield Drawn("silence", _CAPTIONS["silence"], force)
+    yield Drawn("theorem", _CAPTIONS["theorem"], theorem)
+    for number, words in DIAGRAMS.items():
+        caption = f"Figure {number}: {words}, {_CAPTIONS['diagrams']}. "
+        caption += claims_text(number, paper.claims)
+        yield Drawn(f"figure_{number}", caption, plot_diagrams(number, LOOPS))
+    trios = zip(printed[RESTING], printed[BEGUN], repaired, strict=True)
+    for (amplitude, suffix), trio in zip(SUFFIXES.items(), trios, strict=True):
         runs = RunTrio(*trio)
-        words = f"r = {amplitude:g} sin 2πt"
-        drawn = {
-            **{f"figure_{number}": plot_paper_figure(number, runs, words) for number in FIGURES},
-            "tracking": plot_tracking(runs, words),
-            "V": plot_V(runs, words),
-        }
-        numbered[amplitude] = [keep(figure, name + suffix) for name, figure in drawn.items()]
-    silence = plot_silence(*response_to_force(AMPLITUDES[0]))
-    theorem = plot_theorem(evidence.law, evidence.repaired[0], evidence.theorem)
-    return AuditFigures(
-        keep(silence, "silence"),
-        keep(theorem, "theorem"),
-        [keep(plot_diagrams(number, LOOPS), f"figure_{number}") for number in DIAGRAMS],
-        numbered,
-    )
+        reference = f"r = {amplitude:g} sin 2πt"
+        for number, words in FIGURES.items():
+            caption = f"Figure {number}: {add_hats(words)}, {_CAPTIONS['figures']}. "
+            caption += claims_text(number, paper.claims)
+            name = f"figure_{number}{suffix}"
+            yield Drawn(name, caption, plot_paper_figure(number, runs, reference))
+        tracking = plot_tracking(runs, reference)
+        yield Drawn(f"tracking{suffix}", _CAPTIONS["tracking"], tracking)
+        yield Drawn(f"V{suffix}", "V.", plot_V(runs, reference))
 
 
-def write_audit_page(paper: Paper, images: AuditFigures, path: Path, origin: Origin | None) -> Path:
+_CAPTIONS: Final = {
+    "silence": "Each reading of the plant with the reference acting as a force, from rest.",
+    "theorem": "Error of the state and of the widths from x1 = 5 with d^ = d, and what is left of "
+    "each reading in the end.",
+    "diagrams": "drawn from the loop's graph: an arrow ends at the block that depends on it",
+    "figures": "as printed (left) and repaired (right)",
+    "tracking": "z beside the desired trajectory, as in the text of figures 3 and 4.",
+}
+
+
+def write_audit_page(paper: Paper, pictures: Pictures, path: Path, origin: Origin | None) -> Path:
     """Write one self-contained HTML page with all results. Raises FileError.
 
     Args:
         paper: the audit
-        images: as `write_audit_figures` gave them
+        pictures: as `write_audit_figures` gave them
         path: of the page
         origin: data to compute the same again (None: unknown)
     """
@@ -151,7 +149,8 @@ def write_audit_page(paper: Paper, images: AuditFigures, path: Path, origin: Ori
         "What the paper's second-order example does when it is run as printed, what was repaired, "
         "and what then holds of what it claims."
     )
-    caption = "Each reading of the plant with the reference acting as a force, from rest."
+    silence, theorem, *numbered = pictures.values()
+    again = sum(SUFFIXES[AMPLITUDES[1]] in path.name for path in pictures)
     text = build_page(
         "Output deadzone: the paper's example, as printed and repaired",
         build_paragraph(verdict_counts_text(paper.claims)),
@@ -161,12 +160,16 @@ def write_audit_page(paper: Paper, images: AuditFigures, path: Path, origin: Ori
         build_section(
             "As printed",
             *_variants_section(paper),
-            encode_picture(images.silence.read_bytes(), caption),
+            silence,
         ),
-        build_section("Theorem 4.1 with its own law", *_theorem_section(paper, images.theorem)),
-        build_section("Figures 1-8", *_figures_section(paper.claims, images)),
+        build_section("Theorem 4.1 with its own law", *_theorem_section(paper), theorem),
+        build_section(
+            "Figures 1-8",
+            *numbered[:-again],
+            fold_section("The same for the reference 2 sin 2πt", *numbered[-again:]),
+        ),
         build_section("Equations (1)-(42)", *_equations_section(paper)),
-        build_section("The paper's letters", build_table(HEAD, read_letters())),
+        build_section("The paper's letters", build_table(LETTERS_HEAD, read_letters())),
         build_section("Numbers against their closed forms", _facts_table(paper)),
         origin=origin,
     )
@@ -229,12 +232,6 @@ _SILENCE: Final = (
     "the sensor has nothing to say. Of the four readings of the plant only that of unity DC gain "
     "comes out."
 )
-STAND_INS: Final = {
-    **STAND_INS_OF_OBSERVER,
-    **STAND_INS_OF_LAW,
-    **STAND_INS_OF_SIDES,
-}
-"""What stands in for printed shapes that do not agree, by equation."""
 _BRINK: Final = (
     "Some of those with unity DC gain are at the brink: their counts change by two with the step."
 )
@@ -285,52 +282,17 @@ _THEOREM_HEAD: Final = (
 )
 
 
-def _theorem_section(paper: Paper, image: Path) -> list[Html]:
-    """Return the counts of Theorem 4.1 with its own law, and its figure."""
-    words = (
-        "Error of the state and of the widths from x1 = 5 with d^ = d, and what is left of each "
-        "reading in the end."
-    )
+def _theorem_section(paper: Paper) -> list[Html]:
+    """Return the counts of Theorem 4.1 with its own law."""
     return [
         build_paragraph(DEFINITION_OF_THEOREM),
         build_table(_THEOREM_HEAD, count_theorem(paper.evidence.theorem)),
-        encode_picture(image.read_bytes(), words),
     ]
-
-
-def _figures_section(claims: list[Claim], images: AuditFigures) -> list[Html]:
-    """Return figures 1-8 of the first reference, and folded those of the second."""
-    drawn = "drawn from the loop's graph: an arrow ends at the block that depends on it"
-    captions = {
-        **{number: f"{words}, {drawn}" for number, words in DIAGRAMS.items()},
-        **{
-            number: f"{add_hats(words)}, as printed (left) and repaired (right)"
-            for number, words in FIGURES.items()
-        },
-    }
-    full_captions = [
-        f"Figure {number}: {words}. {claims_text(number, claims)}"
-        for number, words in captions.items()
-    ]
-    full_captions += [
-        "z beside the desired trajectory, as in the text of figures 3 and 4.",
-        "V.",
-    ]
-    first, second = images.numbered.values()
-    pictures = [
-        encode_picture(image.read_bytes(), caption)
-        for image, caption in zip((*images.diagrams, *first), full_captions, strict=True)
-    ]
-    again = [
-        encode_picture(image.read_bytes(), caption)
-        for image, caption in zip(second, full_captions[len(DIAGRAMS) :], strict=True)
-    ]
-    return [*pictures, fold_section("The same for the reference 2 sin 2πt", *again)]
 
 
 def claims_text(number: int, claims: list[Claim]) -> str:
     """Return the verdicts on the claims on a figure, as a sentence."""
-    named = claims_on_figure(number, (claim.text for claim in claims))
+    named = claims_on("figure", number, (claim.text for claim in claims))
     verdicts = {claim.text.id: claim.verdict for claim in claims}
     listed = ", ".join(f"{name} ({verdicts[name]})" for name in named)
     return f"Claims: {listed}." if named else "No claim names it."

@@ -7,20 +7,21 @@ and start. The loop's graph is built once. Plant, gains and signs are its run-ti
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from itertools import product
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import msgspec
 import numpy as np
 
 from undeadzone.controllers import PD
+from undeadzone.interfaces import require_graph
 from undeadzone.linalg.poles import observer_gain
 from undeadzone.plants.build import system
 from undeadzone.plants.system import System
-from undeadzone.scenario.problem import Problem, resolve_scenario
-from undeadzone.scenario.schema import Simulation
-from undeadzone.simulation.loop import Loop, Outputs
+from undeadzone.scenario.problem import resolve_scenario
+from undeadzone.scenario.schema import Scenario, Simulation
+from undeadzone.simulation.loop import Outputs
 from undeadzone.simulation.simulate import Start, engine_for, outputs_of, prepare
 from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
@@ -97,6 +98,11 @@ class Outcome(NamedTuple):
     moves_widths: bool
     diverged_at: float | None
 
+    @property
+    def flags(self) -> tuple[bool, ...]:
+        """Return whether it leaves the zone, moves d^, diverges: what is counted."""
+        return self.leaves_zone, self.moves_widths, self.diverged_at is not None
+
 
 class VariantCount(NamedTuple):
     """Counts of outcomes over the variants of one plant and start."""
@@ -115,82 +121,84 @@ def run_variants(progress: Callable[[int], None] | None) -> list[Outcome]:
     Args:
         progress: called with the number of steps just done
     """
-    simulation = Simulation(duration=DURATION, step=STEP)
-    problem = resolve_scenario(
-        msgspec.structs.replace(example_as_printed(5.0), simulation=simulation)
+    signs = (1.0, -1.0)
+    choices: Iterable[tuple[Any, ...]] = product(
+        READINGS, GAINS, STARTS, (False, True), signs, signs, (-1.0, 1.0)
     )
+    variants = [Variant(plant, start, L, *more) for plant, L, start, *more in choices]
+    runs = run_family([example_of_variant(variant) for variant in variants], progress)
+    return [_build_outcome(*pair) for pair in zip(variants, runs, strict=True)]
+
+
+def example_of_variant(variant: Variant) -> Scenario:
+    """Build the scenario of a variant, r = 5 sin 2 pi t."""
+    x1, width = STARTS[variant.start]
+    model = system(READINGS[variant.plant].plant)
+    L = gain_by_name(variant.L, model)
+    law = PD(L=L, alpha=ALPHA).build(model).params
+    return example_as_printed(5.0) | {
+        "plant": msgspec.structs.replace(READINGS[variant.plant].plant, x0=[x1, 0.0]),
+        "observer": Printed(
+            L=L,
+            sigma=variant.sigma,
+            alpha=ALPHA,
+            widths0=width,
+            feed_input=variant.feeds_input,
+            left_sign=variant.left_sign,
+        ),
+        "controller": PD(k_p=variant.pd_sign * law.k_p, k_d=variant.pd_sign * law.k_d),
+        "simulation": Simulation(duration=DURATION, step=STEP),
+    }
+
+
+def run_family(
+    scenarios: list[Scenario], progress: Callable[[int], None] | None
+) -> Iterator[Outputs]:
+    """Run scenarios that differ in numbers alone: all share the graph of the first.
+
+    Args:
+        scenarios: with the same reference, sensor and simulation
+        progress: called with the number of steps just done
+    """
+    problem = resolve_scenario(scenarios[0])
     loop, _, exogenous = prepare(problem)
-    run = engine_for(loop, "auto", len(exogenous))
-    outcomes = []
-    for plant, name in product(READINGS, GAINS):
-        with_gains = _with_gains(loop, problem, plant, name)
-        for choice in product(STARTS, (False, True), (1.0, -1.0), (1.0, -1.0), (-1.0, 1.0)):
-            start, feeds_input, sigma, pd_sign, left_sign = choice
-            variant = Variant(plant, start, name, feeds_input, sigma, pd_sign, left_sign)
-            with_signs, state = _with_signs(with_gains, variant)
-            signal = outputs_of(Start(with_signs, state, exogenous), progress, run)
-            outcomes.append(_build_outcome(variant, signal))
-    return outcomes
+    run = engine_for(loop, "auto", len(exogenous) * len(scenarios))
+    for scenario in scenarios:
+        model = system(scenario.plant)
+        observer = require_graph(scenario.observer.build(model, problem.sensor))
+        params = loop.params._replace(
+            plant=model.params,
+            observer=observer.params,
+            controller=scenario.controller.build(model).params,
+        )
+        state = loop.state._replace(
+            plant=np.array(scenario.plant.x0), observer=observer.init(observer.params)
+        )
+        start = Start(loop._replace(params=params), tree.pack_tree(state), exogenous)
+        yield outputs_of(start, progress, run)
 
 
 def gain_by_name(name: str, model: System) -> Floats:
     """Return L by name (2): (40), its negative, or the gain that places the poles of (40)."""
     if name == "placed":
-        return observer_gain(model.linear, POLES, None)
+        return observer_gain(model.linear, POLES, None).ravel()
     return np.array(L_PRINTED) * {"printed": 1.0, "negated": -1.0}[name]
 
 
-def count_outcomes(outcomes: Iterable[Outcome]) -> list[VariantCount]:
-    """Count the outcomes per plant and start, in their order."""
-    groups: dict[tuple[str, str], list[Outcome]] = {}
+def count_outcomes(outcomes: Iterable[Any], fields: int) -> list[tuple[Any, ...]]:
+    """Count outcomes by the first fields of their variants, in their order.
+
+    Args:
+        outcomes: with their variants and their flags
+        fields: how many fields of a variant name its group
+
+    Returns:
+        Rows of these fields, the outcomes of the group, and the counts of each flag.
+    """
+    groups: dict[tuple[Any, ...], list[tuple[bool, ...]]] = {}
     for outcome in outcomes:
-        key = outcome.variant.plant, outcome.variant.start
-        groups.setdefault(key, []).append(outcome)
-    return [_count_group(*key, group) for key, group in groups.items()]
-
-
-def _count_group(plant: str, start: str, outcomes: list[Outcome]) -> VariantCount:
-    """Count the outcomes of one plant and start."""
-    return VariantCount(
-        plant,
-        start,
-        total=len(outcomes),
-        leave_zone=sum(outcome.leaves_zone for outcome in outcomes),
-        move_widths=sum(outcome.moves_widths for outcome in outcomes),
-        diverge=sum(outcome.diverged_at is not None for outcome in outcomes),
-    )
-
-
-def _with_gains(loop: Loop, problem: Problem, plant: str, name: str) -> Loop:
-    """Return the loop with a reading of the plant and the gains L of a name."""
-    model = system(READINGS[plant].plant)
-    L = gain_by_name(name, model)
-    observer = Printed(L=L, alpha=ALPHA).build(model, problem.sensor)
-    law = PD(L=L, alpha=ALPHA).build(model)
-    params = loop.params._replace(
-        plant=model.params, observer=observer.params, controller=law.params
-    )
-    return loop._replace(params=params)
-
-
-def _with_signs(loop: Loop, variant: Variant) -> tuple[Loop, Floats]:
-    """Return the loop with a variant's signs, and its packed initial state."""
-    x1, width = STARTS[variant.start]
-    observer = loop.params.observer
-    law = loop.params.controller
-    observer = observer._replace(
-        sigma=np.float64(variant.sigma),
-        feed_input=np.float64(variant.feeds_input),
-        left_sign=np.float64(variant.left_sign),
-    )
-    law = law._replace(k_p=variant.pd_sign * law.k_p, k_d=variant.pd_sign * law.k_d)
-    params = loop.params._replace(observer=observer, controller=law)
-    widths = np.array([width])
-    state = loop.state._replace(
-        plant=np.array([x1, 0.0]),
-        observer=loop.state.observer._replace(right=widths, left=widths),
-    )
-    return loop._replace(params=params), tree.pack_tree(state)
+        groups.setdefault(outcome.variant[:fields], []).append(outcome.flags)
+    return [(*key, len(flags), *np.sum(flags, axis=0).tolist()) for key, flags in groups.items()]
 
 
 def _build_outcome(variant: Variant, signal: Outputs) -> Outcome:

@@ -41,8 +41,9 @@ def write(
         _write_variants(paper.variants, folder / "variants.csv"),
     ]
     if figures:
-        images = write_audit_figures(paper, folder, progress)
-        written += [*images.paths, write_audit_page(paper, images, folder / "report.html", origin)]
+        pictures = write_audit_figures(paper, folder, progress)
+        page = write_audit_page(paper, pictures, folder / "report.html", origin)
+        written += [*pictures, page]
     return written
 
 

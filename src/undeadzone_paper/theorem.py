@@ -18,15 +18,12 @@ import numpy as np
 
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
-from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario, Simulation
-from undeadzone.simulation.loop import Loop, Outputs
-from undeadzone.simulation.simulate import Start, engine_for, outputs_of, prepare
-from undeadzone.util import tree
-from undeadzone.util.arrays import Floats
+from undeadzone.simulation.loop import Outputs
 from undeadzone_paper.example import (
     ALPHA,
     DURATION,
+    READINGS,
     STARTED,
     D,
     example_as_printed,
@@ -34,7 +31,7 @@ from undeadzone_paper.example import (
 from undeadzone_paper.law import PrintedLaw
 from undeadzone_paper.measures import largest_absolute
 from undeadzone_paper.observer import Printed
-from undeadzone_paper.printed import first_divergence, gain_by_name
+from undeadzone_paper.printed import count_outcomes, first_divergence, gain_by_name, run_family
 
 STEP: Final = 5e-3  # [s]
 LAST: Final = 2.0  # [s] over which errors are read
@@ -43,14 +40,15 @@ NEAR_REST: Final = 0.01  # x1(0); at 0 rounding would decide about a loop that b
 UNEQUAL: Final = 0.2  # d^(0) that is not d
 
 PLANTS: Final = {
-    "(39)": Plant(A=[[0.0, 1.0], [-1.0, -2.0]], B=[[0.0], [1.0]], C=[[1.0, 0.0]]),
-    "(15)": Plant(A=[[0.0, 1.0], [0.0, 0.0]], B=[[0.0], [1.0]], C=[[1.0, 0.0]]),
+    "(39)": READINGS["omega_n = 1"].plant,
+    "(15)": Plant(companion=[0.0, 0.0]),
 }
 GAINS: Final = {"printed": "(40)", "placed": "the poles"}
 GIVEN = "given"
 ESTIMATED = "estimated"
-SIGNS: Final = {1.0: "(29) as printed", -1.0: "with the sign of the left half of (42)"}
-
+AS_PRINTED = "(29) as printed"
+OTHER_SIGN = "with the sign of the left half of (42)"
+LAWS: Final = {AS_PRINTED: 1.0, OTHER_SIGN: -1.0}  # and their signs
 
 DEFINITION: Final = (
     "A reading of the equations picks plant, L, B u in the observer or not, the sign of chi_l, "
@@ -71,7 +69,7 @@ class TheoremVariant(NamedTuple):
 
     Attributes:
         mismatch: how the law knows d - d^
-        sign: of the law: 1 as printed
+        law: one of `LAWS`
         plant: one of `PLANTS`
         L: one of `GAINS`
         feeds_input: whether the observer has B u
@@ -81,7 +79,7 @@ class TheoremVariant(NamedTuple):
     """
 
     mismatch: str
-    sign: float
+    law: str
     plant: str
     L: str
     feeds_input: bool
@@ -113,6 +111,11 @@ class TheoremOutcome(NamedTuple):
         return max(self.width_error, self.state_error)
 
     @property
+    def flags(self) -> tuple[bool, ...]:
+        """Return whether it diverges, ends right, leaves true widths: what is counted."""
+        return self.diverged_at is not None, self.worst_error <= RIGHT, self.leaves_widths
+
+    @property
     def leaves_widths(self) -> bool:
         """Return whether a run that begins at d^ = d and survives ends with wrong widths."""
         return self.variant.width == D and (self.width_error or 0.0) > RIGHT
@@ -132,27 +135,26 @@ class TheoremCount(NamedTuple):
 
 def example_of_theorem(variant: TheoremVariant) -> Scenario:
     """Build the scenario of a variant, r = 5 sin 2 pi t."""
-    L = gain_by_name(variant.L, system(PLANTS[variant.plant])).ravel()
-    return msgspec.structs.replace(
-        example_as_printed(5.0),
-        title="Theorem 4.1: observer (16), (17), adaptation (25), law (29)",
-        plant=msgspec.structs.replace(PLANTS[variant.plant], x0=[variant.x1, 0.0]),
-        observer=Printed(
+    L = gain_by_name(variant.L, system(PLANTS[variant.plant]))
+    return example_as_printed(5.0) | {
+        "title": "Theorem 4.1: observer (16), (17), adaptation (25), law (29)",
+        "plant": msgspec.structs.replace(PLANTS[variant.plant], x0=[variant.x1, 0.0]),
+        "observer": Printed(
             L=L,
             alpha=ALPHA,
             widths0=variant.width,
             feed_input=variant.feeds_input,
             left_sign=variant.left_sign,
         ),
-        controller=PrintedLaw(
+        "controller": PrintedLaw(
             L=L,
             widths=D if variant.mismatch == GIVEN else None,
             alpha=ALPHA,
-            sign=variant.sign,
+            sign=LAWS[variant.law],
             left_sign=variant.left_sign,
         ),
-        simulation=Simulation(duration=DURATION, step=STEP),
-    )
+        "simulation": Simulation(duration=DURATION, step=STEP),
+    }
 
 
 def run_theorem(progress: Callable[[int], None] | None = None) -> list[TheoremOutcome]:
@@ -163,63 +165,10 @@ def run_theorem(progress: Callable[[int], None] | None = None) -> list[TheoremOu
     """
     outcomes: list[TheoremOutcome] = []
     for mismatch in (GIVEN, ESTIMATED):
-        variants = [TheoremVariant(mismatch, *choice) for choice in product(SIGNS, *CHOICES)]
-        outcomes += _run_variants(variants, progress)
+        variants = [TheoremVariant(mismatch, *choice) for choice in product(LAWS, *CHOICES)]
+        runs = run_family([example_of_theorem(variant) for variant in variants], progress)
+        outcomes += [_build_outcome(*pair) for pair in zip(variants, runs, strict=True)]
     return outcomes
-
-
-def _run_variants(
-    variants: list[TheoremVariant], progress: Callable[[int], None] | None
-) -> list[TheoremOutcome]:
-    """Run variants of the same `mismatch`: they share a graph, and only r enters from outside."""
-    problem = resolve_scenario(example_of_theorem(variants[0]))
-    loop, _, exogenous = prepare(problem)
-    run = engine_for(loop, "auto", len(exogenous) * len(variants))
-    outcomes = []
-    built: dict[tuple[str, str], Loop] = {}
-    for variant in variants:
-        place = variant.plant, variant.L
-        if place not in built:
-            built[place] = _set_plant_and_gains(loop, problem, variant)
-        start = Start(*_set_signs(built[place], variant), exogenous)
-        outcomes.append(_build_outcome(variant, outputs_of(start, progress, run)))
-    return outcomes
-
-
-def _set_plant_and_gains(loop: Loop, problem: Problem, variant: TheoremVariant) -> Loop:
-    """Return the loop with the plant, observer gains and control law of a variant.
-
-    Only run-time parameters change: the graph is that of any variant with the same `mismatch`.
-
-    Args:
-        loop: the loop of another variant.
-        problem: the other variant's problem, for its sensor.
-        variant: plant and gains to set.
-    """
-    scenario = example_of_theorem(variant)
-    model = system(scenario.plant)
-    observer_params = scenario.observer.build(model, problem.sensor).params
-    law_params = scenario.controller.build(model).params
-    params = loop.params._replace(
-        plant=model.params, observer=observer_params, controller=law_params
-    )
-    return loop._replace(params=params)
-
-
-def _set_signs(loop: Loop, variant: TheoremVariant) -> tuple[Loop, Floats]:
-    """Return the loop with the signs of a variant, and its packed initial state."""
-    left_sign = np.float64(variant.left_sign)
-    widths = np.array([variant.width])
-    observer = loop.params.observer._replace(
-        feed_input=np.float64(variant.feeds_input), left_sign=left_sign
-    )
-    law = loop.params.controller._replace(sign=np.float64(variant.sign), left_sign=left_sign)
-    state = loop.state._replace(
-        plant=np.array([variant.x1, 0.0]),
-        observer=loop.state.observer._replace(right=widths, left=widths),
-    )
-    params = loop.params._replace(observer=observer, controller=law)
-    return loop._replace(params=params), tree.pack_tree(state)
 
 
 def _build_outcome(variant: TheoremVariant, signal: Outputs) -> TheoremOutcome:
@@ -235,29 +184,14 @@ def _build_outcome(variant: TheoremVariant, signal: Outputs) -> TheoremOutcome:
 
 def count_theorem(outcomes: Iterable[TheoremOutcome]) -> list[TheoremCount]:
     """Count the outcomes per knowledge of d - d^, law and plant, in their order."""
-    groups: dict[tuple[str, float, str], list[TheoremOutcome]] = {}
-    for outcome in outcomes:
-        variant = outcome.variant
-        groups.setdefault((variant.mismatch, variant.sign, variant.plant), []).append(outcome)
-    return [
-        TheoremCount(
-            mismatch,
-            SIGNS[sign],
-            plant,
-            total=len(group),
-            diverge=count_diverging(group),
-            end_right=sum(outcome.worst_error <= RIGHT for outcome in group),
-            leave_true_widths=sum(outcome.leaves_widths for outcome in group),
-        )
-        for (mismatch, sign, plant), group in groups.items()
-    ]
+    return [TheoremCount(*row) for row in count_outcomes(outcomes, 3)]
 
 
 def select_outcomes(
-    outcomes: Iterable[TheoremOutcome], mismatch: str, sign: float = 1.0
+    outcomes: Iterable[TheoremOutcome], mismatch: str, law: str = AS_PRINTED
 ) -> list[TheoremOutcome]:
-    """Select the outcomes by knowledge of d - d^ and sign of the law."""
-    variant = mismatch, sign
+    """Select the outcomes by knowledge of d - d^ and by law."""
+    variant = mismatch, law
     return [outcome for outcome in outcomes if outcome.variant[:2] == variant]
 
 

@@ -92,7 +92,7 @@ FLOORS = {
         ("command",),
     ),
     undeadzone_paper: (
-        ("equations", "law", "letters", "observer"),
+        ("equations", "law", "observer"),
         ("example",),
         ("diagrams", "measures", "printed"),
         ("arm", "theorem"),

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from undeadzone_paper import Paper
-from undeadzone_paper.both_sides import ErrorSignals, _sides_of_positivity, compare_sides
+from undeadzone_paper.both_sides import _error_at_zero_V, _signed_sides, compare_sides
 from undeadzone_paper.equations import EQUATIONS
 
 ROUNDING = 1e-12
@@ -70,18 +70,15 @@ def test_35_and_36_agree_with_one_another_and_with_the_run_nowhere(paper: Paper)
 
 
 def test_the_mended_indicator_is_that_of_the_side_that_was_read() -> None:
-    nothing = np.zeros((3, 0))
-    signals = ErrorSignals(*[nothing] * len(ErrorSignals._fields))
-    read = signals._replace(side=np.array([1.0, 0.0, -1.0]))
-    np.testing.assert_array_equal(read.mended_chi, [[1.0, 0.0], [0.0, 0.0], [0.0, -1.0]])
+    read = _signed_sides(np.array([1.0, 0.0, -1.0]))
+    np.testing.assert_array_equal(read, [[1.0, 0.0], [0.0, 0.0], [0.0, -1.0]])
 
 
-def test_an_error_is_unseen_where_V_is_0_and_only_there() -> None:
+@pytest.mark.parametrize(
+    ("V", "unseen"), [([0.0, 1.0, 2.0], 0.3), ([1.0, 1.0, 1.0], 0.0), (None, 9.0)]
+)
+def test_an_error_is_unseen_where_V_is_0_and_only_there(V: Any, unseen: float) -> None:
     error = np.array([[0.1, -0.3], [5.0, 0.0], [0.0, 9.0]])
-
-    def run(V: Any) -> Any:
-        return SimpleNamespace(t=np.arange(3.0), V=V, x=error, x_hat=0 * error)
-
-    found = _sides_of_positivity(run(np.array([0.0, 1.0, 2.0])), run(np.ones(3)))
-    assert found[1:] == (0.3, 0.0)
-    assert _sides_of_positivity(run(None), run(None))[1:] == (9.0, 9.0)
+    values = None if V is None else np.array(V)
+    run: Any = SimpleNamespace(t=np.arange(3.0), V=values, x=error, x_hat=0 * error)
+    assert _error_at_zero_V(run) == unseen

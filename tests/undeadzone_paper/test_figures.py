@@ -7,7 +7,7 @@ import pytest
 
 from undeadzone_paper import Paper
 from undeadzone_paper.equations import FIGURES
-from undeadzone_paper.evidence import BEGUN, RESTING
+from undeadzone_paper.evidence import BEGUN, NOMINAL, RESTING
 from undeadzone_paper.figures import (
     RunTrio,
     plot_paper_figure,
@@ -16,12 +16,14 @@ from undeadzone_paper.figures import (
     plot_V,
 )
 from undeadzone_paper.page import claims_text
+from undeadzone_paper.theorem import AS_PRINTED
 
 
 @pytest.fixture(scope="module")
 def runs(paper: Paper) -> RunTrio:
     evidence = paper.evidence
-    return RunTrio(evidence.printed[RESTING][1], evidence.printed[BEGUN][1], evidence.repaired[1])
+    printed = evidence.printed[NOMINAL]
+    return RunTrio(printed[RESTING][1], printed[BEGUN][1], evidence.repaired[NOMINAL][1])
 
 
 @pytest.mark.parametrize("number", FIGURES)
@@ -48,14 +50,14 @@ def test_the_figure_of_the_theorem_shows_both_laws_and_every_reading_that_surviv
     paper: Paper,
 ) -> None:
     evidence = paper.evidence
-    figure = plot_theorem(evidence.law, evidence.repaired[0], evidence.theorem)
+    figure = plot_theorem(evidence.law, evidence.repaired[NOMINAL][0], evidence.theorem)
     state, _, readings = figure.axes
     assert {line.get_label() for line in state.lines} == {"given", "estimated", "repaired"}
     count = sum(len(np.asarray(line.get_xdata())) for line in readings.lines[:2])
     survived = [
         outcome
         for outcome in evidence.theorem
-        if outcome.variant.sign == 1.0 and outcome.diverged_at is None
+        if outcome.variant.law == AS_PRINTED and outcome.diverged_at is None
     ]
     assert count == len(survived)
 

@@ -14,7 +14,7 @@ from undeadzone.registry import CONTROLLERS, OBSERVERS, Registry
 from undeadzone.scenario.reader import read
 from undeadzone.signals.exosystem import Sine
 from undeadzone_export import export
-from undeadzone_paper.letters import read_letters
+from undeadzone_paper.equations import read_letters
 
 FIRMWARE = EXAMPLES / "firmware.toml"
 REQUESTED = (

@@ -9,10 +9,11 @@ from undeadzone.simulation.simulate import simulate
 from undeadzone_paper import Paper
 from undeadzone_paper.example import D
 from undeadzone_paper.theorem import (
+    AS_PRINTED,
     ESTIMATED,
     GIVEN,
+    LAWS,
     READINGS_OF_THEOREM,
-    SIGNS,
     count_theorem,
     example_of_theorem,
     is_kindest,
@@ -56,7 +57,7 @@ def test_given_what_its_proof_needs_the_theorem_fails(paper: Paper) -> None:
 def test_counts_hold_every_outcome(paper: Paper) -> None:
     counts = count_theorem(paper.evidence.theorem)
     assert {(count.mismatch, count.law) for count in counts} == {
-        (mismatch, law) for mismatch in (GIVEN, ESTIMATED) for law in SIGNS.values()
+        (mismatch, law) for mismatch in (GIVEN, ESTIMATED) for law in LAWS
     }
     assert sum(count.total for count in counts) == 256
     for count in counts:
@@ -68,7 +69,7 @@ def test_claims_name_these_counts(paper: Paper) -> None:
     diverge = sum(
         count.diverge
         for count in count_theorem(paper.evidence.theorem)
-        if (count.mismatch, count.law) == (GIVEN, SIGNS[1.0])
+        if (count.mismatch, count.law) == (GIVEN, AS_PRINTED)
     )
     assert f"{diverge} of 64 readings diverge" in claim.text.why
     assert claim.verdict == "holds after repair"
