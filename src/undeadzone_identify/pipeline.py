@@ -445,7 +445,7 @@ def _count_from_zone(grid: Grid, options: Options) -> Grid:
     u = grid.u[:, 0]
     y = grid.y[grid.ok]
     is_about_zero = np.quantile(y, ASIDE) < 0 < np.quantile(y, 1 - ASIDE)
-    near = abs(float(np.median(u))) < FAR_OFF * float(u.std())
+    near = abs(np.median(u)) < FAR_OFF * u.std()
     if grid.u.shape[1] > 1 or near or u.min() * u.max() <= 0 or not is_about_zero:
         return grid
     data = longest_record_of(prepare_log(grid, options).data)
@@ -527,7 +527,7 @@ def _fit_limits(grid: Grid, prepared: PreparedLog) -> FittedModel[MapModel] | No
     options = prepared.options
     orders = feasible_orders(int(every.ok.sum()), options)
     fit: FittedModel[Any] | None = fit_limits(every, orders, options.integrators, scaled)
-    if fit is None or fit.density.rms > (1 - LEAST) * float(y[every.ok].std()):
+    if fit is None or fit.density.rms > (1 - LEAST) * y[every.ok].std():
         return None
     remainders = find_remainders(fit, raw=DEPENDS)
     return fit if largest_remainder(remainders, "saturation") is None else None

@@ -166,7 +166,7 @@ class PlayModel(SimulatedPlant):
         """Return the sample at which the level (N) last moved (N), at least the record's first."""
         changed = np.append(True, np.diff(level) != 0)
         changed[self.data.start] = True
-        return np.asarray(np.maximum.accumulate(np.where(changed, np.arange(level.size), 0)))
+        return np.maximum.accumulate(np.where(changed, np.arange(level.size), 0))
 
     def levels(self, theta: Floats) -> Floats:
         """Return c_r and c_l (2)."""

@@ -16,7 +16,7 @@ from undeadzone.compile import lanes
 from undeadzone.numerics.gaussian import to_upper_entries
 from undeadzone.util.arrays import Floats, Integers
 from undeadzone_identify.models import estimates
-from undeadzone_identify.models.likelihood import LOG_ROOT, log_unit_density
+from undeadzone_identify.models.likelihood import log_unit_density
 from undeadzone_identify.models.plant import Layout, RecordData, input_noise_gain, polynomial_roots
 from undeadzone_identify.models.zone import WidthLimits
 from undeadzone_identify.models.zone_fit import ZoneFit
@@ -58,7 +58,7 @@ def log_interval_mass(a: Any, b: Any) -> Any:
     top = log_normal_cdf(upper)
     gap = ca.fmin(log_normal_cdf(lower) - top, -1e-12)
     width = ca.fmax(upper - lower, 1e-12)
-    point = ca.log(width) - 0.5 * (0.5 * (upper + lower)) ** 2 - LOG_ROOT
+    point = ca.log(width) + log_unit_density(0.5 * (upper + lower))
     return ca.if_else(upper - lower < 1e-5, point, top + ca.log(1 - ca.exp(gap)))
 
 
@@ -91,13 +91,13 @@ def measurement_terms(
     reduction = (at_b - at_a) ** 2 + a * at_a - b * at_b
     uniform = 1 - ca.fmin(1.0, (a - b) ** 2 / 12)
     reduction = ca.fmin(ca.fmax(ca.if_else(cancels, uniform, reduction), 0.0), 1.0)
-    log_normal = -0.5 * v**2 - ca.log(s) - LOG_ROOT
+    log_normal = log_unit_density(v) - ca.log(s)
     log = ca.fmax(ca.if_else(outside, log_normal, mass), FLOOR)
     return log, ca.if_else(outside, v, shift), ca.if_else(outside, 1.0, reduction)
 
 
 @cache
-def build_kalman_kernel(n: int, m: int, model: int, moments: bool = False) -> lanes.Kernel:
+def build_kalman_kernel(n: int, m: int, model: int, moments: bool) -> lanes.Kernel:
     """Build the compiled step of the filter.
 
     Args:
@@ -196,8 +196,7 @@ class KalmanObjective:
 
     Attributes:
         log_q: place of ln q in theta; ln r, d_r, d_l and atanh phi follow.
-        lane_q: place of q^2 among the parameters of a lane; r^2, d_r, d_l, phi and the variances at
-            the start follow.
+        noise: places of the first four of these.
         size: number of parameters P.
     """
 
@@ -210,8 +209,8 @@ class KalmanObjective:
         self.limits = limits
         self.climbs = data.climbs
         self.log_q = layout.numerators.stop
-        self.lane_q = layout.n * (1 + layout.m)
         self.size = self.log_q + 4 + (model > 0)
+        self.noise = slice(self.log_q, self.log_q + 4)
         starts = np.zeros(data.y.size)
         starts[data.start] = 1.0
         rows = [data.u, data.y, data.side, data.ok, starts]
@@ -226,7 +225,7 @@ class KalmanObjective:
         """Return whether the filter can be run with these parameters."""
         if not np.isfinite(p).all():
             return False
-        log_q, log_r, right, left = p[self.log_q : self.log_q + 4]
+        log_q, log_r, right, left = p[self.noise]
         if right + left < 0 or abs(log_q) > 25 or abs(log_r) > 25:
             return False
         if self.model and abs(p[-1]) > 4:
@@ -236,7 +235,7 @@ class KalmanObjective:
 
     def lane_numbers(self, p: Floats) -> Floats:
         """Return the lane parameters of `build_kalman_kernel` for p."""
-        log_q, log_r, right, left = p[self.log_q : self.log_q + 4]
+        log_q, log_r, right, left = p[self.noise]
         left = right if self.limits.tied else left
         q = math.exp(log_q)
         r = max(math.exp(log_r), QUIETEST)
@@ -304,7 +303,7 @@ class KalmanObjective:
         if self.model:
             power /= 1 - phi * phi
         log_q = math.log(disturbance / math.sqrt(power))
-        p[self.log_q : self.log_q + 4] = log_q, math.log(white), fit.right, fit.left
+        p[self.noise] = log_q, math.log(white), fit.right, fit.left
         if self.model:
             p[-1] = math.atanh(phi)
         return p

@@ -63,17 +63,17 @@ class KalmanFit(NamedTuple):
     @property
     def white_rms(self) -> float:
         """Return the rms of white noise ahead of the zone, scaled."""
-        return max(math.exp(float(self.theta[self.objective.log_q + 1])), QUIETEST)
+        return max(math.exp(self.theta[self.objective.log_q + 1]), QUIETEST)
 
     @property
     def driving_rms(self) -> float:
         """Return the rms of the noise that drives the disturbance, scaled."""
-        return math.exp(float(self.theta[self.objective.log_q]))
+        return math.exp(self.theta[self.objective.log_q])
 
     @property
     def disturbance_memory(self) -> float:
         """Return the correlation of the disturbance over a sample [1]."""
-        return math.tanh(float(self.theta[-1])) if self.model else 0.0
+        return math.tanh(self.theta[-1]) if self.model else 0.0
 
 
 def fit_kalman(fit: ZoneFit) -> list[KalmanFit]:

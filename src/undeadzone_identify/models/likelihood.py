@@ -17,7 +17,6 @@ from undeadzone.util.arrays import Flags, Floats, Integers
 
 Z, RIGHT, LEFT, LOG_S = range(4)  # columns of `DensityTerms.slopes`
 LOG_ROOT = 0.5 * math.log(2 * math.pi)
-ROOT = math.sqrt(2 * math.pi)
 NARROW = 1e-5  # width of an interval below which its mass is width times density: no cancellation
 FAR = -36.0  # limit below which a tail's mass underflows, so that its logarithm is computed
 
@@ -74,7 +73,7 @@ def log_unit_density(x: Any) -> Any:
 
 def unit_density(x: Floats) -> Floats:
     """Return the density of a standard Gaussian at each x."""
-    return np.exp(-0.5 * x**2) / ROOT
+    return np.exp(log_unit_density(x))
 
 
 def dead_zone(z: Floats, right: float, left: float) -> Floats:
@@ -86,7 +85,7 @@ def zone_offset(side: Integers, right: float, left: float) -> Floats:
     """Return the offset that the zone subtracts on each branch (N): d_r right, -d_l left, 0
     inside.
     """
-    return np.asarray(right * (side > 0) - left * (side < 0))
+    return right * (side > 0) - left * (side < 0)
 
 
 def zone_residual(readings: Readings, z: Floats, noise: ZoneNoise) -> Floats:
@@ -125,14 +124,14 @@ def _enter_outside(
     readings: Readings, z: Floats, noise: ZoneNoise, at: Integers, value: Floats, slopes: Floats
 ) -> None:
     """Write ln N(e; 0, s^2) and its derivatives for samples outside the zone (at), in place."""
-    e = zone_residual(readings, z, noise)[at]
+    e = zone_residual(readings, z, noise)[at] / noise.s  # y + offset - z
     side = readings.side[at]
-    value[at] = -0.5 * (e / noise.s) ** 2 - math.log(noise.s) - LOG_ROOT
-    by_e = -e / noise.s**2  # e = y + offset - z
-    slopes[at, Z] = -by_e
-    slopes[at, RIGHT] = by_e * (side > 0)
-    slopes[at, LEFT] = -by_e * (side < 0)
-    slopes[at, LOG_S] = (e / noise.s) ** 2 - 1
+    value[at] = log_unit_density(e) - math.log(noise.s)
+    by_z = e / noise.s
+    slopes[at, Z] = by_z
+    slopes[at, RIGHT] = -by_z * (side > 0)
+    slopes[at, LEFT] = by_z * (side < 0)
+    slopes[at, LOG_S] = e**2 - 1
 
 
 def densities_behind(
@@ -159,7 +158,7 @@ def densities_behind(
     slopes[:, RIGHT] = -by_z * right
     slopes[:, LEFT] = by_z * left
     slopes[:, LOG_S] = e**2 - 1
-    value = -0.5 * e**2 - math.log(noise.s) - LOG_ROOT
+    value = log_unit_density(e) - math.log(noise.s)
     return DensityTerms(value * readings.ok, slopes * readings.ok[:, None])
 
 
@@ -191,8 +190,8 @@ def log_cdf_difference(a: Floats, b: Floats) -> Floats:
         middle = 0.5 * (upper + lower)[narrow]
         # Second term of the midpoint rule for the Gaussian density.
         curvature = np.log1p(np.clip((middle**2 - 1) * width**2 / 24, -0.5, 0.5))
-        value[narrow] = np.log(width) - 0.5 * middle**2 - LOG_ROOT + curvature
-    return np.asarray(value)
+        value[narrow] = np.log(width) + log_unit_density(middle) + curvature
+    return value
 
 
 def limit_hazards(a: Floats, b: Floats, log_mass: Floats) -> tuple[Floats, Floats]:
@@ -202,6 +201,5 @@ def limit_hazards(a: Floats, b: Floats, log_mass: Floats) -> tuple[Floats, Float
         a, b: upper and lower limits (any shape).
         log_mass: ln(Phi(a) - Phi(b)).
     """
-    at_a = np.exp(np.minimum(log_unit_density(a) - log_mass, 700.0))
-    at_b = np.exp(np.minimum(log_unit_density(b) - log_mass, 700.0))
+    at_a, at_b = np.exp(np.minimum(log_unit_density(np.array([a, b])) - log_mass, 700.0))
     return at_a, at_b

@@ -128,7 +128,7 @@ class LostMotion(NamedTuple):
     def colour(self) -> float:
         """Return the rms of the residuals over that of their changes / sqrt(2); 1 if white [1]."""
         changes = np.diff(self.residual)
-        return self.rms / max(math.sqrt(float(changes @ changes) / (2 * changes.size)), 1e-300)
+        return self.rms / max(math.sqrt((changes @ changes) / (2 * changes.size)), 1e-300)
 
     def bic(self) -> float:
         """Return the BIC of white residuals."""
@@ -149,7 +149,7 @@ class MotionFit:
         self.structure = structure
         self.step = float(np.median(np.diff(data.t)))
         self.range = float(np.ptp(data.u))
-        still = float(np.mean(np.diff(data.u) == 0)) > HELD
+        still = np.mean(np.diff(data.u) == 0) > HELD
         self.is_held = still or data.input_quantum > COARSE * self.range
         self.y = data.y - data.y.mean()
         self.differences = 1e-2 * np.array([0.01 * self.range, self.step, self.step])
@@ -174,7 +174,7 @@ class MotionFit:
             sample_before = (
                 np.searchsorted(data.t, data.t - delay + 1e-6 * self.step, side="right") - 1
             )
-            return np.asarray(u[np.clip(sample_before, 0, None)])
+            return u[np.clip(sample_before, 0, None)]
         return np.interp(data.t - delay, data.t, u)
 
     def residuals(
@@ -200,12 +200,12 @@ class MotionFit:
             return np.column_stack([y - self._fit_curve(column) for column in behind.T])
         centred = behind - behind.mean(axis=0)
         power = np.maximum(np.einsum("nk,nk->k", centred, centred), 1e-300)
-        return np.asarray(y[:, None] - centred * (y @ centred / power))
+        return y[:, None] - centred * (y @ centred / power)
 
     def _fit_curve(self, behind: Floats) -> Floats:
         """Return the curve of the position behind the gap (N) that is nearest to y (N)."""
         columns = hat_functions(behind, np.linspace(behind.min(), behind.max(), HATS))
-        return np.asarray(columns @ np.linalg.lstsq(columns, self.y, rcond=1e-10)[0])
+        return columns @ np.linalg.lstsq(columns, self.y, rcond=1e-10)[0]
 
     def squares(self, gaps: Floats, delay: float, lag: float) -> Floats:
         """Return the sums of squared residuals of K gaps (K), each from its best start."""

@@ -190,7 +190,7 @@ class PlaceModel:
         """
         input_gain = abs(theta[self.n : 2 * self.n].sum())
         friction_gain = max(abs(1 + self.friction_coefficients(theta).sum()), 1e-9)
-        return np.asarray(self.part_numbers(theta, "inner") * friction_gain / max(input_gain, 1e-9))
+        return self.part_numbers(theta, "inner") * friction_gain / max(input_gain, 1e-9)
 
     def project_to_bounds(self, theta: Floats) -> Floats:
         """Restrict the widths to 0 or above; theta is changed in place."""

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import cmath
 import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -69,8 +68,7 @@ class RecordData(NamedTuple):
 
     def record_slices(self) -> list[slice]:
         """Return the slice of each record."""
-        ends = np.append(self.start[1:], self.y.size)
-        return [slice(int(a), int(b)) for a, b in zip(self.start, ends, strict=True)]
+        return list(map(slice, self.start.tolist(), [*self.start[1:].tolist(), self.y.size]))
 
 
 def delay_inputs(data: RecordData, samples: int) -> RecordData:
@@ -94,20 +92,18 @@ def busiest_stretches(data: RecordData, longest: int = STRETCH) -> RecordData:
     """
     if data.y.size <= MANY:
         return data
-    stretches = []
-    for record in data.record_slices():
-        stretches += _cut_record(record, longest)
-    stretches.sort(key=lambda stretch: _count_passages(data, stretch), reverse=True)
+    cut = (_cut_record(record, longest) for record in data.record_slices())
+    stretches = sorted(itertools.chain(*cut), key=partial(_count_passages, data), reverse=True)
     samples = np.cumsum([stretch.stop - stretch.start for stretch in stretches])
-    busiest = stretches[: max(1, int(np.count_nonzero(samples <= MANY)))]
+    busiest = stretches[: max(1, np.count_nonzero(samples <= MANY))]
     return select_samples(data, sorted(busiest, key=lambda stretch: stretch.start))
 
 
 def _cut_record(record: slice, longest: int) -> list[slice]:
     """Cut a record into stretches of nearly equal length."""
     size = record.stop - record.start
-    ends = np.linspace(record.start, record.stop, -(-size // longest) + 1).astype(int)
-    return [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
+    ends = np.linspace(record.start, record.stop, -(-size // longest) + 1).astype(int).tolist()
+    return list(itertools.starmap(slice, itertools.pairwise(ends)))
 
 
 def _count_passages(data: RecordData, part: slice) -> tuple[int, int]:
@@ -293,10 +289,8 @@ class PlantSimulator:
         """
         numerator = np.append(0.0, theta[self.layout.numerators][: self.layout.n])
         denominator = self.layout.full_denominator(theta[self.layout.denominator])
-        outputs = np.empty(inputs.shape)
-        for part in self.records:
-            outputs[part] = lfilter(numerator, denominator, inputs[part], axis=0)
-        return outputs
+        outputs = [lfilter(numerator, denominator, inputs[part], axis=0) for part in self.records]
+        return np.concatenate(outputs)
 
     def dc_gain(self, theta: Floats) -> Floats:
         """Return the DC gain from each input to z, or to the integrators if there are any (m)."""
@@ -318,11 +312,10 @@ class PlantSimulator:
         """
         if not np.isfinite(theta).all():
             return False
-        for pole in polynomial_roots(theta[self.layout.denominator]).tolist():
-            slow = abs(cmath.phase(pole)) < 4 * math.pi / self.longest
-            if not abs(pole) < 1 - margin * (SLOW if slow else RINGING) / self.longest:
-                return False
-        return True
+        poles = polynomial_roots(theta[self.layout.denominator])
+        slow = np.abs(np.angle(poles)) < 4 * math.pi / self.longest
+        limits = 1 - margin * np.where(slow, SLOW, RINGING) / self.longest
+        return bool(np.all(np.abs(poles) < limits))
 
     def is_at_limit(self, theta: Floats) -> bool:
         """Return whether a pole is so slow that with x(0) it equals an offset or a sine."""
@@ -392,19 +385,15 @@ def find_input_disturbance(
     """
     lags = max(2, min(LAGS, residual.size // 10))
     measured = mean_lag_products(residual, ok, lags)[1:]
-    best = InputDisturbance(0.0, 0.0, 0.0)
-    error = math.inf
+    found = []
     for phi in COLOURS:
         w = plant_response(layout, plant, first_order_noise(1, LENGTH, phi))[0]
-        products = mean_lag_products(w, np.ones(w.size, bool), lags)
-        shape = products[1:]
-        power = max(float(shape @ measured) / max(float(shape @ shape), 1e-300), 0.0)
-        misfit = float(np.sum((measured - power * shape) ** 2))
-        if misfit < error:
-            rms = math.sqrt(power * products[0])
-            best = InputDisturbance(rms, phi, math.sqrt(power))
-            error = misfit
-    return best
+        whole, *own = mean_lag_products(w, np.ones(w.size, bool), lags)
+        shape = np.array(own)
+        power = max(shape @ measured / max(float(shape @ shape), 1e-300), 0.0)
+        misfit = np.sum((measured - power * shape) ** 2)
+        found.append((misfit, InputDisturbance(math.sqrt(power * whole), phi, math.sqrt(power))))
+    return min(found)[1]
 
 
 def mean_lag_products(e: Floats, ok: Flags, lags: int) -> Floats:
@@ -421,14 +410,14 @@ def lag_products(e: Floats, ok: Flags, lags: int) -> list[float]:
 def first_order_noise(runs: int, size: int, phi: float) -> Floats:
     """Return first-order noise of rms 1, equal draws for every phi (runs x (size + SETTLED))."""
     draws = np.random.default_rng(0).standard_normal((runs, size + SETTLED))
-    return np.asarray(lfilter([math.sqrt(1 - phi**2)], [1.0, -phi], draws, axis=1))
+    return lfilter([math.sqrt(1 - phi**2)], [1.0, -phi], draws, axis=1)
 
 
 def plant_response(layout: Layout, plant: Floats, noise: Floats) -> Floats:
     """Return the plant's response to noise at its first input (runs x size), settled."""
     numerator = np.append(0.0, plant[layout.numerators][: layout.n])
     denominator = layout.full_denominator(plant[layout.denominator])
-    return np.asarray(lfilter(numerator, denominator, noise, axis=1))[:, SETTLED:]
+    return lfilter(numerator, denominator, noise, axis=1)[:, SETTLED:]
 
 
 def input_noise_gain(a: Floats, b: Floats, n: int, phi: float) -> float:

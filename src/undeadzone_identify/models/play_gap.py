@@ -113,8 +113,8 @@ def find_play_gap(fit: PlayFit, quantum: float, in_loop: bool = False) -> PlayGa
         widest = max(halves[name], own[name], student_quantile(RUNS - 1) * std)
         halves[name] = math.hypot(
             widest,
-            float(weights @ (corrected - fit.theta)),
-            float(weights @ (simulation_fit.theta - fit.theta)),
+            weights @ (corrected - fit.theta),
+            weights @ (simulation_fit.theta - fit.theta),
         )
     intervals = _gap_intervals(corrected, model, halves)
     sure = ahead.rms < (STRONGEST_OF_BOTH if model.zone else STRONGEST)

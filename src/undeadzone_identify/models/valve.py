@@ -187,7 +187,7 @@ class Regression:
 
     def _before(self, x: Floats, lag: int) -> Floats:
         """Return signals (... x N) a lag before the samples that are predicted (... x n)."""
-        return np.asarray(x[..., self._first - lag : x.shape[-1] - lag][..., self._chosen])
+        return x[..., self._first - lag : x.shape[-1] - lag][..., self._chosen]
 
     def _explain_by(self, columns: Floats) -> None:
         """Set the regressors of every model (n x L)."""
@@ -206,7 +206,7 @@ class Regression:
         Regressing these on each other gives the coefficients of the full regression (Frisch, Waugh
         and Lovell).
         """
-        return np.asarray(columns - self._basis @ (self._basis.T @ columns))
+        return columns - self._basis @ (self._basis.T @ columns)
 
     def lagged(self, v: Floats, lags: range) -> Floats:
         """Return lagged positions, and their averages up to the first lag (K x L x n).
@@ -271,7 +271,7 @@ class Regression:
 
         Arguments of `prediction_errors_of_each`.
         """
-        return np.asarray(np.mean(self.prediction_errors_of_each(v, lags) ** 2, axis=1))
+        return np.mean(self.prediction_errors_of_each(v, lags) ** 2, axis=1)
 
     def regressors(self, v: Floats, lags: range) -> Floats:
         """Return the past, the lagged position, and a constant (n x columns).
@@ -307,7 +307,7 @@ class Regression:
         past = np.hstack([z ** np.arange(1, self.order + 1), z * averaged])
         through = np.hstack([z ** np.array(lags), z ** lags[0] * averaged])
         own, acting = np.split(coefficients[: past.shape[1] + through.shape[1]], [past.shape[1]])
-        return np.asarray(through @ acting / (1 - past @ own))
+        return through @ acting / (1 - past @ own)
 
 
 def _averages(x: Floats) -> Floats:
@@ -689,7 +689,7 @@ def _bagged_weights(values: Floats) -> Floats:
     slow = cosine_coefficients(gains)  # root of the long-run covariance
     noise = np.random.default_rng(0).standard_normal((DRAWS, len(slow)))
     drawn = gains.sum(axis=0) + SCATTER * noise @ slow * math.sqrt(len(gains) / len(slow))
-    return np.asarray(softmax(drawn, axis=1).mean(axis=0))
+    return softmax(drawn, axis=1).mean(axis=0)
 
 
 def _weighted_range(values: Floats, weights: Floats, margin: float) -> Interval:

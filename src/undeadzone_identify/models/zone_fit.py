@@ -62,7 +62,7 @@ class ZoneFit(NamedTuple):
     @property
     def disturbance_rms(self) -> float:
         """Return the rms of the disturbance of z, scaled."""
-        return math.exp(float(self.theta[self.objective.layout.right + 2]))
+        return math.exp(self.theta[self.objective.layout.right + 2])
 
     @property
     def rho(self) -> float:

@@ -192,7 +192,7 @@ class Answer(NamedTuple):
         gain = (
             simulator.dc_gain(theta) * self.case.record_data.y_scale / self.case.record_data.u_scale
         )
-        return np.asarray(gain / self.case.grid.step**simulator.layout.integrators)
+        return gain / self.case.grid.step**simulator.layout.integrators
 
     @property
     def plant_numbers(self) -> tuple[Layout, Floats, Floats, Floats]:

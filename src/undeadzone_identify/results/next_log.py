@@ -111,7 +111,7 @@ class ModelAccount(NamedTuple):
         model = self.model
         x0 = model.simulator.layout.x0
         row = np.array(DIRECTIONS[name]) @ level_slopes(model.levels, self.theta, model.free)
-        return np.asarray(row[(model.free < x0.start) | (model.free >= x0.stop)])
+        return row[(model.free < x0.start) | (model.free >= x0.stop)]
 
 
 def best_next_log(answer: Answer, account: Account) -> NextLog:

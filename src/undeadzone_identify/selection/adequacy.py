@@ -227,7 +227,7 @@ def _blurred_readings(fit: FittedModel[Model]) -> Floats:
     nodes, weights = hermegauss(NODES)
     read = [model.noise_free_readings(z + rms * node, fit.theta) for node in nodes]
     blurred = weights / weights.sum() @ np.array(read)
-    return np.asarray(blurred - model.noise_free_readings(z, fit.theta))[:, None]
+    return (blurred - model.noise_free_readings(z, fit.theta))[:, None]
 
 
 def _centre(columns: Floats, ok: Flags) -> Floats:
@@ -297,7 +297,7 @@ def _directions(fit: FittedModel[Model]) -> dict[str, Floats]:
     }
     directions["rate of the input"] = through_plant(theta, _late_by_rate(u))
     directions["rate of the output"] = _late_by_rate(z)
-    if float(np.std(read - z)) > 0:  # else these are more poles of the plant
+    if np.std(read - z) > 0:  # else these are more poles of the plant
         lags = [shift_rows(read, k, data.start) for k in range(1, BEHIND + 1)]
         lags += [shift_rows(read - z, k, data.start) for k in range(1, 4)]
         directions["behind"] = np.column_stack(lags)
@@ -306,7 +306,7 @@ def _directions(fit: FittedModel[Model]) -> dict[str, Floats]:
         directions["steps"] = np.column_stack([np.sin(angle), np.cos(angle)])
     if isinstance(model, ChainModel | PlaceModel):
         passed = model.pass_input(u, theta)
-        if float(np.std(passed - u)) > 0:
+        if np.std(passed - u) > 0:
             behind = [model.pass_input(lag_columns(u, pole), theta) - passed for pole in AHEAD]
             directions["ahead"] = through_plant(theta, np.column_stack(behind))
             if isinstance(model, PlaceModel):  # one column finds what the hats of the input share
@@ -336,7 +336,7 @@ def last_turn(signal: Floats) -> Floats:
     """Return the sign of a signal's last move (N); 0 before it moved."""
     sign = np.sign(np.diff(signal, prepend=signal[0]))
     last = np.maximum.accumulate(np.where(sign != 0, np.arange(sign.size), 0))
-    return np.asarray(sign[last])
+    return sign[last]
 
 
 def _late_by_rate(signal: Floats) -> Floats:

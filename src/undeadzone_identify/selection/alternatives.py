@@ -835,7 +835,7 @@ def _passes_limits(fit: FittedModel[MapModel], quantum: float) -> bool:
             continue
         beyond = np.maximum(sign * above[held], 0.0)
         white = white_noise_rms(above, held, data.start)
-        if math.sqrt(2 * float(np.mean(beyond**2))) > max(BEYOND * white, LEAST_BEYOND, quantum):
+        if math.sqrt(2 * np.mean(beyond**2)) > max(BEYOND * white, LEAST_BEYOND, quantum):
             return True
     return False
 

@@ -227,7 +227,7 @@ def is_delay_better(fits: list[OrderFit], late: list[OrderFit]) -> bool:
         late: with it.
     """
     best = best_order(fits)
-    margin = math.log(float(fits[0].fit.objective.readings.ok.sum()))
+    margin = math.log(fits[0].fit.objective.readings.ok.sum())
     if has_continuous_poles(best.fit):
         margin += CLEARLY  # a fast pole looks much like a delay
     return best_order(late).fit.bic + margin < best.fit.bic

@@ -274,7 +274,7 @@ def friction_of(servo: ServoGap) -> Interval | None:
     if not one.structure.parts & {"friction", "load"}:
         return None
     value = float(one.theta[RUBS].sum())
-    error = math.sqrt(max(float(covariance_of(servo, lambda theta: theta[RUBS].sum())), 0.0))
+    error = math.sqrt(max(covariance_of(servo, lambda theta: theta[RUBS].sum()), 0.0))
     degrees = degrees_of_reversals(servo.reversals)
     half = math.hypot(WIDER * student_quantile(degrees) * error, LEVEL * value)
     friction = Interval.from_half_width(value, half)

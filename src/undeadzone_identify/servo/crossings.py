@@ -95,7 +95,7 @@ class GapCrossings(NamedTuple):
         slopes = inverse @ rows.T @ gaps
         left = gaps - rows @ slopes
         degrees = max(self.gap.size - rows.shape[1], 1)
-        errors = np.sqrt(np.maximum(inverse.diagonal() * float(left @ left) / degrees, 1e-300))
+        errors = np.sqrt(np.maximum(inverse.diagonal() * (left @ left) / degrees, 1e-300))
         found = []
         for name, slope, error in zip(columns, slopes[1:], errors[1:], strict=True):
             share = abs(slope) / max(abs(self.median_gap), 1e-300)

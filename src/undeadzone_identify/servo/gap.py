@@ -484,6 +484,6 @@ def collect_odd_errors(log: Observations, slopes: ErrorSlopes) -> list[str]:
     used = np.flatnonzero(log.error_samples(False))
     past = log.kernel_inputs(log.ok)[used, 1 : LATEST + 1]
     left = regression_residual(past - past.mean(axis=0), r)
-    if 1 - float(left @ left) / max(float(r @ r), 1e-300) > INPUT_SHARE:
+    if 1 - (left @ left) / max(r @ r, 1e-300) > INPUT_SHARE:
         reasons.append("past inputs explain errors: no model of a motor explains them")
     return reasons

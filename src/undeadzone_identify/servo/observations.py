@@ -63,7 +63,7 @@ def _inlier_rows(columns: Floats, target: Floats) -> Flags:
     for _ in range(3):
         slopes = np.linalg.lstsq(columns[inliers], target[inliers], rcond=1e-10)[0]
         left = np.abs(target - columns @ slopes)
-        inliers = left <= OUTLIER * NORMAL * float(np.median(left))
+        inliers = left <= OUTLIER * NORMAL * np.median(left)
     return inliers
 
 

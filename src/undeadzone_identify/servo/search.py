@@ -161,7 +161,7 @@ def _frictionless_output(log: Observations, theta: Floats, lag: bool) -> Floats:
     A, B, _ = discretise_servo(theta[None], log.step, lag)
     numerator, denominator = ss2tf(A[0, :2, :2], B[0, :2, :1], [[1.0, 0.0]], [[0.0]])
     late = shift_rows(log.u, 1 + round(theta[At.DELAY]), log.start)
-    return np.asarray(lfilter(numerator[0, 1:], denominator, late))
+    return lfilter(numerator[0, 1:], denominator, late)
 
 
 # --- The gap
