@@ -19,7 +19,12 @@ from undeadzone.nonlinearities.play import contact, levels
 from undeadzone.util.arrays import Floats, Integers
 from undeadzone_identify.models.estimates import cache_latest, weight_row
 from undeadzone_identify.models.least_squares import Density, FittedModel, LeastSquares
-from undeadzone_identify.models.likelihood import dead_zone, unit_density
+from undeadzone_identify.models.likelihood import (
+    ZoneNoise,
+    dead_zone,
+    mean_beyond_edges,
+    unit_density,
+)
 from undeadzone_identify.models.plant import CREDIBLE, PlantSimulator, RecordData, busiest_stretches
 from undeadzone_identify.models.zone_fit import ZoneFit, fit_linear, widths_about_level
 
@@ -290,8 +295,8 @@ def cubic_map(z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
 
 def noisy_zone_map(blur: float, z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
     """Return the mean reading of a dead zone with noise of rms `blur` ahead, with derivatives."""
-    a, b, above, below = _edge_chances(blur, z, p)
-    value = blur * (unit_density(a) + a * above - unit_density(b) - b * below)
+    _, _, above, below = _edge_chances(blur, z, p)
+    value = mean_beyond_edges(z, ZoneNoise(*p, blur))
     return value, above + below, np.column_stack([-above, below])
 
 

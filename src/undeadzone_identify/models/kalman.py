@@ -121,7 +121,7 @@ def build_kalman_kernel(n: int, m: int, model: int, moments: bool) -> lanes.Kern
     exogenous = ca.SX.sym("w", m + 4)
     numbers = ca.SX.sym("p", n + m * n + 7)
     F, B, G, H = observer_form_matrices(n, m, model, numbers)
-    q2, r2, right, left, _, first, first_w = ca.vertsplit(numbers[n + m * n :])
+    q2, r2, right, left, _, first, first_w = ca.vertsplit(numbers[-7:])
     u = exogenous[:m]
     y, side, ok, start = ca.vertsplit(exogenous[m:])
     at_start = ca.diag(ca.vertcat(first * ca.SX.ones(n), *([first_w] * (model > 0))))
@@ -211,12 +211,10 @@ class KalmanObjective:
         self.log_q = layout.numerators.stop
         self.size = self.log_q + 4 + (model > 0)
         self.noise = slice(self.log_q, self.log_q + 4)
-        starts = np.zeros(data.y.size)
-        starts[data.start] = 1.0
-        rows = [data.u, data.y, data.side, data.ok, starts]
-        self.exogenous = np.column_stack(rows)
+        starts = np.isin(np.arange(data.y.size), data.start)
+        self.exogenous = np.column_stack([data.u, data.y, data.side, data.ok, starts])
         free = np.ones(self.size, bool)
-        free[self.log_q + 2 : self.log_q + 4] = limits.free
+        free[self.noise][2:] = limits.free
         self.free: Integers = np.flatnonzero(free)
         is_noise = np.isin(self.free, (self.log_q, self.log_q + 1))
         self.longest = np.where(is_noise, 1.0, np.inf)
@@ -253,8 +251,8 @@ class KalmanObjective:
     def kernel_outputs(self, points: Floats, moments: bool = False) -> Floats:
         """Return the kernel's outputs (K x N x outputs) for K parameter sets (K x P)."""
         rows = np.array(list(map(self.lane_numbers, points)))
-        compiled = build_kalman_kernel(self.layout.n, self.layout.m, self.model, moments)
-        return estimates.run_lanes_along(compiled, self.exogenous, rows)[0]
+        kernel = build_kalman_kernel(self.layout.n, self.layout.m, self.model, moments)
+        return estimates.run_lanes_along(kernel, self.exogenous, rows)[0]
 
     @estimates.cache_latest
     def densities_and_scores(self, p: Floats) -> tuple[Floats, Floats]:
@@ -310,9 +308,8 @@ class KalmanObjective:
 
     def width_weights(self, right: float, left: float) -> Floats:
         """Return c (F) with c' theta_free = right d_r + left d_l."""
-        first = self.log_q + 2
-        tied = self.limits.tied
-        return estimates.weight_row(self.free, self.size, first, (right, left), tied)
+        place, tied = self.log_q + 2, self.limits.tied
+        return estimates.weight_row(self.free, self.size, place, (right, left), tied)
 
     @estimates.cache_latest
     def robust_covariance(self, p: Floats) -> estimates.EstimateCovariance:

@@ -81,6 +81,13 @@ def dead_zone(z: Floats, right: float, left: float) -> Floats:
     return np.maximum(z - right, 0.0) + np.minimum(z + left, 0.0)
 
 
+def mean_beyond_edges(z: Floats, noise: ZoneNoise) -> Floats:
+    """Return the mean reading of each z (N) with noise ahead of the zone."""
+    above, below = (z - noise.right) / noise.s, (-noise.left - z) / noise.s
+    by_density = unit_density(above) - unit_density(below)
+    return noise.s * (by_density + above * ndtr(above) - below * ndtr(below))
+
+
 def zone_offset(side: Integers, right: float, left: float) -> Floats:
     """Return the offset that the zone subtracts on each branch (N): d_r right, -d_l left, 0
     inside.
@@ -134,6 +141,17 @@ def _enter_outside(
     slopes[at, LOG_S] = e**2 - 1
 
 
+def expected_reading(z: Floats, noise: ZoneNoise, zone: bool) -> Floats:
+    """Return the readings of z (N) without the noise behind the zone.
+
+    Args:
+        z: output of the plant (N).
+        noise: widths.
+        zone: whether there is a zone; else the readings are z - d_r.
+    """
+    return dead_zone(z, noise.right, noise.left) if zone else z - noise.right
+
+
 def densities_behind(
     readings: Readings, z: Floats, noise: ZoneNoise, zone: bool = True
 ) -> DensityTerms:
@@ -150,8 +168,7 @@ def densities_behind(
     """
     right = z > noise.right if zone else np.ones(z.size, bool)
     left = z < -noise.left if zone else ~right
-    expected = dead_zone(z, noise.right, noise.left) if zone else z - noise.right
-    e = (readings.y - expected) / noise.s
+    e = (readings.y - expected_reading(z, noise, zone)) / noise.s
     by_z = e / noise.s
     slopes = np.zeros((z.size, 4))
     slopes[:, Z] = by_z * (right | left)

@@ -184,6 +184,16 @@ class Layout:
         """Return the place of d_r; d_l and log s follow."""
         return self.x0.stop
 
+    @cached_property
+    def widths(self) -> slice:
+        """Return the places of d_r and d_l."""
+        return slice(self.right, self.right + 2)
+
+    @cached_property
+    def log_s(self) -> int:
+        """Return the place of log s."""
+        return self.right + 2
+
     def full_denominator(self, a: Floats) -> Floats:
         """Return the coefficients 1, a_1 to a_n of the denominator with its integrators (n + 1)."""
         coefficients = np.concatenate([[1.0], a])
@@ -194,7 +204,7 @@ class Layout:
     @cached_property
     def parameter_count(self) -> int:
         """Return the number of parameters in theta."""
-        return self.right + 3
+        return self.log_s + 1
 
     def at_rest(self, other: Layout, theta: Floats) -> Floats:
         """Return the parameters of the same plant along other records that begin at rest.

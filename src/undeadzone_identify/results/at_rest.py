@@ -45,18 +45,18 @@ class IdentifiedAtRest(Spoken):
     @property
     def width(self) -> Interval | None:
         """Return the width of the band, or of the gap, as (value, low, high); None without one."""
-        numbers = next(iter(self.account.effects.values()), {})
+        numbers = self.account.first_numbers
         return numbers.get("width", numbers.get("gap"))
 
     @property
     def right(self) -> Interval | None:
         """Return the upper edge of the band [u]; None without one."""
-        return next(iter(self.account.effects.values()), {}).get("upper")
+        return self.account.first_numbers.get("upper")
 
     @property
     def left(self) -> Interval | None:
         """Return the lower edge of the band [u]; None without one."""
-        return next(iter(self.account.effects.values()), {}).get("lower")
+        return self.account.first_numbers.get("lower")
 
     def scenario(self, title: str = "Identified log") -> str:
         """Raise InputError: no plant was fitted."""

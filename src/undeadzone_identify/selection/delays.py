@@ -296,6 +296,6 @@ def _start_from_linear(fit: ZoneFit, simulator: PlantSimulator) -> Floats:
     theta = fit.theta.copy()
     plant = fit_linear(simulator).theta
     theta[: layout.right] = plant[: layout.right]
-    theta[layout.numerators] *= float(fit.z.std() / simulator.simulate_z(plant).std())
-    theta[layout.right + 2] = math.log(ROUGH)
+    theta[layout.numerators] *= fit.z.std() / simulator.simulate_z(plant).std()
+    theta[layout.log_s] = math.log(ROUGH)
     return theta

@@ -135,7 +135,7 @@ class ValveFindings:
     @cached_property
     def apparent(self) -> float:
         """Return |1 / (1 + C G)| about the period, without an oscillation from outside."""
-        return self._fits.sensitivity(self._acting)
+        return self._fits.sensitivity(self._acting, np.empty((self._acting.size, 0)))
 
     @cached_property
     def hidden(self) -> float:

@@ -26,6 +26,7 @@ from scipy.special import expit
 from scipy.stats import chi2, kurtosis
 
 from undeadzone.compile import lanes
+from undeadzone.nonlinearities.play import apply_backlash
 from undeadzone.util.arrays import Flags, Floats, Integers, shift_rows
 from undeadzone_identify.models.estimates import (
     Interval,
@@ -242,9 +243,9 @@ class ServoGap(NamedTuple):
         """Return the predicted z, its noise-free reading and the contact (N each), scaled."""
         log = self.log
         z = ServoLikelihood(log).run_predictor(one.theta[None], one.structure.lag)[0][:, 2]
-        half = float(one.theta[At.GAP]) / 2
+        half = one.theta[At.GAP] / 2
         before = shift_rows(log.y, 1, log.start)
-        readings = np.maximum(np.minimum(before, z + half), z - half)
+        readings = apply_backlash(np, z, before, half, half)
         readings = round_to_quantum(readings, log.quantum)
         return z, readings, np.sign(readings - before).astype(int)
 
