@@ -524,9 +524,8 @@ def _fit_limits(grid: Grid, prepared: PreparedLog) -> FittedModel[MapModel] | No
     y = np.where(prepared.at_ends, grid.y / data.y_scale, data.y)
     scaled = (ends.low / data.y_scale, ends.high / data.y_scale)
     every = data._replace(y=y, ok=data.ok | prepared.at_ends)
-    options = prepared.options
-    orders = feasible_orders(int(every.ok.sum()), options)
-    fit: FittedModel[Any] | None = fit_limits(every, orders, options.integrators, scaled)
+    orders = feasible_orders(int(every.ok.sum()), prepared.options)
+    fit: FittedModel[Any] | None = fit_limits(every, orders, prepared.options.integrators, scaled)
     if fit is None or fit.density.rms > (1 - LEAST) * y[every.ok].std():
         return None
     remainders = find_remainders(fit, raw=DEPENDS)

@@ -88,7 +88,7 @@ def exponential_of_input(u: Floats, p: Floats) -> Floats:
 def play_of_input(u: Floats, p: Floats) -> Floats:
     """Return u (N) after a play of gap p_0, which starts in the middle of its gap (N)."""
     half = p[:1] / 2
-    return levels(u[:, None], half, half, u[:1])[:, 0]
+    return levels(u, half, half, u[:1])
 
 
 def rate_of_input(u: Floats, p: Floats) -> Floats:

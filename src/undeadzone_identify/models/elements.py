@@ -128,11 +128,9 @@ class PlayModel(SimulatedPlant):
     @cache_latest
     def _drag_level(self, numbers: Floats) -> tuple[Floats, Floats]:
         """Return `play_level` for c_r, c_l and z stacked in a column."""
-        right = numbers[:1]
-        left = numbers[1:2]
-        z = numbers[2:, None]
+        right, left, z = np.split(numbers, [1, 2])
         parts = zip(self.data.record_slices(), self.start_levels, strict=True)
-        level = np.vstack([levels(z[part], right, left, start) for part, start in parts])[:, 0]
+        level = np.concatenate([levels(z[part], right, left, start) for part, start in parts])
         side = contact(level, np.roll(level, 1))
         side[self.data.start] = 0.0
         return level, side[self._last_move_index(level)]

@@ -486,16 +486,14 @@ def raise_to_outer_products(hessian: Floats, outer: Floats) -> Floats:
     """
     scale = 1 / np.sqrt(np.diag(outer) + 1e-300)
     values, vectors = np.linalg.eigh(require_finite_matrix(outer * np.outer(scale, scale)))
-    root = vectors * np.sqrt(np.maximum(values, 1e-10 * values.max()))
+    root = vectors * np.sqrt(np.maximum(values, 1e-10 * values.max())) / scale[:, None]
     whiten = np.linalg.pinv(root)
-    symmetric = 0.5 * (hessian + hessian.T) * np.outer(scale, scale)
     with np.errstate(over="ignore", invalid="ignore"):
-        whitened = whiten @ symmetric @ whiten.T
+        whitened = whiten @ (0.5 * (hessian + hessian.T)) @ whiten.T
     if not np.isfinite(whitened).all():
         return outer
     ratios, axes = np.linalg.eigh(whitened)
-    raised = (axes * np.maximum(ratios, 0.5)) @ axes.T
-    return root @ raised @ root.T / np.outer(scale, scale)
+    return (root @ axes * np.maximum(ratios, 0.5)) @ (root @ axes).T
 
 
 def weight_row(

@@ -196,12 +196,11 @@ class MotionFit:
 
     def _regress_reading(self, behind: Floats) -> Floats:
         """Return the residuals of y, regressed on each position behind a gap (N x K)."""
-        y = self.y
         if self.structure.bent:
             return np.column_stack(list(map(self._leave_curve, behind.T)))
         centred = behind - behind.mean(axis=0)
         power = np.maximum(np.sum(centred**2, axis=0), 1e-300)
-        return y[:, None] - centred * (y @ centred / power)
+        return self.y[:, None] - centred * (self.y @ centred / power)
 
     def _leave_curve(self, behind: Floats) -> Floats:
         """Return y less the nearest curve of the position behind the gap (N)."""
@@ -433,7 +432,8 @@ def reversal_blocks(u: Floats, gap: float) -> Integers:
         gap: c [u]; smaller reversals do not count.
     """
     least = max(gap, 0.02 * float(np.ptp(u)))
-    output = levels(u[:, None], np.array([least / 2]), np.array([least / 2]), u[:1])[:, 0]
+    half = np.array([least / 2])
+    output = levels(u, half, half, u[:1])
     moves = np.diff(output, prepend=output[0])
     moving = np.flatnonzero(moves)
     reverses = np.zeros(u.size, int)

@@ -270,14 +270,13 @@ def raise_order(fit: PlaceFit) -> PlaceFit | None:
         fit: of a plant of one input.
     """
     old = fit.model
-    theta = fit.theta
     simulator = old.simulator
     following = PlantSimulator(simulator.data, old.n + 1, simulator.layout.integrators)
-    a, b, *records = theta[: old.base].reshape(-1, old.n)  # states at the start of each record
+    a, b, *records = fit.theta[: old.base].reshape(-1, old.n)  # states at the start of each record
     starts = []
     for pole in ADDED:
         parts = [np.convolve(part, [1.0, -pole]) for part in (np.append(1.0, a), b, *records)]
-        starts.append(np.hstack([*parts, theta[old.base :], 0.0])[1:])
+        starts.append(np.hstack([*parts, fit.theta[old.base :], 0.0])[1:])
     return fit_place(following, old.shape, starts)
 
 

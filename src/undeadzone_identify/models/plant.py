@@ -10,6 +10,7 @@ from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.linalg import toeplitz
 from scipy.linalg.lapack import dgeev
 from scipy.signal import lfilter
 
@@ -235,13 +236,7 @@ class PlantSimulator:
 
     def _lag_inputs(self, u: Floats) -> Floats:
         """Return the last n samples of each input (N x m n), 0 before a record."""
-        n = self.layout.n
-        lagged = np.zeros((len(u), n * u.shape[1]))
-        for part in self.records:
-            for j in range(n):
-                end = max(part.stop - 1 - j, part.start)  # of a record that is shorter
-                lagged[part.start + 1 + j : part.stop, j::n] = u[part.start : end]
-        return lagged
+        return np.vstack([delay_by_each(u[part], self.layout.n) for part in self.records])
 
     def simulator_along(self, data: RecordData) -> PlantSimulator:
         """Return the same plant along other records."""
@@ -272,25 +267,17 @@ class PlantSimulator:
         impulse response of 1 / A.
         """
         layout = self.layout
-        n = layout.n
+        own = np.append(1.0, theta[layout.denominator])
         denominator = layout.full_denominator(theta[layout.denominator])
-        u = self.data.u
         slopes = np.zeros((z.size, layout.parameter_count))
-        for r, part in enumerate(self.records):
-            size = part.stop - part.start
-            by_a = lfilter([1.0], np.append(1.0, theta[layout.denominator]), z[part])
-            impulse = np.zeros((size, 1))
-            impulse[0] = 1.0
-            sources = np.hstack([u[part], impulse])
-            filtered = lfilter([1.0], denominator, sources, axis=0)
-            own = slopes[part]
-            for i in range(layout.denominator.stop):
-                own[i + 1 :, i] = -by_a[: size - 1 - i]
-            for i in range(n):
-                own[i:, layout.x0.start + n * r + i] = filtered[: size - i, -1]
-                own[i + 1 :, layout.numerators.start + i : layout.numerators.stop : n] = filtered[
-                    : size - 1 - i, :-1
-                ]
+        states = np.split(np.r_[layout.x0], layout.records)
+        for state, part in zip(states, self.records, strict=True):
+            by_a = lfilter([1.0], own, z[part, None], axis=0)
+            by_u = lfilter([1.0], denominator, self.data.u[part], axis=0)
+            impulse = lfilter([1.0], denominator, np.eye(1, len(by_a))[0])
+            slopes[part, layout.denominator] = -delay_by_each(by_a, layout.denominator.stop)
+            slopes[part, layout.numerators] = delay_by_each(by_u, layout.n)
+            slopes[part, state] = toeplitz(impulse, np.zeros(layout.n))
         return slopes
 
     def respond_from_rest(self, theta: Floats, inputs: Floats) -> Floats:
@@ -335,6 +322,11 @@ class PlantSimulator:
         """Return the longest record's duration in time constants of the slowest pole [1]."""
         slowest = np.abs(polynomial_roots(theta[self.layout.denominator])).max(initial=1e-300)
         return float(-np.log(slowest) * self.longest)
+
+
+def delay_by_each(signals: Floats, count: int) -> Floats:
+    """Return each signal (N x K) delayed by 1 to `count` samples, from rest (N x count K)."""
+    return np.hstack([toeplitz(np.append(0.0, x[:-1]), np.zeros(count)) for x in signals.T])
 
 
 def polynomial_roots(a: Floats) -> Any:

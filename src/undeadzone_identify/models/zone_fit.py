@@ -256,14 +256,13 @@ def outside_correlation(fit: ZoneFit) -> float:
 
 def zone_starts(objective: ZoneObjective) -> list[Floats]:
     """Return start points (P each): ARX models of both sides, a linear fit with several widths."""
-    simulator = objective.simulator
     layout = objective.layout
     use = objective.readings.ok
-    linear = fit_linear(simulator, use)
+    linear = fit_linear(objective.simulator, use)
     by_branch = start_by_branch(objective)
     starts = [] if by_branch is None else [by_branch]
     halves = [*SHARES]
-    if simulator.data.silent_zeros:
+    if objective.simulator.data.silent_zeros:
         inside_share = float(np.mean(objective.readings.side[use] == 0))
         halves.append(float(np.quantile(np.abs(linear.z), inside_share)))
     for share in halves:

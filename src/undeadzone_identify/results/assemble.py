@@ -661,9 +661,8 @@ def _interval_growth(degrees: float) -> float:
 def _interval_of_prior(answer: Answer, side: str, edge: Interval) -> Interval:
     """Return the 99.9 % interval of a width [y]."""
     jumps = answer.case.jump_edges
-    element = answer.element
     if jumps is not None:
         jump = jumps[SIDES.index(side)]
         return edge.extend_by((jump.low - jump.lowest) * answer.scale, 0.0)
-    degrees = answer.widths.degrees[side] if element is None else element.degrees
+    degrees = answer.widths.degrees[side] if answer.element is None else answer.element.degrees
     return edge.stretch_by(_interval_growth(degrees))

@@ -100,7 +100,7 @@ def pass_machine(lost: Lost, command: Floats, end: int) -> Floats:
     """
     if lost.kind == "backlash":
         gap = np.array([lost.width[end]])
-        return levels(command[:, None], gap, 0 * gap, command[:1])[:, 0]
+        return levels(command, gap, 0 * gap, command[:1])
     return command - np.clip(command, -lost.left[end], lost.right[end])
 
 

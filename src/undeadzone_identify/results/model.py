@@ -28,7 +28,7 @@ def follow_play(z: Floats, right: float, left: float) -> Floats:
         z: its input (N).
         right, left: half gaps c_r, c_l.
     """
-    return levels(z[:, None], np.array([right]), np.array([left]), np.zeros(1))[:, 0]
+    return levels(z, np.array([right]), np.array([left]), np.zeros(1))
 
 
 SENSORS = {"dead_zone": sensor.deadzone, "jump": sensor.jump, "play": follow_play}

@@ -95,8 +95,7 @@ class ModelAccount(NamedTuple):
         """Return the same model at rest, at the start of another record."""
         model = self.model.along(data)
         layout = model.simulator.layout
-        own = self.model.simulator.layout
-        return ModelAccount(model, layout.at_rest(own, self.theta))
+        return ModelAccount(model, layout.at_rest(self.model.simulator.layout, self.theta))
 
     def information_rows(self, begins_at_rest: bool) -> Floats:
         """Return the derivatives of the readings without those by the start (N x K)."""
@@ -113,8 +112,9 @@ class ModelAccount(NamedTuple):
         """Return the row of right, left, width or centre, parameters of the start left
         out.
         """
-        model = self.model
-        row = np.array(DIRECTIONS[name]) @ level_slopes(model.levels, self.theta, model.free)
+        row = np.array(DIRECTIONS[name]) @ level_slopes(
+            self.model.levels, self.theta, self.model.free
+        )
         return row[~self.is_of_start]
 
 
@@ -216,8 +216,7 @@ def _score_by_interval(answer: Answer, name: str, model: ModelAccount) -> Iterat
 def _candidate_records(answer: Answer, account: ModelAccount) -> Iterator[tuple[str, RecordData]]:
     """Yield inputs within the log's limits that move z no further (name, record)."""
     own = account.model.simulator.data
-    step = answer.case.grid.step
-    size = int(np.clip(round(SECONDS / step), FEWEST, MOST))
+    size = int(np.clip(round(SECONDS / answer.case.grid.step), FEWEST, MOST))
     reach = FURTHER * float(np.ptp(answer.z))
     blank = np.zeros(size)
     integrates = account.model.simulator.layout.integrators > 0

@@ -378,12 +378,11 @@ class Identified(Spoken):
 def _simulate_states(simulator: PlantSimulator, theta: Floats) -> Floats:
     """Simulate the states in observer form (N x n), scaled."""
     layout = simulator.layout
-    data = simulator.data
     F, B, _ = observer_matrices(theta[layout.denominator], theta[layout.numerators], layout)
     x0 = theta[layout.x0].reshape(layout.records, layout.n)
     system = (F, B, np.eye(layout.n), np.zeros(B.shape), 1.0)
-    parts = zip(data.record_slices(), x0, strict=True)
-    return np.vstack([dlsim(system, data.u[part], x0=state)[2] for part, state in parts])
+    parts = zip(simulator.data.record_slices(), x0, strict=True)
+    return np.vstack([dlsim(system, simulator.data.u[part], x0=state)[2] for part, state in parts])
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)

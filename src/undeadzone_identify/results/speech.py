@@ -232,11 +232,10 @@ class Compared(NamedTuple):
 
 def _compare(answer: Answer, word: str) -> tuple[Compared, Flags] | None:
     """Return a class's model on held-out data, and these; None without a fit of it."""
-    case = answer.case
-    fit = fit_of(case, answer.found, word)
+    fit = fit_of(answer.case, answer.found, word)
     if fit is None:
         return None
-    e, test = held_out_residual(fit, case.options.held_out)
+    e, test = held_out_residual(fit, answer.case.options.held_out)
     return Compared(word, fit, np.where(test, e, 0.0), _numbers_of_word(answer, word, fit)), test
 
 

@@ -199,13 +199,12 @@ def _range_lines(ranges: Sequence[Sequence[tuple[float, float]]], where: str = "
 
 def _gap_fields(answer: Answer) -> dict[str, str]:
     """Return the gap of a play ahead of the dead zone; empty without a play. Raise InputError."""
-    element = answer.element
     gap = answer.width
     if answer.verdict != "both":
         return {"gap": ""}
-    if element is None or gap is None:
+    if answer.element is None or gap is None:
         raise InputError("scenario: both widths must be known")
-    low, high = prior_element_range(element, gap)
+    low, high = prior_element_range(answer.element, gap)
     return {
         "gap": _to_toml([gap.value / 2] * 2),
         "gap_interval": _interval_remark([gap]),

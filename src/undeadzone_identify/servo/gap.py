@@ -30,13 +30,11 @@ from undeadzone.nonlinearities.play import apply_backlash
 from undeadzone.util.arrays import Flags, Floats, Integers, shift_rows
 from undeadzone_identify.models.estimates import (
     Interval,
-    central_differences,
-    perturb_each,
-    perturbation_steps,
     sandwich_covariance,
     student_quantile,
 )
 from undeadzone_identify.models.least_squares import regression_residual
+from undeadzone_identify.models.measured import level_slopes
 from undeadzone_identify.models.motion import round_to_quantum
 from undeadzone_identify.models.plant import mean_lag_products
 from undeadzone_identify.servo import predictor
@@ -311,14 +309,13 @@ def gap_offset_interval(found: ServoGap, level: float) -> Interval | None:
         found: the gap.
         level: the first reading [y].
     """
-    log = found.log
     one = found.servo
     if found.is_integrating:
         return None
     rest = _rest_position(one.structure, one.theta)
     variance = covariance_of(found, lambda theta: _rest_position(one.structure, theta))
     half = WIDER * student_quantile(degrees_of_reversals(found.reversals)) * math.sqrt(variance)
-    return Interval.from_half_width(-rest * log.y_scale - level, half * log.y_scale)
+    return Interval.from_half_width(-rest * found.log.y_scale - level, half * found.log.y_scale)
 
 
 def covariance_of(found: ServoGap, quantity: Callable[[Floats], Any]) -> Any:
@@ -330,10 +327,8 @@ def covariance_of(found: ServoGap, quantity: Callable[[Floats], Any]) -> Any:
     """
     one = found.servo
     free = one.structure.free_places(found.log.ticks, False)
-    steps = perturbation_steps(one.theta[free])
-    points = perturb_each(one.theta, free, steps)[1:]
-    slopes = central_differences(np.array(list(map(quantity, points))), steps)
-    return slopes.T @ found.covariance @ slopes
+    slopes = level_slopes(quantity, one.theta, free)
+    return slopes @ found.covariance @ slopes.T
 
 
 def _rest_position(structure: ServoStructure, theta: Floats) -> float:

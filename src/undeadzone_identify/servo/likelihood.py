@@ -105,8 +105,7 @@ def build_lane_numbers(theta: Floats, log: Observations, free: bool, lag: bool |
         free: whether z is forgotten at reversals.
         lag: whether the plant is of first order; of all, or of each (L).
     """
-    step = log.step
-    A, B, Q = discretise_servo(theta, step, lag)
+    A, B, Q = discretise_servo(theta, log.step, lag)
     rows = np.zeros((len(theta), len(NUMBERS) + LATEST + 1))
     for place, (kind, row, column) in enumerate(PLANT):
         rows[:, place] = {"a": A, "b": B, "q": Q}[kind][:, int(row), int(column)]
@@ -116,7 +115,7 @@ def build_lane_numbers(theta: Floats, log: Observations, free: bool, lag: bool |
     others |= {
         "rms": SURE * quantum if log.ticks else np.exp(theta[:, At.NOISE]),
         "quantum": quantum,
-        "step": step,
+        "step": log.step,
         "first_v": AT_FIRST**2 * speed,
         "first_d": np.exp(2 * theta[:, At.SLOW]),
         "free": float(free),

@@ -227,7 +227,7 @@ def to_schmitt_ticks(log: Observations) -> Observations:
     """Convert noisy readings to ticks of a Schmitt trigger; the gap grows by 2 REACH of noise."""
     reach = REACH * reading_noise_rms(log)
     half = np.array([reach])
-    play_output = levels(log.y[:, None], half, half, log.y[:1])[:, 0]
+    play_output = levels(log.y, half, half, log.y[:1])
     spacing = 2 / REACH * reach
     steps = np.round(play_output / spacing) * spacing
     side = change_sides(steps, log.ok, log.start)
