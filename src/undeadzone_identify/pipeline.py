@@ -35,7 +35,6 @@ from undeadzone_identify.models.chain import find_input_zero, fit_chains
 from undeadzone_identify.models.elements import (
     MapModel,
     best_maps,
-    best_of_each,
     fit_limits,
     fit_maps,
     has_strong_curve,
@@ -592,9 +591,8 @@ def _add_zone_locations(case: Case, found: Findings) -> Findings:
         word: one for word, one in chains.by_word.items() if not is_rounding_play(one, case.quantum)
     }
     models: dict[str, Any] = {**places, **by_word}
-    rows = [(word, one.density.bic, one.density) for word, one in models.items()]
     found = found._replace(places=places, chains=by_word, shaped=chains.shaped)
-    return found.add_models(case, best_of_each(rows))
+    return found.add_models(case, {word: one.density for word, one in models.items()})
 
 
 def _may_be_servo(case: Case, found: Findings) -> bool:

@@ -469,10 +469,8 @@ def fit_chains(
     for model, ends in behind:
         points = [np.concatenate([zoned, widths, end]) for end in ends]
         fits.append(LeastSquares(model).fit_from_starts(points))
-    rows = (
-        (fit.model.class_word(fit.theta), fit.density.bic, fit) for fit in fits if fit is not None
-    )
-    return Chains(best_of_each(rows), None if data.silent_zeros else fits[-1])
+    by_word = best_of_each(filter(None, fits), lambda fit: fit.model.class_word(fit.theta))
+    return Chains(by_word, None if data.silent_zeros else fits[-1])
 
 
 class Chains(NamedTuple):

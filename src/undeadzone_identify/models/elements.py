@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from scipy.special import ndtr
@@ -42,7 +42,7 @@ FEWEST = 10  # samples beyond an edge or a limit, from which it is known
 BREAKS = 2
 BLUR_BEHIND = 0.03  # rms of the noise ahead of a map if noise enters behind the zone
 
-T = TypeVar("T")
+T = TypeVar("T", bound=FittedModel[Any])
 
 # --- A play, and perhaps a dead zone after it
 
@@ -294,7 +294,7 @@ def cubic_map(z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
 def noisy_zone_map(blur: float, z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
     """Return the mean reading of a dead zone with noise of rms `blur` ahead, with derivatives."""
     _, _, above, below = _edge_chances(blur, z, p)
-    value = mean_beyond_edges(z, ZoneNoise(*p, blur))
+    value = mean_beyond_edges(z, ZoneNoise(p[0], p[1], blur))
     return value, above + below, np.column_stack([-above, below])
 
 
@@ -472,18 +472,19 @@ def fit_limits(
 
 def best_maps(fits: Iterable[FittedModel[MapModel]]) -> dict[str, FittedModel[MapModel]]:
     """Return the fit of least BIC of each class."""
-    return best_of_each((fit.density.name, fit.density.bic, fit) for fit in fits)
+    return best_of_each(fits, lambda fit: fit.density.name)
 
 
-def best_of_each(models: Iterable[tuple[str, float, T]]) -> dict[str, T]:
-    """Return the model of least BIC for each name.
+def best_of_each(fits: Iterable[T], name: Callable[[T], str]) -> dict[str, T]:
+    """Return the fit of least BIC for each name.
 
     Args:
-        models: name, BIC and model.
+        fits: of any models.
+        name: of a fit.
     """
     best: dict[str, T] = {}
-    for name, _, model in sorted(models, key=lambda one: one[1]):
-        best.setdefault(name, model)
+    for fit in sorted(fits, key=lambda one: one.density.bic):
+        best.setdefault(name(fit), fit)
     return best
 
 

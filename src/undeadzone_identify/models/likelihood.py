@@ -15,7 +15,7 @@ from scipy.special import log_ndtr, ndtr
 
 from undeadzone.util.arrays import Flags, Floats, Integers
 
-Z, RIGHT, LEFT, LOG_S = range(4)  # columns of `DensityTerms.slopes`
+Z, RIGHT = range(2)  # columns of `DensityTerms.slopes`; those of d_l and log s follow
 LOG_ROOT = 0.5 * math.log(2 * math.pi)
 NARROW = 1e-5  # width of an interval below which its mass is width times density: no cancellation
 FAR = -36.0  # limit below which a tail's mass underflows, so that its logarithm is computed
@@ -113,32 +113,30 @@ def single_densities(readings: Readings, z: Floats, noise: ZoneNoise) -> Density
     """
     value = np.zeros(z.size)
     slopes = np.zeros((z.size, 4))
-    outside = readings.ok & (readings.side != 0)
-    _enter_outside(readings, z, noise, np.flatnonzero(outside), value, slopes)
+    outside = np.flatnonzero(readings.ok & (readings.side != 0))
+    e = zone_residual(readings, z, noise)[outside] / noise.s  # y + offset - z
+    value[outside] = log_unit_density(e) - math.log(noise.s)
+    slopes[outside] = _gaussian_slopes(e, noise.s, readings.side[outside])
     inside = np.flatnonzero(readings.ok & (readings.side == 0))
     a = (noise.right - z[inside]) / noise.s
     b = (-noise.left - z[inside]) / noise.s
     value[inside] = log_cdf_difference(a, b)
     at_a, at_b = limit_hazards(a, b, value[inside])
-    slopes[inside, Z] = (at_b - at_a) / noise.s
-    slopes[inside, RIGHT] = at_a / noise.s
-    slopes[inside, LEFT] = at_b / noise.s
-    slopes[inside, LOG_S] = b * at_b - a * at_a
+    by_widths = (at_b - at_a) / noise.s, at_a / noise.s, at_b / noise.s
+    slopes[inside] = np.column_stack([*by_widths, b * at_b - a * at_a])
     return DensityTerms(value, slopes)
 
 
-def _enter_outside(
-    readings: Readings, z: Floats, noise: ZoneNoise, at: Integers, value: Floats, slopes: Floats
-) -> None:
-    """Write ln N(e; 0, s^2) and its derivatives for samples outside the zone (at), in place."""
-    e = zone_residual(readings, z, noise)[at] / noise.s  # y + offset - z
-    side = readings.side[at]
-    value[at] = log_unit_density(e) - math.log(noise.s)
-    by_z = e / noise.s
-    slopes[at, Z] = by_z
-    slopes[at, RIGHT] = -by_z * (side > 0)
-    slopes[at, LEFT] = by_z * (side < 0)
-    slopes[at, LOG_S] = e**2 - 1
+def _gaussian_slopes(e: Floats, s: float, side: Integers) -> Floats:
+    """Return the derivatives of ln N(e; 0, 1) - ln s (n x 4).
+
+    Args:
+        e: residuals of samples outside the zone, over s (n).
+        s: their rms.
+        side: +1 right, -1 left, 0 inside, where e does not depend on z (n).
+    """
+    by_z = e / s
+    return np.column_stack([by_z * (side != 0), -by_z * (side > 0), by_z * (side < 0), e**2 - 1])
 
 
 def expected_reading(z: Floats, noise: ZoneNoise, zone: bool) -> Floats:
@@ -166,15 +164,9 @@ def densities_behind(
     Returns:
         Log densities and derivatives; 0 if a reading is missing.
     """
-    right = z > noise.right if zone else np.ones(z.size, bool)
-    left = z < -noise.left if zone else ~right
+    side = 1 * (z > noise.right) - 1 * (z < -noise.left) if zone else np.ones(z.size, int)
     e = (readings.y - expected_reading(z, noise, zone)) / noise.s
-    by_z = e / noise.s
-    slopes = np.zeros((z.size, 4))
-    slopes[:, Z] = by_z * (right | left)
-    slopes[:, RIGHT] = -by_z * right
-    slopes[:, LEFT] = by_z * left
-    slopes[:, LOG_S] = e**2 - 1
+    slopes = _gaussian_slopes(e, noise.s, side)
     value = log_unit_density(e) - math.log(noise.s)
     return DensityTerms(value * readings.ok, slopes * readings.ok[:, None])
 

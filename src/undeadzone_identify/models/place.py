@@ -327,7 +327,9 @@ class PlaceStarts:
     def input_levels(self) -> list[tuple[Floats, Floats]]:
         """Return start plants, each with widths of a zone in rms of the input (2)."""
         widths = self.widths / self.gain
-        starts = [(self.plant, np.clip(share * widths, 0.02, 1.5)) for share in (1.0, 0.4)]
+        starts: list[tuple[Floats, Floats]] = [
+            (self.plant, np.clip(share * widths, 0.02, 1.5)) for share in (1.0, 0.4)
+        ]
         for level in (0.3, 0.8):
             plant = self.linear_plant.copy()
             plant[self.simulator.layout.numerators] *= 1 + 0.5 * level

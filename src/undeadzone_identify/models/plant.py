@@ -96,7 +96,7 @@ def busiest_stretches(data: RecordData, longest: int = STRETCH) -> RecordData:
     cut = (_cut_record(record, longest) for record in data.record_slices())
     stretches = sorted(itertools.chain(*cut), key=partial(_count_passages, data), reverse=True)
     samples = np.cumsum([stretch.stop - stretch.start for stretch in stretches])
-    busiest = stretches[: max(1, np.count_nonzero(samples <= MANY))]
+    busiest = stretches[: max(1, int(np.count_nonzero(samples <= MANY)))]
     return select_samples(data, sorted(busiest, key=lambda stretch: stretch.start))
 
 
@@ -392,7 +392,7 @@ def find_input_disturbance(
         w = plant_response(layout, plant, first_order_noise(1, LENGTH, phi))[0]
         whole, *own = mean_lag_products(w, np.ones(w.size, bool), lags)
         shape = np.array(own)
-        power = max(shape @ measured / max(float(shape @ shape), 1e-300), 0.0)
+        power = max(float(shape @ measured) / max(float(shape @ shape), 1e-300), 0.0)
         misfit = np.sum((measured - power * shape) ** 2)
         found.append((misfit, InputDisturbance(math.sqrt(power * whole), phi, math.sqrt(power))))
     return min(found)[1]

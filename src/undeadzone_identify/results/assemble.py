@@ -115,10 +115,6 @@ class Answer(NamedTuple):
 
     verdict: str
     reasons: list[str]
-    right: Interval | None
-    left: Interval | None
-    width: Interval | None
-    centre: Interval | None
     remarks: list[str]
     loop: Feedback
     case: Case
@@ -126,6 +122,10 @@ class Answer(NamedTuple):
     chosen: OrderFit
     excitation: Excitation
     widths: WidthEstimates
+    right: Interval | None = None
+    left: Interval | None = None
+    width: Interval | None = None
+    centre: Interval | None = None
     shape: SensorShape | None = None
 
     @property
@@ -290,10 +290,6 @@ def to_answer(case: Case, found: Findings) -> Answer:
     answer = Answer(
         verdict=found.verdict.word,
         reasons=found.verdict.reasons,
-        right=None,
-        left=None,
-        width=None,
-        centre=None,
         remarks=[*case.fitted.prepared.remarks, *found.verdict.cautions],
         loop=Feedback(1.0, None),
         case=case,

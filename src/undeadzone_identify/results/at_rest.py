@@ -65,28 +65,23 @@ class IdentifiedAtRest(Spoken):
     def numbers(self) -> dict[str, Any]:
         """Return all numbers of the answer, as `--json` prints."""
         log = self.log
-        return dict(
-            to_json_value(
-                {
-                    "zone": False,
-                    "verdict": self.verdict,
-                    "found": self.headline(),
-                    "answer": self.account.to_json(),
-                    "width": None if self.width is None else list(self.width),
-                    "record": {"samples": int(log.t.size)},
-                    "units": {"input": log.input_unit, "output": log.output_units[0]},
-                    "remarks": [*log.remarks],
-                }
-            )
-        )
+        numbers = {
+            "zone": False,
+            "verdict": self.verdict,
+            "found": self.headline(),
+            "answer": self.account.to_json(),
+            "width": None if self.width is None else list(self.width),
+            "record": {"samples": int(log.t.size)},
+            "units": {"input": log.input_unit, "output": log.output_units[0]},
+            "remarks": [*log.remarks],
+        }
+        return to_json_value(numbers)
 
     def summary(self) -> dict[str, Any]:
         """Return the answer in words, as the command prints."""
         log = self.log
         names = f"{log.inputs[0]} [{log.input_unit}], {log.outputs[0]} [{log.output_units[0]}]"
-        lines: dict[str, Any] = {
-            "record": f"{log.t.size} samples, {names}",
-        }
+        lines: dict[str, Any] = {"record": f"{log.t.size} samples, {names}"}
         lines |= self.account.summary() | {"by": self.account.by}
         if log.remarks:
             lines["note"] = [*log.remarks]

@@ -210,7 +210,7 @@ class Identified(Spoken):
     @property
     def alternatives(self) -> dict[str, Any]:
         """Return the distance of each model from the best [nats per sample]."""
-        return dict(self.numbers()["alternatives"])
+        return self.numbers()["alternatives"]
 
     def states(self) -> States:
         """Return z and the plant's states along the log, with standard deviations.
@@ -360,7 +360,7 @@ class Identified(Spoken):
     def numbers(self) -> dict[str, Any]:
         """Return all numbers of the answer, as `--json` prints."""
         numbers = answer_numbers(self.answer, self.account)
-        return dict(to_json_value(numbers | self._lines(numbers)))
+        return to_json_value(numbers | self._lines(numbers))
 
     def _lines(self, numbers: dict[str, Any]) -> dict[str, Any]:
         """Return the errors without and with the few lines that compensate what is named."""

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -107,11 +107,12 @@ def build_lane_numbers(theta: Floats, log: Observations, free: bool, lag: bool |
     """
     A, B, Q = discretise_servo(theta, log.step, lag)
     rows = np.zeros((len(theta), len(NUMBERS) + LATEST + 1))
-    for place, (kind, row, column) in enumerate(PLANT):
+    for place, (kind, row, column) in enumerate(map(list, PLANT)):
         rows[:, place] = {"a": A, "b": B, "q": Q}[kind][:, int(row), int(column)]
     quantum = max(log.quantum, FINEST)
     speed = theta[:, At.GAIN] ** 2 / np.exp(2 * theta[:, At.DAMPING])
-    others = {name: theta[:, At[name.upper()]] for name in ("friction", "load", "offset", "gap")}
+    seen = ("friction", "load", "offset", "gap")
+    others: dict[str, Any] = {name: theta[:, At[name.upper()]] for name in seen}
     others |= {
         "rms": SURE * quantum if log.ticks else np.exp(theta[:, At.NOISE]),
         "quantum": quantum,
