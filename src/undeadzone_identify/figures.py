@@ -50,9 +50,17 @@ def build_figures(
     """
     if not isinstance(found_log, Identified):
         return {"overview": found_log.plot()}
-    return _build_answer_figures(found_log) | (
-        {} if further is None else {"next": _plot_next_input(found_log, further)}
-    )
+    drawn = {"overview": overview(found_log)}
+    element = found_log.answer.element
+    drawn["residual_map" if element is None else "element"] = _plot_by_output(found_log)
+    if element is None and found_log.right is not None:
+        drawn["hidden"] = _plot_hidden_output(found_log)
+    columns = crossing_columns(found_log.answer)
+    if columns:
+        drawn["crossings"] = _plot_crossings(found_log, columns)
+    if further is not None:
+        drawn["next"] = _plot_next_input(found_log, further)
+    return drawn
 
 
 def _plot_next_input(found_log: Identified, further: NextLog) -> Figure:
@@ -66,34 +74,10 @@ def _plot_next_input(found_log: Identified, further: NextLog) -> Figure:
     return figure
 
 
-def _build_answer_figures(found_log: Identified) -> dict[str, Figure]:
-    """Build the figures of the answer itself, by name."""
-    element = found_log.answer.element
-    if element is not None:
-        figures = {
-            "overview": overview(found_log),
-            "element": _plot_by_output(found_log),
-        }
-        columns = crossing_columns(found_log.answer)
-        return figures | ({"crossings": _plot_crossings(found_log, columns)} if columns else {})
-    drawn = {
-        "overview": overview(found_log),
-        "residual_map": _plot_by_output(found_log),
-    }
-    if found_log.right is not None:
-        drawn["hidden"] = _plot_hidden_output(found_log)
-    return drawn
-
-
 def _time_window(found_log: Identified, most: int = MOST) -> slice:
     """Return the slice of samples that a figure over time shows: the last `most` samples."""
     size = found_log.answer.case.grid.t.size
     return slice(max(0, size - most), size)
-
-
-def _unit_of_output(found_log: Identified) -> str:
-    """Return the unit of the output."""
-    return found_log.answer.case.grid.output_unit
 
 
 def _time_label(found_log: Identified) -> str:
@@ -130,10 +114,13 @@ def signals(axes: Axes, found_log: Identified, part: slice | None = None, of: st
         expected = (element.readings * answer.scale)[part]
         axes.plot(t, expected, color=ink.OTHER, linewidth=1.0, label=f"{_name_of(element)} of it")
     _shade_held_out(axes, found_log, part)
-    title = f"Output{of} and reading. Shaded: held out"
-    finish_panel(
-        axes, title, label_with_unit("z, y", _unit_of_output(found_log)), _time_label(found_log)
-    )
+    _finish_over_time(axes, f"Output{of} and reading. Shaded: held out", found_log)
+
+
+def _finish_over_time(axes: Axes, title: str, found_log: Identified) -> None:
+    """Finish a panel of output and reading over time."""
+    y_label = label_with_unit("z, y", found_log.answer.case.grid.output_unit)
+    finish_panel(axes, title, y_label, _time_label(found_log))
 
 
 def _plot_readings(axes: Axes, found_log: Identified, part: slice) -> None:
@@ -209,7 +196,7 @@ def map_at_rest(axes: Axes, result: IdentifiedAtRest) -> None:
     if seen is not None:
         axes.plot(seen.x, seen.predict(seen.x), color=ink.ESTIMATE, label="map at rest")
     for name in ("lower", "upper"):
-        edge = next(iter(result.account.effects.values()), {}).get(name)
+        edge = result.account.first_numbers.get(name)
         if edge is not None:
             axes.axvspan(edge.low, edge.high, color=ink.ESTIMATE, alpha=0.3, lw=0)
     labels = (
@@ -235,11 +222,9 @@ def _plot_zone_bands(axes: Axes, found_log: Identified) -> None:
     for interval, sign in ((found_log.right, 1), (found_log.left, -1)):
         if interval is None or not math.isfinite(interval.high):
             continue
-        axes.axhline(sign * interval.value, color=ink.PRINTED, linewidth=1.0, label=None)
-        axes.axhspan(
-            sign * interval.low, sign * interval.high, color=ink.PRINTED, alpha=0.25, linewidth=0,
-            label=words,
-        )  # fmt: skip
+        value, *ends = interval.scale_by(sign)
+        axes.axhline(value, color=ink.PRINTED, linewidth=1.0)
+        axes.axhspan(*ends, color=ink.PRINTED, alpha=0.25, linewidth=0, label=words)
         words = None
 
 
@@ -256,9 +241,7 @@ def _plot_hidden_output(found_log: Identified) -> Figure:
     axes.fill_between(t, z - band, z + band, color=ink.ESTIMATE, alpha=0.25, linewidth=0)
     axes.plot(t, z, color=ink.ESTIMATE, label="ẑ with 95 % band")
     _plot_readings(axes, found_log, part)
-    unit = _unit_of_output(found_log)
-    finish_panel(axes, "Inside the zone the sensor is silent", label_with_unit("z, y", unit),
-           _time_label(found_log))  # fmt: skip
+    _finish_over_time(axes, "Inside the zone the sensor is silent", found_log)
     return figure
 
 
@@ -267,7 +250,7 @@ def _plot_by_output(found_log: Identified) -> Figure:
     answer = found_log.answer
     grid = answer.case.grid
     element = answer.element
-    unit = _unit_of_output(found_log)
+    unit = grid.output_unit
     figure, panels = create_panels([["map", "left"]], "What was found", height=3.4)
     by_z = label_with_unit("ẑ", unit)
     ok = grid.ok
@@ -320,7 +303,7 @@ def _name_of(element: Element) -> str:
 
 def _plot_crossings(found_log: Identified, columns: dict[str, Floats]) -> Figure:
     """Plot the gap at each crossing by time, y and duration, with the printed interval shaded."""
-    unit = _unit_of_output(found_log)
+    unit = found_log.answer.case.grid.output_unit
     width = found_log.width
     figure, panels = create_panels([["t", "y", "duration"]], "The gap at each crossing", height=3.0)
     places = {

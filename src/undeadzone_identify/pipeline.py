@@ -35,7 +35,6 @@ from undeadzone_identify.models.chain import find_input_zero, fit_chains
 from undeadzone_identify.models.elements import (
     MapModel,
     best_maps,
-    best_of_each,
     fit_limits,
     fit_maps,
     has_strong_curve,
@@ -448,7 +447,7 @@ def _count_from_zone(grid: Grid, options: Options) -> Grid:
     u = grid.u[:, 0]
     y = grid.y[grid.ok]
     is_about_zero = np.quantile(y, ASIDE) < 0 < np.quantile(y, 1 - ASIDE)
-    near = abs(float(np.median(u))) < FAR_OFF * float(u.std())
+    near = abs(np.median(u)) < FAR_OFF * u.std()
     if grid.u.shape[1] > 1 or near or u.min() * u.max() <= 0 or not is_about_zero:
         return grid
     data = longest_record_of(prepare_log(grid, options).data)
@@ -527,10 +526,9 @@ def _fit_limits(grid: Grid, prepared: PreparedLog) -> FittedModel[MapModel] | No
     y = np.where(prepared.at_ends, grid.y / data.y_scale, data.y)
     scaled = (ends.low / data.y_scale, ends.high / data.y_scale)
     every = data._replace(y=y, ok=data.ok | prepared.at_ends)
-    options = prepared.options
-    orders = feasible_orders(int(every.ok.sum()), options)
-    fit: FittedModel[Any] | None = fit_limits(every, orders, options.integrators, scaled)
-    if fit is None or fit.density.rms > (1 - LEAST) * float(y[every.ok].std()):
+    orders = feasible_orders(int(every.ok.sum()), prepared.options)
+    fit: FittedModel[Any] | None = fit_limits(every, orders, prepared.options.integrators, scaled)
+    if fit is None or fit.density.rms > (1 - LEAST) * y[every.ok].std():
         return None
     remainders = find_remainders(fit, raw=DEPENDS)
     return fit if largest_remainder(remainders, "saturation") is None else None
@@ -596,9 +594,8 @@ def _add_zone_locations(case: Case, found: Findings) -> Findings:
         word: one for word, one in chains.by_word.items() if not is_rounding_play(one, case.quantum)
     }
     models: dict[str, Any] = {**places, **by_word}
-    rows = [(word, one.density.bic, one.density) for word, one in models.items()]
     found = found._replace(places=places, chains=by_word, shaped=chains.shaped)
-    return found.add_models(case, best_of_each(rows))
+    return found.add_models(case, {word: one.density for word, one in models.items()})
 
 
 def _may_be_servo(case: Case, found: Findings) -> bool:

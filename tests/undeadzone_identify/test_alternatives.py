@@ -137,7 +137,7 @@ def test_a_disturbance_ahead_of_an_encoder_leaves_the_gap_right(quantum: float) 
     level = through(z + disturbed(rng, 0.08), (0.3, 0.25), (0.0, 0.0))
     data = logged(u, quantum * np.round(level / quantum) if quantum else level)
     assert are_exact(data.y, data.ok, data.start)
-    gap = find_play_gap(fit_play(data, [2], 0), quantum).intervals["width"]
+    gap = find_play_gap(fit_play(data, [2], 0), quantum, False).intervals["width"]
     assert holds(gap, 0.55)
     assert gap.half_width < 0.1
 

@@ -22,7 +22,7 @@ def test_errors_that_depend_on_each_other_count_less_for_a_zone(
         kind="behind",
         simulator=None,
         readings=SimpleNamespace(ok=None),
-        layout=SimpleNamespace(right=1),
+        layout=SimpleNamespace(widths=slice(1, 3)),
         robust_covariance=lambda theta: spread,
         width_weights=lambda *pair: np.ones(1),
     )

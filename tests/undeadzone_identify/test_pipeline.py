@@ -278,7 +278,7 @@ def plain_filter(objective: KalmanObjective, p: Floats) -> tuple[Floats, Floats]
     F, B, G, H = (
         part.full() for part in observer_form_matrices(layout.n, layout.m, model, ca.DM(lane))
     )
-    q2, r2, right, left, _, first, first_w = lane[objective.lane_q :]
+    q2, r2, right, left, _, first, first_w = lane[-7:]
     x = np.zeros(len(F))
     P = np.diag([first] * layout.n + [first_w] * (model > 0))
     covariances, gs = [], []
@@ -322,7 +322,7 @@ def test_smoother_is_least_squares_where_all_speaks(model: int) -> None:
     p = np.array([*A, 0.4, 0.3, -2.0, -2.5, 0.0, 0.0, 1.0])
     lane = objective.lane_numbers(p)
     F, B, G, H = (part.full() for part in observer_form_matrices(2, 1, model, ca.DM(lane)))
-    q2, r2, *_, first, first_w = lane[objective.lane_q :]
+    q2, r2, *_, first, first_w = lane[-7:]
     mean, power = np.zeros((40, 3)), np.zeros((40, 3, 40, 3))
     power[0, :, 0] = np.diag([first, first, first_w])
     for t in range(39):

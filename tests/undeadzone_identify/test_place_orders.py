@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from records import dead_zone
 from undeadzone_identify.models.chain import ChainFit, ChainModel
 from undeadzone_identify.models.least_squares import LeastSquares
-from undeadzone_identify.models.place import PlaceModel, PlaceShape, fit_place, raise_order
+from undeadzone_identify.models.place import WIDTHS, PlaceModel, PlaceShape, fit_place, raise_order
 from undeadzone_identify.models.plant import PlantSimulator, RecordData
 from undeadzone_identify.selection.location import is_rounding_play
 
@@ -42,7 +42,7 @@ def fit_first_order(data: RecordData) -> tuple[PlantSimulator, np.ndarray]:
     """A first-order plant behind zones of 0.4 and 0.3, as a start point."""
     simulator = PlantSimulator(data, 1)
     model = PlaceModel(simulator, PlaceShape("input", input=True))
-    theta = np.zeros(model.size)
+    theta = np.zeros(model.base + WIDTHS + model.n)
     theta[: simulator.layout.right] = [-0.9, 0.1, 0.0, 0.0]
     model.part_numbers(theta, "input")[:] = 0.4, 0.3
     return simulator, theta

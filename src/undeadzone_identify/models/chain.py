@@ -71,7 +71,7 @@ class InputElement(NamedTuple):
 
 def power_of_input(u: Floats, p: Floats) -> Floats:
     """Return sign(u) |u|^p."""
-    return np.asarray(np.sign(u) * np.abs(u) ** p[0])
+    return np.sign(u) * np.abs(u) ** p[0]
 
 
 def cubic_of_input(u: Floats, p: Floats) -> Floats:
@@ -82,13 +82,13 @@ def cubic_of_input(u: Floats, p: Floats) -> Floats:
 def exponential_of_input(u: Floats, p: Floats) -> Floats:
     """Return (exp(p u) - 1) / p."""
     rate = p[0] if abs(p[0]) > 1e-6 else 1e-6
-    return np.asarray(np.expm1(np.clip(rate * u, -50.0, 50.0)) / rate)
+    return np.expm1(np.clip(rate * u, -50.0, 50.0)) / rate
 
 
 def play_of_input(u: Floats, p: Floats) -> Floats:
     """Return u (N) after a play of gap p_0, which starts in the middle of its gap (N)."""
     half = p[:1] / 2
-    return np.asarray(levels(u[:, None], half, half, u[:1])[:, 0])
+    return levels(u, half, half, u[:1])
 
 
 def rate_of_input(u: Floats, p: Floats) -> Floats:
@@ -98,7 +98,7 @@ def rate_of_input(u: Floats, p: Floats) -> Floats:
 
 def lag_columns(x: Floats, pole: float) -> Floats:
     """Return signals (N, or N x K) after a first-order lag that is at rest at their first value."""
-    return np.asarray(lfilter([1 - pole], [1.0, -pole], x, axis=0, zi=pole * x[:1])[0])
+    return lfilter([1 - pole], [1.0, -pole], x, axis=0, zi=pole * x[:1])[0]
 
 
 def limit_rates(u: Floats, limits: Floats) -> Floats:
@@ -274,7 +274,7 @@ class ChainModel:
         slope, rounding = theta[self.shape]
         # softplus: ln(1 + e^x), a ramp with a round corner.
         right_ramp, left_ramp = np.logaddexp(0.0, [(z - right) / rounding, (-z - left) / rounding])
-        return np.asarray(rounding * (right_ramp - slope * left_ramp))
+        return rounding * (right_ramp - slope * left_ramp)
 
     def _filter(self, columns: Floats, theta: Floats) -> Floats:
         """Return signals (N, or N x K) after the filter, which begins at rest at their first value.
@@ -391,7 +391,7 @@ class ChainModel:
         u = self.simulator.data.u[:, 0]
         curve = self.pass_input(u, theta)
         line = np.polyval(np.polyfit(u, curve, 1), u)
-        return float(np.std(curve - line) / max(float(curve.std()), 1e-12))
+        return float(np.std(curve - line) / max(curve.std(), 1e-12))
 
     def in_words(self, theta: Floats, u_scale: float, y_scale: float) -> str:
         """Describe the model with its parameters.
@@ -469,10 +469,8 @@ def fit_chains(
     for model, ends in behind:
         points = [np.concatenate([zoned, widths, end]) for end in ends]
         fits.append(LeastSquares(model).fit_from_starts(points))
-    rows = (
-        (fit.model.class_word(fit.theta), fit.density.bic, fit) for fit in fits if fit is not None
-    )
-    return Chains(best_of_each(rows), None if data.silent_zeros else fits[-1])
+    by_word = best_of_each(filter(None, fits), lambda fit: fit.model.class_word(fit.theta))
+    return Chains(by_word, None if data.silent_zeros else fits[-1])
 
 
 class Chains(NamedTuple):

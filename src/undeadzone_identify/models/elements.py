@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from scipy.special import ndtr
@@ -19,7 +19,12 @@ from undeadzone.nonlinearities.play import contact, levels
 from undeadzone.util.arrays import Floats, Integers
 from undeadzone_identify.models.estimates import cache_latest, weight_row
 from undeadzone_identify.models.least_squares import Density, FittedModel, LeastSquares
-from undeadzone_identify.models.likelihood import dead_zone, unit_density
+from undeadzone_identify.models.likelihood import (
+    ZoneNoise,
+    dead_zone,
+    mean_beyond_edges,
+    unit_density,
+)
 from undeadzone_identify.models.plant import CREDIBLE, PlantSimulator, RecordData, busiest_stretches
 from undeadzone_identify.models.zone_fit import ZoneFit, fit_linear, widths_about_level
 
@@ -37,7 +42,7 @@ FEWEST = 10  # samples beyond an edge or a limit, from which it is known
 BREAKS = 2
 BLUR_BEHIND = 0.03  # rms of the noise ahead of a map if noise enters behind the zone
 
-T = TypeVar("T")
+T = TypeVar("T", bound=FittedModel[Any])
 
 # --- A play, and perhaps a dead zone after it
 
@@ -123,11 +128,9 @@ class PlayModel(SimulatedPlant):
     @cache_latest
     def _drag_level(self, numbers: Floats) -> tuple[Floats, Floats]:
         """Return `play_level` for c_r, c_l and z stacked in a column."""
-        right = numbers[:1]
-        left = numbers[1:2]
-        z = numbers[2:, None]
+        right, left, z = np.split(numbers, [1, 2])
         parts = zip(self.data.record_slices(), self.start_levels, strict=True)
-        level = np.vstack([levels(z[part], right, left, start) for part, start in parts])[:, 0]
+        level = np.concatenate([levels(z[part], right, left, start) for part, start in parts])
         side = contact(level, np.roll(level, 1))
         side[self.data.start] = 0.0
         return level, side[self._last_move_index(level)]
@@ -166,7 +169,7 @@ class PlayModel(SimulatedPlant):
         """Return the sample at which the level (N) last moved (N), at least the record's first."""
         changed = np.append(True, np.diff(level) != 0)
         changed[self.data.start] = True
-        return np.asarray(np.maximum.accumulate(np.where(changed, np.arange(level.size), 0)))
+        return np.maximum.accumulate(np.where(changed, np.arange(level.size), 0))
 
     def levels(self, theta: Floats) -> Floats:
         """Return c_r and c_l (2)."""
@@ -290,8 +293,8 @@ def cubic_map(z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
 
 def noisy_zone_map(blur: float, z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
     """Return the mean reading of a dead zone with noise of rms `blur` ahead, with derivatives."""
-    a, b, above, below = _edge_chances(blur, z, p)
-    value = blur * (unit_density(a) + a * above - unit_density(b) - b * below)
+    _, _, above, below = _edge_chances(blur, z, p)
+    value = mean_beyond_edges(z, ZoneNoise(p[0], p[1], blur))
     return value, above + below, np.column_stack([-above, below])
 
 
@@ -469,18 +472,19 @@ def fit_limits(
 
 def best_maps(fits: Iterable[FittedModel[MapModel]]) -> dict[str, FittedModel[MapModel]]:
     """Return the fit of least BIC of each class."""
-    return best_of_each((fit.density.name, fit.density.bic, fit) for fit in fits)
+    return best_of_each(fits, lambda fit: fit.density.name)
 
 
-def best_of_each(models: Iterable[tuple[str, float, T]]) -> dict[str, T]:
-    """Return the model of least BIC for each name.
+def best_of_each(fits: Iterable[T], name: Callable[[T], str]) -> dict[str, T]:
+    """Return the fit of least BIC for each name.
 
     Args:
-        models: name, BIC and model.
+        fits: of any models.
+        name: of a fit.
     """
     best: dict[str, T] = {}
-    for name, _, model in sorted(models, key=lambda one: one[1]):
-        best.setdefault(name, model)
+    for fit in sorted(fits, key=lambda one: one.density.bic):
+        best.setdefault(name(fit), fit)
     return best
 
 

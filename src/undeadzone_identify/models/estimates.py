@@ -272,7 +272,7 @@ def central_differences(values: Floats, steps: Floats) -> Floats:
         steps: steps of the parameters (F).
     """
     increased, decreased = np.split(values, 2)
-    return np.asarray((increased - decreased).T / (2 * steps)).T
+    return ((increased - decreased).T / (2 * steps)).T
 
 
 # --- Uncertainty
@@ -395,7 +395,7 @@ def _score_whitener(scores: Floats) -> Floats:
     scale = 1 / np.sqrt(np.sum(scores**2, axis=0) + 1e-300)
     values, vectors = np.linalg.eigh(require_finite_matrix((scores * scale).T @ (scores * scale)))
     whitener = scale[:, None] * vectors / np.sqrt(np.maximum(values, 1e-10))
-    return np.asarray(whitener * (values > 1e-10))
+    return whitener * (values > 1e-10)
 
 
 def require_finite_matrix(matrix: Floats) -> Floats:
@@ -440,7 +440,7 @@ def cosine_coefficients(scores: Floats, count: int | None = None) -> Floats:
     """
     size = scores.shape[0]
     number = max(8, min(int(0.4 * size ** (2 / 3)), size // 8)) if count is None else count
-    return np.asarray(dct(scores, axis=0, norm="ortho")[1 : number + 1])
+    return dct(scores, axis=0, norm="ortho")[1 : number + 1]
 
 
 def sandwich_covariance(
@@ -486,16 +486,14 @@ def raise_to_outer_products(hessian: Floats, outer: Floats) -> Floats:
     """
     scale = 1 / np.sqrt(np.diag(outer) + 1e-300)
     values, vectors = np.linalg.eigh(require_finite_matrix(outer * np.outer(scale, scale)))
-    root = vectors * np.sqrt(np.maximum(values, 1e-10 * values.max()))
+    root = vectors * np.sqrt(np.maximum(values, 1e-10 * values.max())) / scale[:, None]
     whiten = np.linalg.pinv(root)
-    symmetric = 0.5 * (hessian + hessian.T) * np.outer(scale, scale)
     with np.errstate(over="ignore", invalid="ignore"):
-        whitened = whiten @ symmetric @ whiten.T
+        whitened = whiten @ (0.5 * (hessian + hessian.T)) @ whiten.T
     if not np.isfinite(whitened).all():
         return outer
     ratios, axes = np.linalg.eigh(whitened)
-    raised = (axes * np.maximum(ratios, 0.5)) @ axes.T
-    return root @ raised @ root.T / np.outer(scale, scale)
+    return (root @ axes * np.maximum(ratios, 0.5)) @ (root @ axes).T
 
 
 def weight_row(

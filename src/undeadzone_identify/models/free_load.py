@@ -21,6 +21,7 @@ from scipy.special import expit, ndtr
 from undeadzone.util.arrays import Floats
 from undeadzone_identify.models.estimates import Interval
 from undeadzone_identify.models.least_squares import Density
+from undeadzone_identify.models.likelihood import unit_density
 from undeadzone_identify.models.lost_motion import (
     LostMotion,
     Positions,
@@ -82,7 +83,7 @@ def fit_free_load(data: Positions) -> FreeLoad | None:
     width = abs(float(at[0])) * spread
     gain = float(at[1]) * gain
     level = float(at[2]) * spread
-    s = math.exp(float(at[3])) * spread
+    s = math.exp(at[3]) * spread
     w = y - gain * u - level
     value = _log_density(w, at, spread)
     side = np.sign(w) * (np.abs(w) > (1 - CLOSE) * width / 2)
@@ -119,9 +120,9 @@ def _log_density(w: Floats, at: Floats, scale: float) -> Floats:
     s = math.exp(at[3]) * scale
     contact = expit(at[4])
     sides = (w + half * np.array([[-1.0], [1.0]])) / s
-    flank = np.exp(-0.5 * sides**2).mean(axis=0) / (s * math.sqrt(2 * math.pi))
+    flank = unit_density(sides).mean(axis=0) / s
     between = np.diff(ndtr(sides), axis=0)[0] / max(2 * half, 1e-3 * s)
-    return np.asarray(np.log(contact * flank + (1 - contact) * between + 1e-300))
+    return np.log(contact * flank + (1 - contact) * between + 1e-300)
 
 
 def _mean_of_visits(w: Floats, side: Floats) -> Floats:

@@ -16,7 +16,7 @@ from undeadzone.compile import lanes
 from undeadzone.numerics.gaussian import to_upper_entries
 from undeadzone.util.arrays import Floats, Integers
 from undeadzone_identify.models import estimates
-from undeadzone_identify.models.likelihood import LOG_ROOT, log_unit_density
+from undeadzone_identify.models.likelihood import log_unit_density
 from undeadzone_identify.models.plant import Layout, RecordData, input_noise_gain, polynomial_roots
 from undeadzone_identify.models.zone import WidthLimits
 from undeadzone_identify.models.zone_fit import ZoneFit
@@ -58,7 +58,7 @@ def log_interval_mass(a: Any, b: Any) -> Any:
     top = log_normal_cdf(upper)
     gap = ca.fmin(log_normal_cdf(lower) - top, -1e-12)
     width = ca.fmax(upper - lower, 1e-12)
-    point = ca.log(width) - 0.5 * (0.5 * (upper + lower)) ** 2 - LOG_ROOT
+    point = ca.log(width) + log_unit_density(0.5 * (upper + lower))
     return ca.if_else(upper - lower < 1e-5, point, top + ca.log(1 - ca.exp(gap)))
 
 
@@ -91,13 +91,13 @@ def measurement_terms(
     reduction = (at_b - at_a) ** 2 + a * at_a - b * at_b
     uniform = 1 - ca.fmin(1.0, (a - b) ** 2 / 12)
     reduction = ca.fmin(ca.fmax(ca.if_else(cancels, uniform, reduction), 0.0), 1.0)
-    log_normal = -0.5 * v**2 - ca.log(s) - LOG_ROOT
+    log_normal = log_unit_density(v) - ca.log(s)
     log = ca.fmax(ca.if_else(outside, log_normal, mass), FLOOR)
     return log, ca.if_else(outside, v, shift), ca.if_else(outside, 1.0, reduction)
 
 
 @cache
-def build_kalman_kernel(n: int, m: int, model: int, moments: bool = False) -> lanes.Kernel:
+def build_kalman_kernel(n: int, m: int, model: int, moments: bool) -> lanes.Kernel:
     """Build the compiled step of the filter.
 
     Args:
@@ -121,7 +121,7 @@ def build_kalman_kernel(n: int, m: int, model: int, moments: bool = False) -> la
     exogenous = ca.SX.sym("w", m + 4)
     numbers = ca.SX.sym("p", n + m * n + 7)
     F, B, G, H = observer_form_matrices(n, m, model, numbers)
-    q2, r2, right, left, _, first, first_w = ca.vertsplit(numbers[n + m * n :])
+    q2, r2, right, left, _, first, first_w = ca.vertsplit(numbers[-7:])
     u = exogenous[:m]
     y, side, ok, start = ca.vertsplit(exogenous[m:])
     at_start = ca.diag(ca.vertcat(first * ca.SX.ones(n), *([first_w] * (model > 0))))
@@ -196,8 +196,7 @@ class KalmanObjective:
 
     Attributes:
         log_q: place of ln q in theta; ln r, d_r, d_l and atanh phi follow.
-        lane_q: place of q^2 among the parameters of a lane; r^2, d_r, d_l, phi and the variances at
-            the start follow.
+        noise: places of the first four of these.
         size: number of parameters P.
     """
 
@@ -210,14 +209,12 @@ class KalmanObjective:
         self.limits = limits
         self.climbs = data.climbs
         self.log_q = layout.numerators.stop
-        self.lane_q = layout.n * (1 + layout.m)
         self.size = self.log_q + 4 + (model > 0)
-        starts = np.zeros(data.y.size)
-        starts[data.start] = 1.0
-        rows = [data.u, data.y, data.side, data.ok, starts]
-        self.exogenous = np.column_stack(rows)
+        self.noise = slice(self.log_q, self.log_q + 4)
+        starts = np.isin(np.arange(data.y.size), data.start)
+        self.exogenous = np.column_stack([data.u, data.y, data.side, data.ok, starts])
         free = np.ones(self.size, bool)
-        free[self.log_q + 2 : self.log_q + 4] = limits.free
+        free[self.noise][2:] = limits.free
         self.free: Integers = np.flatnonzero(free)
         is_noise = np.isin(self.free, (self.log_q, self.log_q + 1))
         self.longest = np.where(is_noise, 1.0, np.inf)
@@ -226,7 +223,7 @@ class KalmanObjective:
         """Return whether the filter can be run with these parameters."""
         if not np.isfinite(p).all():
             return False
-        log_q, log_r, right, left = p[self.log_q : self.log_q + 4]
+        log_q, log_r, right, left = p[self.noise]
         if right + left < 0 or abs(log_q) > 25 or abs(log_r) > 25:
             return False
         if self.model and abs(p[-1]) > 4:
@@ -236,7 +233,7 @@ class KalmanObjective:
 
     def lane_numbers(self, p: Floats) -> Floats:
         """Return the lane parameters of `build_kalman_kernel` for p."""
-        log_q, log_r, right, left = p[self.log_q : self.log_q + 4]
+        log_q, log_r, right, left = p[self.noise]
         left = right if self.limits.tied else left
         q = math.exp(log_q)
         r = max(math.exp(log_r), QUIETEST)
@@ -254,8 +251,8 @@ class KalmanObjective:
     def kernel_outputs(self, points: Floats, moments: bool = False) -> Floats:
         """Return the kernel's outputs (K x N x outputs) for K parameter sets (K x P)."""
         rows = np.array(list(map(self.lane_numbers, points)))
-        compiled = build_kalman_kernel(self.layout.n, self.layout.m, self.model, moments)
-        return estimates.run_lanes_along(compiled, self.exogenous, rows)[0]
+        kernel = build_kalman_kernel(self.layout.n, self.layout.m, self.model, moments)
+        return estimates.run_lanes_along(kernel, self.exogenous, rows)[0]
 
     @estimates.cache_latest
     def densities_and_scores(self, p: Floats) -> tuple[Floats, Floats]:
@@ -304,16 +301,15 @@ class KalmanObjective:
         if self.model:
             power /= 1 - phi * phi
         log_q = math.log(disturbance / math.sqrt(power))
-        p[self.log_q : self.log_q + 4] = log_q, math.log(white), fit.right, fit.left
+        p[self.noise] = log_q, math.log(white), fit.right, fit.left
         if self.model:
             p[-1] = math.atanh(phi)
         return p
 
     def width_weights(self, right: float, left: float) -> Floats:
         """Return c (F) with c' theta_free = right d_r + left d_l."""
-        first = self.log_q + 2
-        tied = self.limits.tied
-        return estimates.weight_row(self.free, self.size, first, (right, left), tied)
+        place, tied = self.log_q + 2, self.limits.tied
+        return estimates.weight_row(self.free, self.size, place, (right, left), tied)
 
     @estimates.cache_latest
     def robust_covariance(self, p: Floats) -> estimates.EstimateCovariance:

@@ -57,23 +57,22 @@ class KalmanFit(NamedTuple):
     @property
     def left(self) -> float:
         """Return d_l, scaled."""
-        tied = self.objective.limits.tied
-        return self.right if tied else float(self.theta[self.objective.log_q + 3])
+        return float(self.theta[self.objective.log_q + 3 - self.objective.limits.tied])
 
     @property
     def white_rms(self) -> float:
         """Return the rms of white noise ahead of the zone, scaled."""
-        return max(math.exp(float(self.theta[self.objective.log_q + 1])), QUIETEST)
+        return max(math.exp(self.theta[self.objective.log_q + 1]), QUIETEST)
 
     @property
     def driving_rms(self) -> float:
         """Return the rms of the noise that drives the disturbance, scaled."""
-        return math.exp(float(self.theta[self.objective.log_q]))
+        return math.exp(self.theta[self.objective.log_q])
 
     @property
     def disturbance_memory(self) -> float:
         """Return the correlation of the disturbance over a sample [1]."""
-        return math.tanh(float(self.theta[-1])) if self.model else 0.0
+        return math.tanh(self.theta[-1]) if self.model else 0.0
 
 
 def fit_kalman(fit: ZoneFit) -> list[KalmanFit]:
@@ -142,14 +141,6 @@ class _FilterPass(NamedTuple):
     g: Floats
 
 
-class _BackwardPass(NamedTuple):
-    """Smoothed means (N x size), the gains of each backward step, and the row H."""
-
-    x: Floats
-    gains: Floats
-    H: Floats
-
-
 def smooth_states(fit: KalmanFit) -> SmoothedStates:
     """Smooth the filter's moments over a fixed interval (Rauch, Tung and Striebel 1965).
 
@@ -162,14 +153,7 @@ def smooth_states(fit: KalmanFit) -> SmoothedStates:
     Returns:
         Means and covariances along the record.
     """
-    forth = _run_filter(fit, fit.theta)
-    back = _run_backward(fit, fit.theta, forth)
-    P = forth.P.copy()
-    for part in fit.objective.data.record_slices():
-        for t in range(part.stop - 2, part.start - 1, -1):
-            gain = back.gains[t]
-            P[t] += gain @ (P[t + 1] - forth.P_ahead[t + 1]) @ gain.T
-    return SmoothedStates(back.x, P, back.H)
+    return _run_backward(fit, fit.theta)
 
 
 def filter_innovations(fit: KalmanFit) -> Floats:
@@ -196,14 +180,14 @@ def _to_square(triangles: Floats, size: int) -> Floats:
     return out
 
 
-def _run_backward(fit: KalmanFit, p: Floats, forth: _FilterPass) -> _BackwardPass:
+def _run_backward(fit: KalmanFit, p: Floats) -> SmoothedStates:
     """Return the backward pass of the smoother, for each record from its end.
 
     Args:
         fit: fit of (L2).
         p: parameters, perhaps others than those of the fit (P).
-        forth: forward pass of the filter with these parameters.
     """
+    forth = _run_filter(fit, p)
     layout = fit.objective.layout
     numbers = ca.DM(fit.objective.lane_numbers(p))
     F, _, _, H = (
@@ -211,11 +195,12 @@ def _run_backward(fit: KalmanFit, p: Floats, forth: _FilterPass) -> _BackwardPas
     )
     ridge = 1e-12 * np.eye(F.shape[0])
     gains = np.linalg.solve(forth.P_ahead[1:] + ridge, F @ forth.P[:-1]).transpose(0, 2, 1)
-    x = forth.x.copy()
+    x, P = forth.x.copy(), forth.P.copy()
     for part in fit.objective.data.record_slices():
         for t in range(part.stop - 2, part.start - 1, -1):
             x[t] += gains[t] @ (x[t + 1] - forth.x_ahead[t + 1])
-    return _BackwardPass(x, gains, H[0])
+            P[t] += gains[t] @ (P[t + 1] - forth.P_ahead[t + 1]) @ gains[t].T
+    return SmoothedStates(x, P, H[0])
 
 
 def smooth_with_deviation(fit: KalmanFit) -> tuple[SmoothedStates, Floats]:
@@ -238,6 +223,5 @@ def smooth_with_deviation(fit: KalmanFit) -> tuple[SmoothedStates, Floats]:
         shifted = fit.theta.copy()
         shifted[fit.objective.free] += scale * vector
         if fit.objective.can_run_filter(shifted):
-            back = _run_backward(fit, shifted, _run_filter(fit, shifted))
-            variance = variance + ((back.x @ back.H - middle.z) / 0.1) ** 2
+            variance = variance + ((_run_backward(fit, shifted).z - middle.z) / 0.1) ** 2
     return middle, np.sqrt(variance)

@@ -16,7 +16,7 @@ from scipy.stats import f as fisher
 
 from undeadzone.util.arrays import Floats, Integers
 from undeadzone_identify.models import estimates
-from undeadzone_identify.models.likelihood import root_mean_square
+from undeadzone_identify.models.likelihood import log_unit_density, root_mean_square
 from undeadzone_identify.models.plant import PlantSimulator, RecordData, mean_lag_products
 from undeadzone_identify.models.zone import FAR
 
@@ -102,8 +102,8 @@ def build_gaussian_density(name: str, e: Floats, numbers: int, variance: float) 
         numbers: number of fitted parameters.
         variance: variance of the residuals.
     """
-    value = -0.5 * e**2 / variance - 0.5 * math.log(2 * math.pi * variance)
-    return Density(name, value, numbers, math.sqrt(variance))
+    rms = math.sqrt(variance)
+    return Density(name, log_unit_density(e / rms) - math.log(rms), numbers, rms)
 
 
 class LeastSquares(Generic[M]):
@@ -175,7 +175,7 @@ class LeastSquares(Generic[M]):
         white = columns.copy()
         for lag, coefficient in enumerate(self.past, 1):  # ten times as fast as a general filter
             white[lag:] -= coefficient * columns[:-lag]
-        white[0] *= math.sqrt(max(1 - float(self.past @ self.past), 0.0))
+        white[0] *= math.sqrt(max(1 - (self.past @ self.past), 0.0))
         return white
 
     def _gauss_newton_hessian(self, e: Floats, rows: Floats) -> tuple[float, Floats]:
@@ -295,7 +295,7 @@ def hat_functions(z: Floats, centres: Floats) -> Floats:
 
 def regression_residual(columns: Floats, target: Floats) -> Floats:
     """Return the residual of targets (n, or n x k) regressed on columns (n x m)."""
-    return np.asarray(target - columns @ np.linalg.lstsq(columns, target, rcond=1e-10)[0])
+    return target - columns @ np.linalg.lstsq(columns, target, rcond=1e-10)[0]
 
 
 def regress_residual(columns: Floats, residual: Floats) -> tuple[Floats, Floats, float, float]:

@@ -15,9 +15,8 @@ from scipy.special import log_ndtr, ndtr
 
 from undeadzone.util.arrays import Flags, Floats, Integers
 
-Z, RIGHT, LEFT, LOG_S = range(4)  # columns of `DensityTerms.slopes`
+Z, RIGHT = range(2)  # columns of `DensityTerms.slopes`; those of d_l and log s follow
 LOG_ROOT = 0.5 * math.log(2 * math.pi)
-ROOT = math.sqrt(2 * math.pi)
 NARROW = 1e-5  # width of an interval below which its mass is width times density: no cancellation
 FAR = -36.0  # limit below which a tail's mass underflows, so that its logarithm is computed
 
@@ -74,7 +73,7 @@ def log_unit_density(x: Any) -> Any:
 
 def unit_density(x: Floats) -> Floats:
     """Return the density of a standard Gaussian at each x."""
-    return np.exp(-0.5 * x**2) / ROOT
+    return np.exp(log_unit_density(x))
 
 
 def dead_zone(z: Floats, right: float, left: float) -> Floats:
@@ -82,11 +81,18 @@ def dead_zone(z: Floats, right: float, left: float) -> Floats:
     return np.maximum(z - right, 0.0) + np.minimum(z + left, 0.0)
 
 
+def mean_beyond_edges(z: Floats, noise: ZoneNoise) -> Floats:
+    """Return the mean reading of each z (N) with noise ahead of the zone."""
+    above, below = (z - noise.right) / noise.s, (-noise.left - z) / noise.s
+    by_density = unit_density(above) - unit_density(below)
+    return noise.s * (by_density + above * ndtr(above) - below * ndtr(below))
+
+
 def zone_offset(side: Integers, right: float, left: float) -> Floats:
     """Return the offset that the zone subtracts on each branch (N): d_r right, -d_l left, 0
     inside.
     """
-    return np.asarray(right * (side > 0) - left * (side < 0))
+    return right * (side > 0) - left * (side < 0)
 
 
 def zone_residual(readings: Readings, z: Floats, noise: ZoneNoise) -> Floats:
@@ -107,32 +113,41 @@ def single_densities(readings: Readings, z: Floats, noise: ZoneNoise) -> Density
     """
     value = np.zeros(z.size)
     slopes = np.zeros((z.size, 4))
-    outside = readings.ok & (readings.side != 0)
-    _enter_outside(readings, z, noise, np.flatnonzero(outside), value, slopes)
+    outside = np.flatnonzero(readings.ok & (readings.side != 0))
+    e = zone_residual(readings, z, noise)[outside] / noise.s  # y + offset - z
+    value[outside] = log_unit_density(e) - math.log(noise.s)
+    slopes[outside] = _gaussian_slopes(e, noise.s, readings.side[outside])
     inside = np.flatnonzero(readings.ok & (readings.side == 0))
     a = (noise.right - z[inside]) / noise.s
     b = (-noise.left - z[inside]) / noise.s
     value[inside] = log_cdf_difference(a, b)
     at_a, at_b = limit_hazards(a, b, value[inside])
-    slopes[inside, Z] = (at_b - at_a) / noise.s
-    slopes[inside, RIGHT] = at_a / noise.s
-    slopes[inside, LEFT] = at_b / noise.s
-    slopes[inside, LOG_S] = b * at_b - a * at_a
+    by_widths = (at_b - at_a) / noise.s, at_a / noise.s, at_b / noise.s
+    slopes[inside] = np.column_stack([*by_widths, b * at_b - a * at_a])
     return DensityTerms(value, slopes)
 
 
-def _enter_outside(
-    readings: Readings, z: Floats, noise: ZoneNoise, at: Integers, value: Floats, slopes: Floats
-) -> None:
-    """Write ln N(e; 0, s^2) and its derivatives for samples outside the zone (at), in place."""
-    e = zone_residual(readings, z, noise)[at]
-    side = readings.side[at]
-    value[at] = -0.5 * (e / noise.s) ** 2 - math.log(noise.s) - LOG_ROOT
-    by_e = -e / noise.s**2  # e = y + offset - z
-    slopes[at, Z] = -by_e
-    slopes[at, RIGHT] = by_e * (side > 0)
-    slopes[at, LEFT] = -by_e * (side < 0)
-    slopes[at, LOG_S] = (e / noise.s) ** 2 - 1
+def _gaussian_slopes(e: Floats, s: float, side: Integers) -> Floats:
+    """Return the derivatives of ln N(e; 0, 1) - ln s (n x 4).
+
+    Args:
+        e: residuals of samples outside the zone, over s (n).
+        s: their rms.
+        side: +1 right, -1 left, 0 inside, where e does not depend on z (n).
+    """
+    by_z = e / s
+    return np.column_stack([by_z * (side != 0), -by_z * (side > 0), by_z * (side < 0), e**2 - 1])
+
+
+def expected_reading(z: Floats, noise: ZoneNoise, zone: bool) -> Floats:
+    """Return the readings of z (N) without the noise behind the zone.
+
+    Args:
+        z: output of the plant (N).
+        noise: widths.
+        zone: whether there is a zone; else the readings are z - d_r.
+    """
+    return dead_zone(z, noise.right, noise.left) if zone else z - noise.right
 
 
 def densities_behind(
@@ -149,17 +164,10 @@ def densities_behind(
     Returns:
         Log densities and derivatives; 0 if a reading is missing.
     """
-    right = z > noise.right if zone else np.ones(z.size, bool)
-    left = z < -noise.left if zone else ~right
-    expected = dead_zone(z, noise.right, noise.left) if zone else z - noise.right
-    e = (readings.y - expected) / noise.s
-    by_z = e / noise.s
-    slopes = np.zeros((z.size, 4))
-    slopes[:, Z] = by_z * (right | left)
-    slopes[:, RIGHT] = -by_z * right
-    slopes[:, LEFT] = by_z * left
-    slopes[:, LOG_S] = e**2 - 1
-    value = -0.5 * e**2 - math.log(noise.s) - LOG_ROOT
+    side = 1 * (z > noise.right) - 1 * (z < -noise.left) if zone else np.ones(z.size, int)
+    e = (readings.y - expected_reading(z, noise, zone)) / noise.s
+    slopes = _gaussian_slopes(e, noise.s, side)
+    value = log_unit_density(e) - math.log(noise.s)
     return DensityTerms(value * readings.ok, slopes * readings.ok[:, None])
 
 
@@ -191,8 +199,8 @@ def log_cdf_difference(a: Floats, b: Floats) -> Floats:
         middle = 0.5 * (upper + lower)[narrow]
         # Second term of the midpoint rule for the Gaussian density.
         curvature = np.log1p(np.clip((middle**2 - 1) * width**2 / 24, -0.5, 0.5))
-        value[narrow] = np.log(width) - 0.5 * middle**2 - LOG_ROOT + curvature
-    return np.asarray(value)
+        value[narrow] = np.log(width) + log_unit_density(middle) + curvature
+    return value
 
 
 def limit_hazards(a: Floats, b: Floats, log_mass: Floats) -> tuple[Floats, Floats]:
@@ -202,6 +210,5 @@ def limit_hazards(a: Floats, b: Floats, log_mass: Floats) -> tuple[Floats, Float
         a, b: upper and lower limits (any shape).
         log_mass: ln(Phi(a) - Phi(b)).
     """
-    at_a = np.exp(np.minimum(log_unit_density(a) - log_mass, 700.0))
-    at_b = np.exp(np.minimum(log_unit_density(b) - log_mass, 700.0))
+    at_a, at_b = np.exp(np.minimum(log_unit_density(np.array([a, b])) - log_mass, 700.0))
     return at_a, at_b

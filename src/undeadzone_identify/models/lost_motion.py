@@ -32,6 +32,7 @@ from undeadzone_identify.models.least_squares import (
     hat_functions,
     regression_residual,
 )
+from undeadzone_identify.models.likelihood import root_mean_square
 
 SCANNED = 48  # gaps of a scan
 WIDEST = 0.9  # largest gap [range of u]
@@ -122,13 +123,13 @@ class LostMotion(NamedTuple):
     @property
     def rms(self) -> float:
         """Return the rms of the residuals [y]."""
-        return math.sqrt(self.squares / self.residual.size)
+        return root_mean_square(self.residual)
 
     @property
     def colour(self) -> float:
         """Return the rms of the residuals over that of their changes / sqrt(2); 1 if white [1]."""
-        changes = np.diff(self.residual)
-        return self.rms / max(math.sqrt(float(changes @ changes) / (2 * changes.size)), 1e-300)
+        changes = root_mean_square(np.diff(self.residual)) / math.sqrt(2)
+        return self.rms / max(changes, 1e-300)
 
     def bic(self) -> float:
         """Return the BIC of white residuals."""
@@ -149,7 +150,7 @@ class MotionFit:
         self.structure = structure
         self.step = float(np.median(np.diff(data.t)))
         self.range = float(np.ptp(data.u))
-        still = float(np.mean(np.diff(data.u) == 0)) > HELD
+        still = np.mean(np.diff(data.u) == 0) > HELD
         self.is_held = still or data.input_quantum > COARSE * self.range
         self.y = data.y - data.y.mean()
         self.differences = 1e-2 * np.array([0.01 * self.range, self.step, self.step])
@@ -174,7 +175,7 @@ class MotionFit:
             sample_before = (
                 np.searchsorted(data.t, data.t - delay + 1e-6 * self.step, side="right") - 1
             )
-            return np.asarray(u[np.clip(sample_before, 0, None)])
+            return u[np.clip(sample_before, 0, None)]
         return np.interp(data.t - delay, data.t, u)
 
     def residuals(
@@ -195,17 +196,16 @@ class MotionFit:
 
     def _regress_reading(self, behind: Floats) -> Floats:
         """Return the residuals of y, regressed on each position behind a gap (N x K)."""
-        y = self.y
         if self.structure.bent:
-            return np.column_stack([y - self._fit_curve(column) for column in behind.T])
+            return np.column_stack(list(map(self._leave_curve, behind.T)))
         centred = behind - behind.mean(axis=0)
-        power = np.maximum(np.einsum("nk,nk->k", centred, centred), 1e-300)
-        return np.asarray(y[:, None] - centred * (y @ centred / power))
+        power = np.maximum(np.sum(centred**2, axis=0), 1e-300)
+        return self.y[:, None] - centred * (self.y @ centred / power)
 
-    def _fit_curve(self, behind: Floats) -> Floats:
-        """Return the curve of the position behind the gap (N) that is nearest to y (N)."""
+    def _leave_curve(self, behind: Floats) -> Floats:
+        """Return y less the nearest curve of the position behind the gap (N)."""
         columns = hat_functions(behind, np.linspace(behind.min(), behind.max(), HATS))
-        return np.asarray(columns @ np.linalg.lstsq(columns, self.y, rcond=1e-10)[0])
+        return regression_residual(columns, self.y)
 
     def squares(self, gaps: Floats, delay: float, lag: float) -> Floats:
         """Return the sums of squared residuals of K gaps (K), each from its best start."""
@@ -242,8 +242,7 @@ class MotionFit:
 
     def _cost(self, at: Floats) -> float:
         """Return the sum of squared residuals at gap [u], delay [s] and time constant [s] (3)."""
-        e = self._best_start(at)[0]
-        return float(e @ e)
+        return float(np.sum(self._best_start(at)[0] ** 2))
 
     @cache_latest
     def _best_start(self, at: Floats) -> tuple[Floats, Floats, float]:
@@ -299,11 +298,9 @@ class MotionFit:
     def _scan_lags(self) -> list[tuple[float, float]]:
         """Return the delays and time constants of the scan [s]."""
         late, lags = self.structure.late, self.structure.lags
-        delays = np.linspace(0.0, LATEST, DELAYS[lags > 0]) if late else [0.0]
-        constants = np.geomspace(FASTEST, SLOWEST, RATES) if lags else [0.0]
-        return list(
-            itertools.product(self.step * np.array(delays), self.step * np.array(constants))
-        )
+        delays = np.linspace(0.0, LATEST, DELAYS[lags > 0]) if late else np.zeros(1)
+        constants = np.geomspace(FASTEST, SLOWEST, RATES) if lags else np.zeros(1)
+        return list(itertools.product(self.step * delays, self.step * constants))
 
     def result(self, at: Floats) -> LostMotion:
         """Return the fit with a gap [u], and delay and time constant [s] (3)."""
@@ -405,7 +402,7 @@ class MotionFit:
 
 def _sum_squares_by_start(found: list[tuple[Floats, Floats]]) -> Floats:
     """Return the sums of squared residuals (starts x K) of `MotionFit.residuals`."""
-    return np.array([np.einsum("nk,nk->k", e, e) for e, _ in found])
+    return np.array([np.sum(e**2, axis=0) for e, _ in found])
 
 
 def lag_signal(u: Floats, t: Floats, lag: float, count: int) -> Floats:
@@ -435,7 +432,8 @@ def reversal_blocks(u: Floats, gap: float) -> Integers:
         gap: c [u]; smaller reversals do not count.
     """
     least = max(gap, 0.02 * float(np.ptp(u)))
-    output = levels(u[:, None], np.array([least / 2]), np.array([least / 2]), u[:1])[:, 0]
+    half = np.array([least / 2])
+    output = levels(u, half, half, u[:1])
     moves = np.diff(output, prepend=output[0])
     moving = np.flatnonzero(moves)
     reverses = np.zeros(u.size, int)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -15,11 +15,11 @@ from undeadzone_identify.models.estimates import (
     Interval,
     central_differences,
     perturb_each,
+    perturbation_steps,
 )
 from undeadzone_identify.models.least_squares import FittedModel, Model
 
 FINEST = 2e-4  # rms of its signal: no interval of a width is narrower
-STEP = 1e-5  # of a parameter, for differences
 
 
 class Stage(Protocol):
@@ -105,14 +105,14 @@ def measure_fit(
     return measure_levels(levels or fit.model.levels, stages, misfits)
 
 
-def level_slopes(levels: Callable[[Floats], Floats], theta: Floats, free: Integers) -> Floats:
-    """Return the derivatives of both levels by the free parameters (2 x free).
+def level_slopes(levels: Callable[[Floats], Any], theta: Floats, free: Integers) -> Floats:
+    """Return the derivatives of levels, or of one number, by the free parameters (K x free).
 
     Args:
-        levels: right and left by theta.
+        levels: K numbers by theta, as right and left.
         theta: parameters (P).
         free: places of the free parameters.
     """
-    steps = STEP * np.maximum(np.abs(theta[free]), 0.02)
+    steps = perturbation_steps(theta[free])
     points = perturb_each(theta, free, steps)[1:]
     return central_differences(np.array(list(map(levels, points))), steps).T

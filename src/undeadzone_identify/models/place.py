@@ -8,6 +8,7 @@ friction at a measured velocity.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -63,28 +64,20 @@ def build_friction_kernel(n: int, m: int, position: bool) -> lanes.Kernel:
         - parameters of a lane: a, b, x0, c, phi_r, phi_l, and the zone of the input,
         - output: z.
     """
-    state = ca.SX.sym("s", 2 * n)
-    exogenous = ca.SX.sym("w", m * n + n)
-    numbers = ca.SX.sym("p", 3 * n + m * n + 4)
-    a = numbers[:n]
-    b = numbers[n : n + m * n]
-    x0 = numbers[n + m * n : 2 * n + m * n]
-    c = numbers[2 * n + m * n : 3 * n + m * n]
-    right, left, u_right, u_left = ca.vertsplit(numbers[3 * n + m * n :])
-    past = ca.vertsplit(state)
-    z_past = past[:n]
-    f_past = past[n:]
-    u = _zone_expression(exogenous[: m * n], u_right, u_left)
-    w = ca.dot(b, u) + ca.dot(x0, exogenous[m * n :])
-    w = w - ca.dot(a, ca.vertcat(*z_past)) - ca.dot(c, ca.vertcat(*f_past))
+    z_past, f_past, inputs, pulses = map(ca.SX.sym, "zfuw", (n, n, m * n, n))
+    a, b, x0, c, widths = parts = list(map(ca.SX.sym, "abxcd", (n, m * n, n, n, 4)))
+    right, left, u_right, u_left = ca.vertsplit(widths)
+    w = ca.dot(b, _zone_expression(inputs, u_right, u_left)) + ca.dot(x0, pulses)
+    w = w - ca.dot(a, z_past) - ca.dot(c, f_past)
     w = ca.fmax(ca.fmin(w, RUN_AWAY), -RUN_AWAY)
     rest = z_past[0] if position else 0.0
     push = w - rest
     move = _zone_expression(push, right, left)
     z = rest + move
-    following = ca.vertcat(z, *z_past[: n - 1], push - move, *f_past[: n - 1])
-    step = ca.Function("friction", [state, exogenous, numbers], [following, z])
-    return lanes.build_kernel(step, params=list(range(numbers.shape[0])), width=WIDTH, fused=True)
+    signals = [ca.vertcat(z_past, f_past), ca.vertcat(inputs, pulses), ca.vertcat(*parts)]
+    following = ca.vertcat(z, z_past[:-1], push - move, f_past[:-1])
+    step = ca.Function("friction", signals, [following, z])
+    return lanes.build_kernel(step, params=range(step.numel_in(2)), width=WIDTH, fused=True)
 
 
 def simulate_friction(n: int, m: int, position: bool, exogenous: Floats, numbers: Floats) -> Floats:
@@ -154,10 +147,9 @@ class PlaceModel:
         self.n = simulator.layout.n
         self.m = simulator.layout.m
         self.base = simulator.layout.right
-        self.size = self.base + WIDTHS + self.n
-        widths = [shape.sensor] * 2 + [shape.inner] * 2 + [shape.input] * 2
-        fitted = np.append(widths, np.arange(self.n) < shape.free)
-        self.free: Integers = np.flatnonzero(np.append(np.ones(self.base, bool), fitted))
+        widths = np.repeat([shape.sensor, shape.inner, shape.input], 2)
+        free = [np.ones(self.base, bool), widths, np.arange(self.n) < shape.free]
+        self.free: Integers = np.flatnonzero(np.concatenate(free))
         pulses = [np.eye(part.stop - part.start, self.n) for part in simulator.records]
         self.exogenous = np.hstack([simulator.lagged, np.vstack(pulses)])
 
@@ -190,7 +182,7 @@ class PlaceModel:
         """
         input_gain = abs(theta[self.n : 2 * self.n].sum())
         friction_gain = max(abs(1 + self.friction_coefficients(theta).sum()), 1e-9)
-        return np.asarray(self.part_numbers(theta, "inner") * friction_gain / max(input_gain, 1e-9))
+        return self.part_numbers(theta, "inner") * friction_gain / max(input_gain, 1e-9)
 
     def project_to_bounds(self, theta: Floats) -> Floats:
         """Restrict the widths to 0 or above; theta is changed in place."""
@@ -249,12 +241,11 @@ class PlaceModel:
         points = perturb_each(theta, self.free, perturbation_steps(theta[self.free]))
         layout = self.simulator.layout
         tail = points[:, self.base + 2 : self.base + WIDTHS]
-        plant = points[:, : layout.numerators.stop]
-        starts = points[:, layout.x0]
         tail = np.hstack([self.friction_coefficients(points), tail])
+        starts = np.hsplit(points[:, layout.x0], layout.records)
         z = []
-        for k, part in enumerate(self.simulator.records):
-            rows = np.hstack([plant, starts[:, k * self.n :][:, : self.n], tail])
+        for part, start in zip(self.simulator.records, starts, strict=True):
+            rows = np.hstack([points[:, : layout.numerators.stop], start, tail])
             inputs = self.exogenous[part]
             z.append(simulate_friction(self.n, self.m, self.shape.position, inputs, rows))
         return np.hstack(z)
@@ -264,7 +255,7 @@ PlaceFit = FittedModel[PlaceModel]
 
 
 def fit_place(
-    simulator: PlantSimulator, shape: PlaceShape, starts: list[Floats]
+    simulator: PlantSimulator, shape: PlaceShape, starts: Sequence[Floats]
 ) -> PlaceFit | None:
     """Fit a model from several start points; return the best fit, None if none is admissible."""
     return LeastSquares(PlaceModel(simulator, shape)).fit_from_starts(starts)
@@ -279,14 +270,13 @@ def raise_order(fit: PlaceFit) -> PlaceFit | None:
         fit: of a plant of one input.
     """
     old = fit.model
-    theta = fit.theta
     simulator = old.simulator
     following = PlantSimulator(simulator.data, old.n + 1, simulator.layout.integrators)
-    a, b, *records = theta[: old.base].reshape(-1, old.n)  # states at the start of each record
+    a, b, *records = fit.theta[: old.base].reshape(-1, old.n)  # states at the start of each record
     starts = []
     for pole in ADDED:
         parts = [np.convolve(part, [1.0, -pole]) for part in (np.append(1.0, a), b, *records)]
-        starts.append(np.hstack([*parts, theta[old.base :], 0.0])[1:])
+        starts.append(np.hstack([*parts, fit.theta[old.base :], 0.0])[1:])
     return fit_place(following, old.shape, starts)
 
 
@@ -337,8 +327,9 @@ class PlaceStarts:
     def input_levels(self) -> list[tuple[Floats, Floats]]:
         """Return start plants, each with widths of a zone in rms of the input (2)."""
         widths = self.widths / self.gain
-        levels: list[Floats] = [np.clip(share * widths, 0.02, 1.5) for share in (1.0, 0.4)]
-        starts = [(self.plant, level) for level in levels]
+        starts: list[tuple[Floats, Floats]] = [
+            (self.plant, np.clip(share * widths, 0.02, 1.5)) for share in (1.0, 0.4)
+        ]
         for level in (0.3, 0.8):
             plant = self.linear_plant.copy()
             plant[self.simulator.layout.numerators] *= 1 + 0.5 * level
@@ -348,10 +339,10 @@ class PlaceStarts:
     def friction_at_input(self) -> list[Floats]:
         """Return the starts for friction at the input's location: c = b / b_1."""
         starts = []
+        n = self.n
         for plant, level in self.input_levels():
             numbers = plant.copy()
-            n = self.n
-            if numbers[n] <= 1e-3:  # b_1, by which c is divided
+            if plant[n] <= 1e-3:  # b_1, by which c is divided
                 numbers[n] = 0.05 * np.abs(plant[n : 2 * n]).max() + 1e-3
             starts.append(join_place_numbers(numbers, n, inner=level * numbers[n]))
         return starts

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import cmath
 import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.linalg import toeplitz
 from scipy.linalg.lapack import dgeev
 from scipy.signal import lfilter
 
@@ -69,8 +69,7 @@ class RecordData(NamedTuple):
 
     def record_slices(self) -> list[slice]:
         """Return the slice of each record."""
-        ends = np.append(self.start[1:], self.y.size)
-        return [slice(int(a), int(b)) for a, b in zip(self.start, ends, strict=True)]
+        return list(map(slice, self.start.tolist(), [*self.start[1:].tolist(), self.y.size]))
 
 
 def delay_inputs(data: RecordData, samples: int) -> RecordData:
@@ -94,10 +93,8 @@ def busiest_stretches(data: RecordData, longest: int = STRETCH) -> RecordData:
     """
     if data.y.size <= MANY:
         return data
-    stretches = []
-    for record in data.record_slices():
-        stretches += _cut_record(record, longest)
-    stretches.sort(key=lambda stretch: _count_passages(data, stretch), reverse=True)
+    cut = (_cut_record(record, longest) for record in data.record_slices())
+    stretches = sorted(itertools.chain(*cut), key=partial(_count_passages, data), reverse=True)
     samples = np.cumsum([stretch.stop - stretch.start for stretch in stretches])
     busiest = stretches[: max(1, int(np.count_nonzero(samples <= MANY)))]
     return select_samples(data, sorted(busiest, key=lambda stretch: stretch.start))
@@ -106,8 +103,8 @@ def busiest_stretches(data: RecordData, longest: int = STRETCH) -> RecordData:
 def _cut_record(record: slice, longest: int) -> list[slice]:
     """Cut a record into stretches of nearly equal length."""
     size = record.stop - record.start
-    ends = np.linspace(record.start, record.stop, -(-size // longest) + 1).astype(int)
-    return [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
+    ends = np.linspace(record.start, record.stop, -(-size // longest) + 1).astype(int).tolist()
+    return list(itertools.starmap(slice, itertools.pairwise(ends)))
 
 
 def _count_passages(data: RecordData, part: slice) -> tuple[int, int]:
@@ -188,6 +185,16 @@ class Layout:
         """Return the place of d_r; d_l and log s follow."""
         return self.x0.stop
 
+    @cached_property
+    def widths(self) -> slice:
+        """Return the places of d_r and d_l."""
+        return slice(self.right, self.right + 2)
+
+    @cached_property
+    def log_s(self) -> int:
+        """Return the place of log s."""
+        return self.right + 2
+
     def full_denominator(self, a: Floats) -> Floats:
         """Return the coefficients 1, a_1 to a_n of the denominator with its integrators (n + 1)."""
         coefficients = np.concatenate([[1.0], a])
@@ -198,7 +205,7 @@ class Layout:
     @cached_property
     def parameter_count(self) -> int:
         """Return the number of parameters in theta."""
-        return self.right + 3
+        return self.log_s + 1
 
     def at_rest(self, other: Layout, theta: Floats) -> Floats:
         """Return the parameters of the same plant along other records that begin at rest.
@@ -229,13 +236,7 @@ class PlantSimulator:
 
     def _lag_inputs(self, u: Floats) -> Floats:
         """Return the last n samples of each input (N x m n), 0 before a record."""
-        n = self.layout.n
-        lagged = np.zeros((len(u), n * u.shape[1]))
-        for part in self.records:
-            for j in range(n):
-                end = max(part.stop - 1 - j, part.start)  # of a record that is shorter
-                lagged[part.start + 1 + j : part.stop, j::n] = u[part.start : end]
-        return lagged
+        return np.vstack([delay_by_each(u[part], self.layout.n) for part in self.records])
 
     def simulator_along(self, data: RecordData) -> PlantSimulator:
         """Return the same plant along other records."""
@@ -266,25 +267,17 @@ class PlantSimulator:
         impulse response of 1 / A.
         """
         layout = self.layout
-        n = layout.n
+        own = np.append(1.0, theta[layout.denominator])
         denominator = layout.full_denominator(theta[layout.denominator])
-        u = self.data.u
         slopes = np.zeros((z.size, layout.parameter_count))
-        for r, part in enumerate(self.records):
-            size = part.stop - part.start
-            by_a = lfilter([1.0], np.append(1.0, theta[layout.denominator]), z[part])
-            impulse = np.zeros((size, 1))
-            impulse[0] = 1.0
-            sources = np.hstack([u[part], impulse])
-            filtered = lfilter([1.0], denominator, sources, axis=0)
-            own = slopes[part]
-            for i in range(layout.denominator.stop):
-                own[i + 1 :, i] = -by_a[: size - 1 - i]
-            for i in range(n):
-                own[i:, layout.x0.start + n * r + i] = filtered[: size - i, -1]
-                own[i + 1 :, layout.numerators.start + i : layout.numerators.stop : n] = filtered[
-                    : size - 1 - i, :-1
-                ]
+        states = np.split(np.r_[layout.x0], layout.records)
+        for state, part in zip(states, self.records, strict=True):
+            by_a = lfilter([1.0], own, z[part, None], axis=0)
+            by_u = lfilter([1.0], denominator, self.data.u[part], axis=0)
+            impulse = lfilter([1.0], denominator, np.eye(1, len(by_a))[0])
+            slopes[part, layout.denominator] = -delay_by_each(by_a, layout.denominator.stop)
+            slopes[part, layout.numerators] = delay_by_each(by_u, layout.n)
+            slopes[part, state] = toeplitz(impulse, np.zeros(layout.n))
         return slopes
 
     def respond_from_rest(self, theta: Floats, inputs: Floats) -> Floats:
@@ -293,10 +286,8 @@ class PlantSimulator:
         """
         numerator = np.append(0.0, theta[self.layout.numerators][: self.layout.n])
         denominator = self.layout.full_denominator(theta[self.layout.denominator])
-        outputs = np.empty(inputs.shape)
-        for part in self.records:
-            outputs[part] = lfilter(numerator, denominator, inputs[part], axis=0)
-        return outputs
+        outputs = [lfilter(numerator, denominator, inputs[part], axis=0) for part in self.records]
+        return np.concatenate(outputs)
 
     def dc_gain(self, theta: Floats) -> Floats:
         """Return the DC gain from each input to z, or to the integrators if there are any (m)."""
@@ -318,11 +309,10 @@ class PlantSimulator:
         """
         if not np.isfinite(theta).all():
             return False
-        for pole in polynomial_roots(theta[self.layout.denominator]).tolist():
-            slow = abs(cmath.phase(pole)) < 4 * math.pi / self.longest
-            if not abs(pole) < 1 - margin * (SLOW if slow else RINGING) / self.longest:
-                return False
-        return True
+        poles = polynomial_roots(theta[self.layout.denominator])
+        slow = np.abs(np.angle(poles)) < 4 * math.pi / self.longest
+        limits = 1 - margin * np.where(slow, SLOW, RINGING) / self.longest
+        return bool(np.all(np.abs(poles) < limits))
 
     def is_at_limit(self, theta: Floats) -> bool:
         """Return whether a pole is so slow that with x(0) it equals an offset or a sine."""
@@ -332,6 +322,11 @@ class PlantSimulator:
         """Return the longest record's duration in time constants of the slowest pole [1]."""
         slowest = np.abs(polynomial_roots(theta[self.layout.denominator])).max(initial=1e-300)
         return float(-np.log(slowest) * self.longest)
+
+
+def delay_by_each(signals: Floats, count: int) -> Floats:
+    """Return each signal (N x K) delayed by 1 to `count` samples, from rest (N x count K)."""
+    return np.hstack([toeplitz(np.append(0.0, x[:-1]), np.zeros(count)) for x in signals.T])
 
 
 def polynomial_roots(a: Floats) -> Any:
@@ -392,19 +387,15 @@ def find_input_disturbance(
     """
     lags = max(2, min(LAGS, residual.size // 10))
     measured = mean_lag_products(residual, ok, lags)[1:]
-    best = InputDisturbance(0.0, 0.0, 0.0)
-    error = math.inf
+    found = []
     for phi in COLOURS:
         w = plant_response(layout, plant, first_order_noise(1, LENGTH, phi))[0]
-        products = mean_lag_products(w, np.ones(w.size, bool), lags)
-        shape = products[1:]
+        whole, *own = mean_lag_products(w, np.ones(w.size, bool), lags)
+        shape = np.array(own)
         power = max(float(shape @ measured) / max(float(shape @ shape), 1e-300), 0.0)
-        misfit = float(np.sum((measured - power * shape) ** 2))
-        if misfit < error:
-            rms = math.sqrt(power * products[0])
-            best = InputDisturbance(rms, phi, math.sqrt(power))
-            error = misfit
-    return best
+        misfit = np.sum((measured - power * shape) ** 2)
+        found.append((misfit, InputDisturbance(math.sqrt(power * whole), phi, math.sqrt(power))))
+    return min(found)[1]
 
 
 def mean_lag_products(e: Floats, ok: Flags, lags: int) -> Floats:
@@ -421,14 +412,14 @@ def lag_products(e: Floats, ok: Flags, lags: int) -> list[float]:
 def first_order_noise(runs: int, size: int, phi: float) -> Floats:
     """Return first-order noise of rms 1, equal draws for every phi (runs x (size + SETTLED))."""
     draws = np.random.default_rng(0).standard_normal((runs, size + SETTLED))
-    return np.asarray(lfilter([math.sqrt(1 - phi**2)], [1.0, -phi], draws, axis=1))
+    return lfilter([math.sqrt(1 - phi**2)], [1.0, -phi], draws, axis=1)
 
 
 def plant_response(layout: Layout, plant: Floats, noise: Floats) -> Floats:
     """Return the plant's response to noise at its first input (runs x size), settled."""
     numerator = np.append(0.0, plant[layout.numerators][: layout.n])
     denominator = layout.full_denominator(plant[layout.denominator])
-    return np.asarray(lfilter(numerator, denominator, noise, axis=1))[:, SETTLED:]
+    return lfilter(numerator, denominator, noise, axis=1)[:, SETTLED:]
 
 
 def input_noise_gain(a: Floats, b: Floats, n: int, phi: float) -> float:

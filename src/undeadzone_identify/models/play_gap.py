@@ -77,7 +77,7 @@ class PlayGap(NamedTuple):
     sure: bool
 
 
-def find_play_gap(fit: PlayFit, quantum: float, in_loop: bool = False) -> PlayGap:
+def find_play_gap(fit: PlayFit, quantum: float, in_loop: bool) -> PlayGap:
     """Find the parameters of a play with their intervals.
 
     Args:
@@ -98,9 +98,8 @@ def find_play_gap(fit: PlayFit, quantum: float, in_loop: bool = False) -> PlayGa
     own = _own_half_intervals(fit)
     if layout.integrators:
         V = fit.squares.robust_covariance(fit.theta).V[plant, plant]
-        return PlayGap(
-            fit, fit.theta, _gap_intervals(fit.theta, fit.model, own), V, None, noise, True
-        )
+        intervals = _gap_intervals(fit.theta, fit.model, own)
+        return PlayGap(fit, fit.theta, intervals, V, None, noise, True)
     fit = fit.prediction_fit if in_loop else fit
     model = fit.model
     halves = _own_half_intervals(fit)
@@ -113,8 +112,8 @@ def find_play_gap(fit: PlayFit, quantum: float, in_loop: bool = False) -> PlayGa
         widest = max(halves[name], own[name], student_quantile(RUNS - 1) * std)
         halves[name] = math.hypot(
             widest,
-            float(weights @ (corrected - fit.theta)),
-            float(weights @ (simulation_fit.theta - fit.theta)),
+            weights @ (corrected - fit.theta),
+            weights @ (simulation_fit.theta - fit.theta),
         )
     intervals = _gap_intervals(corrected, model, halves)
     sure = ahead.rms < (STRONGEST_OF_BOTH if model.zone else STRONGEST)
@@ -139,15 +138,12 @@ def _gap_intervals(
         model: the model.
         halves: half intervals of the quantities.
     """
-    values = {
-        name: float(np.dot(row, theta[model.base :][: len(row)])) for name, row in ROWS.items()
-    }
-    return {
-        name: Interval.from_half_width(
-            value, math.hypot(halves[name], heaviest(ROWS[name]) * FINEST)
-        )
-        for name, value in values.items()
-    }
+    intervals = {}
+    for name, row in ROWS.items():
+        half = math.hypot(halves[name], heaviest(row) * FINEST)
+        value = float(np.dot(row, theta[model.base :][: len(row)]))
+        intervals[name] = Interval.from_half_width(value, half)
+    return intervals
 
 
 def _own_half_intervals(fit: PlayFit) -> dict[str, float]:
@@ -157,15 +153,6 @@ def _own_half_intervals(fit: PlayFit) -> dict[str, float]:
 
 
 # --- By simulated logs
-
-
-def play_disturbance(fit: PlayFit) -> InputDisturbance:
-    """Return the disturbance of z that explains the least-squares residual."""
-    squares = fit.squares
-    layout = fit.model.simulator.layout
-    return find_input_disturbance(
-        layout, fit.theta, squares.reading_residual(fit.theta), squares.data.ok
-    )
 
 
 def _match_simulated_fits(
@@ -183,7 +170,8 @@ def _match_simulated_fits(
     """
     layout = fit.model.simulator.layout
     size = fit.squares.data.y.size
-    ahead = play_disturbance(fit)
+    residual = fit.squares.reading_residual(fit.theta)
+    ahead = find_input_disturbance(layout, fit.theta, residual, fit.squares.data.ok)
     colour = first_order_noise(RUNS, size, ahead.phi)
     behind = noise * np.random.default_rng(1).standard_normal((RUNS, size))
     target = _excess_power(fit.squares.residual_rms(fit.theta), noise)

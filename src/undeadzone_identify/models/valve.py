@@ -187,7 +187,7 @@ class Regression:
 
     def _before(self, x: Floats, lag: int) -> Floats:
         """Return signals (... x N) a lag before the samples that are predicted (... x n)."""
-        return np.asarray(x[..., self._first - lag : x.shape[-1] - lag][..., self._chosen])
+        return x[..., self._first - lag : x.shape[-1] - lag][..., self._chosen]
 
     def _explain_by(self, columns: Floats) -> None:
         """Set the regressors of every model (n x L)."""
@@ -206,7 +206,7 @@ class Regression:
         Regressing these on each other gives the coefficients of the full regression (Frisch, Waugh
         and Lovell).
         """
-        return np.asarray(columns - self._basis @ (self._basis.T @ columns))
+        return columns - self._basis @ (self._basis.T @ columns)
 
     def lagged(self, v: Floats, lags: range) -> Floats:
         """Return lagged positions, and their averages up to the first lag (K x L x n).
@@ -221,27 +221,22 @@ class Regression:
         columns[:, len(lags) :] = self._before(_averages(v), lags[0])
         return columns
 
-    def prediction_errors(self, v: Floats, lags: range, others: Floats | None = None) -> Floats:
+    def prediction_errors(self, v: Floats, lags: range) -> Floats:
         """Return the one-step prediction errors of the readings for a position (n).
 
         Args:
             v: position (N).
             lags: lags of the position [samples].
-            others: further regressors (N x M); None: none.
         """
-        beside = self.with_position(v, lags)
-        if others is None:
-            return beside._target
-        return beside.prediction_errors_beside(others, others.shape[1])
+        return self.with_position(v, lags)._target
 
-    def prediction_errors_beside(self, others: Floats, count: int) -> Floats:
-        """Return the one-step prediction errors with the first few of further regressors (n).
+    def prediction_errors_beside(self, others: Floats) -> Floats:
+        """Return the one-step prediction errors with further regressors (n).
 
         Args:
             others: the regressors (N x M).
-            count: number of these that are used.
         """
-        return regression_residual(self._project_out_past(others[self.rows, :count]), self._target)
+        return regression_residual(self._project_out_past(others[self.rows]), self._target)
 
     def prediction_errors_of_each(self, v: Floats, lags: range) -> Floats:
         """Return the one-step prediction errors for each of several positions (K x n).
@@ -271,7 +266,7 @@ class Regression:
 
         Arguments of `prediction_errors_of_each`.
         """
-        return np.asarray(np.mean(self.prediction_errors_of_each(v, lags) ** 2, axis=1))
+        return np.mean(self.prediction_errors_of_each(v, lags) ** 2, axis=1)
 
     def regressors(self, v: Floats, lags: range) -> Floats:
         """Return the past, the lagged position, and a constant (n x columns).
@@ -283,9 +278,7 @@ class Regression:
         ones = np.ones((self.rows.size, 1))
         return np.hstack([self.past, self.lagged(v[None], lags)[0].T, ones])
 
-    def responses(
-        self, v: Floats, lags: range, points: Floats, others: Floats | None = None
-    ) -> Floats:
+    def responses(self, v: Floats, lags: range, points: Floats, others: Floats) -> Floats:
         """Return the frequency responses from the position of the valve to y.
 
         The regression is y = past(q^-1) y + through(q^-1) v, so the response is
@@ -295,11 +288,9 @@ class Regression:
             v: position of the valve (N).
             lags: lags of the position [samples].
             points: values of z = exp(-i w), with w the frequency [rad/sample] (M).
-            others: further regressors (N x M); None: none.
+            others: further regressors (N x M).
         """
-        columns = self.regressors(v, lags)
-        if others is not None:
-            columns = np.hstack([columns, others[self.rows]])
+        columns = np.hstack([self.regressors(v, lags), others[self.rows]])
         coefficients = np.linalg.lstsq(columns, self.y, rcond=1e-9)[0]
         decay = np.exp(-1 / np.array(MEMORY))
         z = points[:, None]
@@ -307,7 +298,7 @@ class Regression:
         past = np.hstack([z ** np.arange(1, self.order + 1), z * averaged])
         through = np.hstack([z ** np.array(lags), z ** lags[0] * averaged])
         own, acting = np.split(coefficients[: past.shape[1] + through.shape[1]], [past.shape[1]])
-        return np.asarray(through @ acting / (1 - past @ own))
+        return through @ acting / (1 - past @ own)
 
 
 def _averages(x: Floats) -> Floats:
@@ -325,13 +316,13 @@ class Structure(NamedTuple):
         order: lags of the readings.
         lags: lags of the position [samples].
         first: first sample that is predicted.
-        oscillation: sines and cosines of its harmonics (N x 2 K); None without an oscillation.
+        oscillation: sines and cosines of its harmonics (N x 2 K), no column without an oscillation.
     """
 
     order: int
     lags: range
     first: int
-    oscillation: Floats | None
+    oscillation: Floats
 
 
 class ValveFit(NamedTuple):
@@ -454,14 +445,14 @@ class LoopLog:
             lags = range(lag, lag + order + MORE)
             e = regression.prediction_errors(positions[:, best], lags)
             costs.append((_density("", e, 2 * order).bic, order))
-            if oscillation is not None:
-                e = regression.prediction_errors(self.u, lags, oscillation)
+            if oscillation.size:
+                e = regression.with_position(self.u, lags).prediction_errors_beside(oscillation)
                 numbers = 2 * order + 1 + oscillation.shape[1]
                 costs.append((_density("", e, numbers).bic, order))
         order = min(costs)[1]
         return Structure(order, range(lag, lag + order + MORE), first, oscillation)
 
-    def _find_oscillation(self, regression: Regression, lags: range) -> Floats | None:
+    def _find_oscillation(self, regression: Regression, lags: range) -> Floats:
         """Find the external oscillation of least BIC, with a period near that of the error.
 
         Args:
@@ -469,22 +460,21 @@ class LoopLog:
             lags: lags of u [samples].
 
         Returns:
-            Sines and cosines of its harmonics (N x 2 K); None if the log has fewer than 4 periods.
+            Sines and cosines of its harmonics (N x 2 K); no column if the log has fewer than 4
+            periods.
         """
-        if self.period > self.y.size / 4:
-            return None
         t = np.arange(self.y.size)
-        around = 1 + np.arange(-0.25, 0.25, self.period / (6 * self.y.size))
-        best: tuple[float, Floats | None] = (math.inf, None)
+        best = math.inf, np.empty((t.size, 0))
+        if self.period > t.size / 4:
+            return best[1]
         beside = regression.with_position(self.u, lags)
-        for factor in around:
+        for factor in 1 + np.arange(-0.25, 0.25, self.period / (6 * t.size)):
             phase = 2 * np.pi / self.period * factor * t
             waves = [f(k * phase) for k, f in itertools.product(HARMONICS, (np.sin, np.cos))]
-            oscillation = np.column_stack(waves)
             for count in 2 * np.array(HARMONICS):
-                e = beside.prediction_errors_beside(oscillation, count)
-                cost = _density("", e, count).bic
-                best = min(best, (cost, oscillation[:, :count]), key=itemgetter(0))
+                oscillation = np.column_stack(waves[:count])
+                e = beside.prediction_errors_beside(oscillation)
+                best = min(best, (_density("", e, count).bic, oscillation), key=itemgetter(0))
         return best[1]
 
     def fit_all(self, structure: Structure, thinned: int = 1, rounds: int = ROUNDS) -> LoopFits:
@@ -499,8 +489,9 @@ class LoopLog:
         lags = structure.lags
         numbers = 2 + structure.order + len(lags) + 2 * len(MEMORY)
         densities = {"none": _density("none", regression.prediction_errors(self.u, lags), numbers)}
-        if structure.oscillation is not None:
-            e = regression.prediction_errors(self.u, lags, structure.oscillation)
+        if structure.oscillation.size:
+            beside = regression.with_position(self.u, lags)
+            e = beside.prediction_errors_beside(structure.oscillation)
             count = numbers + structure.oscillation.shape[1] + 1
             densities["external"] = _density("external", e, count)
         widths = np.geomspace(max(FINEST, self.step), 1.0, TRIED)
@@ -602,10 +593,10 @@ class LoopFits(NamedTuple):
         beside = self.regression.with_position(u, lags)
         plays = np.array(BESIDE)
         positions = valve_positions(u, plays, 0 * plays, KANO)
-        squares = [beside.prediction_errors_beside(positions, 0)]
+        squares = [beside._target]
         for v in positions.T:
             late = np.column_stack([np.roll(v, lags[0]), np.roll(v, lags[-1])])
-            squares.append(beside.prediction_errors_beside(late, 2))
+            squares.append(beside.prediction_errors_beside(late))
         without, *sums = np.sum(np.square(squares), axis=1).tolist()
         # Two regressors a play: chi squared of 2 degrees exceeds x by chance exp(-x / 2), which is
         # the likelihood ratio itself.
@@ -639,7 +630,7 @@ class LoopFits(NamedTuple):
         )
         return widths, jumps if fit.word == "stiction" else Interval(0.0, 0.0, 0.0)
 
-    def sensitivity(self, v: Floats, oscillation: Floats | None = None) -> float:
+    def sensitivity(self, v: Floats, oscillation: Floats) -> float:
         """Return the peak of the sensitivity |1 / (1 + C G)| near the oscillation's frequency [1].
 
         The controller C is fitted to the log as a difference equation of u and the error. G is the
@@ -647,7 +638,7 @@ class LoopFits(NamedTuple):
 
         Args:
             v: position of the valve (N) [range of u].
-            oscillation: from outside, as further regressors (N x M); None: the plant and the
+            oscillation: from outside, as further regressors (N x M); no column: the plant and the
                 controller make it.
         """
         if not math.isfinite(self.log.period):
@@ -689,7 +680,7 @@ def _bagged_weights(values: Floats) -> Floats:
     slow = cosine_coefficients(gains)  # root of the long-run covariance
     noise = np.random.default_rng(0).standard_normal((DRAWS, len(slow)))
     drawn = gains.sum(axis=0) + SCATTER * noise @ slow * math.sqrt(len(gains) / len(slow))
-    return np.asarray(softmax(drawn, axis=1).mean(axis=0))
+    return softmax(drawn, axis=1).mean(axis=0)
 
 
 def _weighted_range(values: Floats, weights: Floats, margin: float) -> Interval:

@@ -73,7 +73,7 @@ class ZoneObjective:
         rms = likelihood.root_mean_square(self.data.y[self.data.ok])
         self.x0_weight = 1 / (3 * rms + 1e-12) ** 2
         free = np.ones(self.layout.parameter_count, bool)
-        free[self.layout.right : self.layout.right + 2] = self.limits.free
+        free[self.layout.widths] = self.limits.free
         self.free: Integers = np.flatnonzero(free)
 
     def objective_along(self, data: RecordData) -> ZoneObjective:
@@ -119,7 +119,7 @@ class ZoneObjective:
 
     def project_to_bounds(self, theta: Floats) -> Floats:
         """Restrict the widths of a trial to their limits."""
-        widths = slice(self.layout.right, self.layout.right + 2)
+        widths = self.layout.widths
         theta[widths] = self.limits.clip_widths(*theta[widths])
         return theta
 
@@ -131,14 +131,11 @@ class ZoneObjective:
         z, terms = self.z_and_terms(theta)
         slope = self.simulator.z_gradient(theta, z)
         scores = terms.slopes[:, likelihood.Z : likelihood.Z + 1] * slope
-        right = self.layout.right
-        scores[:, right:] += terms.slopes[:, likelihood.RIGHT :]
+        scores[:, self.layout.right :] += terms.slopes[:, likelihood.RIGHT :]
         scores[0, self.layout.x0] -= self.x0_weight * theta[self.layout.x0]
         if self.limits.tied:
-            scores[:, right] += scores[:, right + 1]
-        fixed = np.ones(self.layout.parameter_count, bool)
-        fixed[self.free] = False
-        scores[:, fixed] = 0.0
+            scores[:, self.layout.right] += scores[:, self.layout.right + 1]
+        scores[:, np.delete(np.arange(self.layout.parameter_count), self.free)] = 0.0
         return terms.value, scores, slope
 
     def total_score(self, theta: Floats) -> Floats:
@@ -154,15 +151,15 @@ class ZoneObjective:
         values, scores, slope = self.sample_scores(theta)
         rows, inside = self._gauss_newton_rows(theta, slope)
         hessian = rows.T @ rows
-        right = self.layout.right
+        log_s = self.layout.log_s
         inside_scores = scores[inside]
-        inside_scores[:, right + 2] = 0.0
+        by_inside = (inside_scores[:, log_s] ** 2).sum()
+        inside_scores[:, log_s] = 0.0
         hessian += inside_scores.T @ inside_scores
         # The information of a Gaussian sample on log s is 2.
         outside_count = np.count_nonzero(self.readings.ok) - np.count_nonzero(inside)
-        by_inside = float((scores[inside, right + 2] ** 2).sum())
-        hessian[right + 2, right + 2] = 2 * outside_count + by_inside
-        x0 = np.arange(self.layout.x0.start, self.layout.x0.stop)
+        hessian[log_s, log_s] = 2 * outside_count + by_inside
+        x0 = np.r_[self.layout.x0]
         hessian[x0, x0] += self.x0_weight
         value = float(values.sum()) - self._initial_state_penalty(theta)
         free = self.free
@@ -175,26 +172,26 @@ class ZoneObjective:
             theta: parameters (P).
             slope: dz/dtheta (N x P).
         """
-        noise = self.zone_noise(theta)
         ok = self.readings.ok
         side = self.branch_sides(theta)
         outside = ok & (side != 0)
         change = slope.copy()
-        change[:, self.layout.right] -= side > 0
-        change[:, self.layout.right + 1] += side < 0
+        right, left = change.T[self.layout.widths]
+        right -= side > 0
+        left += side < 0
         if self.limits.tied:
-            change[:, self.layout.right] += change[:, self.layout.right + 1]
-        return change[outside] / noise.s, ok & ~outside & (self.kind != "behind")
+            right += left
+        return change[outside] / self.zone_noise(theta).s, ok & ~outside & (self.kind != "behind")
 
     def branch_sides(self, theta: Floats) -> Integers:
         """Return +1, 0, -1 (N): of the readings, or of z if noise is behind the zone."""
         if self.kind != "behind":
             return self.readings.side
         z = self.z_and_terms(theta)[0]
-        noise = self.zone_noise(theta)
         if not self.limits.zone:
             return np.ones(z.size, int)
-        return 1 * (z > noise.right) - 1 * (z < -noise.left)
+        noise = self.zone_noise(theta)
+        return np.sign(likelihood.dead_zone(z, noise.right, noise.left)).astype(int)
 
     @estimates.cache_latest
     def robust_covariance(self, theta: Floats) -> estimates.EstimateCovariance:
@@ -216,31 +213,24 @@ class ZoneObjective:
         approximate = approximate + 1e-12 * np.eye(self.free.size)
         if self.kind == "behind":
             return approximate
-        scale = 1 / np.sqrt(np.diag(approximate))
-        rows = np.empty_like(approximate)
-        for place, index in enumerate(self.free):
-            step = 1e-2 * scale[place]
-            upper = self._shift_number(theta, int(index), step)
-            lower = self._shift_number(theta, int(index), -step)
-            rows[place] = approximate[place]
+        steps = 1e-2 / np.sqrt(np.diag(approximate))
+        _, *points = estimates.perturb_each(theta, self.free, steps)
+        if self.limits.tied:
+            for point in points:
+                point[self.layout.right + 1] = point[self.layout.right]
+        rows = approximate.copy()
+        pairs = zip(points[: steps.size], points[steps.size :], strict=True)
+        for place, (upper, lower) in enumerate(pairs):
             if self.is_admissible(upper) and self.is_admissible(lower):
                 difference = self.total_score(upper) - self.total_score(lower)
-                rows[place] = -difference[self.free] / (2 * step)
+                rows[place] = -difference[self.free] / (2 * steps[place])
         return estimates.raise_eigenvalues(rows)
-
-    def _shift_number(self, theta: Floats, index: int, step: float) -> Floats:
-        """Return theta (P) with one parameter changed by a step; tied widths stay equal."""
-        shifted = theta.copy()
-        shifted[index] += step
-        if self.limits.tied:
-            shifted[self.layout.right + 1] = shifted[self.layout.right]
-        return shifted
 
     def width_weights(self, right: float, left: float) -> Floats:
         """Return c (F) with c' theta_free = right d_r + left d_l, so (1, 1) for the width."""
-        size = self.layout.parameter_count
-        first = self.layout.right
-        return estimates.weight_row(self.free, size, first, (right, left), self.limits.tied)
+        layout, tied = self.layout, self.limits.tied
+        size = layout.parameter_count
+        return estimates.weight_row(self.free, size, layout.right, (right, left), tied)
 
     def unexplained_readings(self, theta: Floats) -> Floats:
         """Return the residual (N): e outside the zone, y - Dz(z) for noise behind."""
@@ -248,6 +238,4 @@ class ZoneObjective:
         noise = self.zone_noise(theta)
         if self.kind != "behind":
             return likelihood.zone_residual(self.readings, z, noise)
-        if not self.limits.zone:
-            return self.readings.y - z + noise.right
-        return self.readings.y - likelihood.dead_zone(z, noise.right, noise.left)
+        return self.readings.y - likelihood.expected_reading(z, noise, self.limits.zone)

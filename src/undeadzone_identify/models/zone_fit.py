@@ -6,11 +6,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import ndtr
 
 from undeadzone.util.arrays import Flags, Floats, Integers, rows_since_start
 from undeadzone_identify.models.estimates import Maximum, best_maximum, maximise_likelihood
-from undeadzone_identify.models.likelihood import dead_zone, unit_density
+from undeadzone_identify.models.likelihood import expected_reading, mean_beyond_edges
 from undeadzone_identify.models.plant import (
     PlantSimulator,
     RecordData,
@@ -62,7 +61,7 @@ class ZoneFit(NamedTuple):
     @property
     def disturbance_rms(self) -> float:
         """Return the rms of the disturbance of z, scaled."""
-        return math.exp(float(self.theta[self.objective.layout.right + 2]))
+        return math.exp(self.theta[self.objective.layout.log_s])
 
     @property
     def rho(self) -> float:
@@ -88,20 +87,10 @@ class ZoneFit(NamedTuple):
 
 def mean_reading(fit: ZoneFit) -> Floats:
     """Return E[y | z] (N), scaled: noise ahead of the zone makes its characteristic smooth."""
-    z = fit.z
-    right = fit.right
-    left = fit.left
-    s = fit.disturbance_rms
-    if not fit.objective.limits.zone:
-        return z - right
+    noise = fit.objective.zone_noise(fit.theta)
     if fit.objective.kind == "behind":
-        return dead_zone(z, right, left)
-    return s * (_mean_excess((z - right) / s) - _mean_excess((-left - z) / s))
-
-
-def _mean_excess(x: Floats) -> Floats:
-    """Return E max(x + e, 0) with e a unit Gaussian, for each x (N)."""
-    return unit_density(x) + x * ndtr(x)
+        return expected_reading(fit.z, noise, fit.objective.limits.zone)
+    return mean_beyond_edges(fit.z, noise)
 
 
 def fit_zone(simulator: PlantSimulator, limits: WidthLimits) -> ZoneFit:
@@ -125,12 +114,12 @@ def fit_zone(simulator: PlantSimulator, limits: WidthLimits) -> ZoneFit:
     return improve_fit(best, _centre_zone(objective, best.theta)) if limits.zone else best
 
 
-def refit_likelihood(fit: ZoneFit, use: Flags | None = None, steps: int = 60) -> ZoneFit:
-    """Fit again, or to other samples, starting at a fit.
+def refit_likelihood(fit: ZoneFit, use: Flags, steps: int) -> ZoneFit:
+    """Fit to other samples, starting at a fit.
 
     Args:
         fit: of the same plant.
-        use: flags of the samples that count (N); None: all readings.
+        use: flags of the samples that count (N).
         steps: largest number of steps.
     """
     old = fit.objective
@@ -171,7 +160,7 @@ def nearest_numbers(fit: ZoneFit, simulator: PlantSimulator, a: Floats) -> Float
     columns = simulator.z_gradient(theta, fit.z)[:, linear]
     theta[linear] = np.linalg.lstsq(columns, fit.z, rcond=1e-10)[0]
     error = float(np.mean((columns @ theta[linear] - fit.z) ** 2))
-    theta[layout.right + 2] = 0.5 * math.log(fit.disturbance_rms**2 + error)
+    theta[layout.log_s] = 0.5 * math.log(fit.disturbance_rms**2 + error)
     return theta
 
 
@@ -189,13 +178,11 @@ def polish_fit(fit: ZoneFit) -> ZoneFit:
         trial = theta.copy()
         trial[objective.free] += step
         trial = objective.project_to_bounds(trial)
-        reached = objective.total_log_likelihood(trial)
-        if not reached > value:
-            break
-        gain = reached - value
-        theta = trial
-        value = reached
-        if gain < 1e-6:
+        gain = objective.total_log_likelihood(trial) - value
+        if gain > 0:
+            theta = trial
+            value += gain
+        if not gain >= 1e-6:
             break
     return ZoneFit(objective, theta, value)
 
@@ -212,7 +199,7 @@ def fit_linear(simulator: PlantSimulator, use: Flags | None = None) -> ZoneFit:
         theta = _start_with_slow_poles(objective, theta)
     above = simulator.simulate_z(theta) - simulator.data.y
     theta[objective.layout.right] = np.clip(above[objective.readings.ok].mean(), *level)
-    theta[objective.layout.right + 2] = math.log(0.5)
+    theta[objective.layout.log_s] = math.log(0.5)
     return ZoneFit(objective, *maximise_likelihood(objective, theta, 40))
 
 
@@ -269,21 +256,20 @@ def outside_correlation(fit: ZoneFit) -> float:
 
 def zone_starts(objective: ZoneObjective) -> list[Floats]:
     """Return start points (P each): ARX models of both sides, a linear fit with several widths."""
-    simulator = objective.simulator
     layout = objective.layout
     use = objective.readings.ok
-    linear = fit_linear(simulator, use)
+    linear = fit_linear(objective.simulator, use)
     by_branch = start_by_branch(objective)
     starts = [] if by_branch is None else [by_branch]
     halves = [*SHARES]
-    if simulator.data.silent_zeros:
+    if objective.simulator.data.silent_zeros:
         inside_share = float(np.mean(objective.readings.side[use] == 0))
         halves.append(float(np.quantile(np.abs(linear.z), inside_share)))
     for share in halves:
         theta = linear.theta.copy()
         theta[layout.numerators] *= 1 + 0.9 * share
-        theta[layout.right : layout.right + 2] = widths_about_level(linear, share)
-        theta[layout.right + 2] = math.log(0.4)
+        theta[layout.widths] = widths_about_level(linear, share)
+        theta[layout.log_s] = math.log(0.4)
         starts.append(theta)
     return starts
 
@@ -307,14 +293,14 @@ def start_by_branch(objective: ZoneObjective) -> Floats | None:
     gain = 1 + a.sum()
     if abs(gain) < 1e-9:
         return None
-    width = np.clip((levels[1] - levels[0]) / gain, 0.02, 6.0)
-    shift = (levels[1] + levels[0]) / gain / 2
+    right, left = levels / gain
+    width = np.clip(left - right, 0.02, 6.0)
+    shift = (left + right) / 2
     theta = np.zeros(layout.parameter_count)
     theta[layout.denominator] = stabilise_poles(a)
     theta[layout.numerators] = b
-    theta[layout.right] = max(width / 2 - shift, 0.02)
-    theta[layout.right + 1] = max(width / 2 + shift, 0.02)
-    theta[layout.right + 2] = math.log(0.2)
+    theta[layout.widths] = np.maximum(width / 2 + shift * np.array([-1.0, 1.0]), 0.02)
+    theta[layout.log_s] = math.log(0.2)
     return theta
 
 
@@ -369,9 +355,7 @@ def _centre_zone(objective: ZoneObjective, theta: Floats) -> Floats:
     """Return the parameters (P) with both widths equal to their mean, and x(0) = 0."""
     layout = objective.layout
     centred = theta.copy()
-    centred[layout.right : layout.right + 2] = max(
-        theta[layout.right : layout.right + 2].mean(), 1e-3
-    )
+    centred[layout.widths] = max(theta[layout.widths].mean(), 1e-3)
     centred[layout.x0] = 0.0
     return centred
 

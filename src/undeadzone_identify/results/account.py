@@ -190,6 +190,11 @@ class Account(NamedTuple):
         return [*dict.fromkeys(EFFECTS[effect].remedy for effect in self.effects)]
 
     @property
+    def first_numbers(self) -> Numbers:
+        """Return the numbers of the first effect; none without one."""
+        return next(iter(self.effects.values()), {})
+
+    @property
     def is_certain(self) -> bool:
         """Return whether code may be written for it."""
         return self.grade == NAMED and bool(self.effects)

@@ -115,10 +115,6 @@ class Answer(NamedTuple):
 
     verdict: str
     reasons: list[str]
-    right: Interval | None
-    left: Interval | None
-    width: Interval | None
-    centre: Interval | None
     remarks: list[str]
     loop: Feedback
     case: Case
@@ -126,6 +122,10 @@ class Answer(NamedTuple):
     chosen: OrderFit
     excitation: Excitation
     widths: WidthEstimates
+    right: Interval | None = None
+    left: Interval | None = None
+    width: Interval | None = None
+    centre: Interval | None = None
     shape: SensorShape | None = None
 
     @property
@@ -192,7 +192,7 @@ class Answer(NamedTuple):
         gain = (
             simulator.dc_gain(theta) * self.case.record_data.y_scale / self.case.record_data.u_scale
         )
-        return np.asarray(gain / self.case.grid.step**simulator.layout.integrators)
+        return gain / self.case.grid.step**simulator.layout.integrators
 
     @property
     def plant_numbers(self) -> tuple[Layout, Floats, Floats, Floats]:
@@ -290,10 +290,6 @@ def to_answer(case: Case, found: Findings) -> Answer:
     answer = Answer(
         verdict=found.verdict.word,
         reasons=found.verdict.reasons,
-        right=None,
-        left=None,
-        width=None,
-        centre=None,
         remarks=[*case.fitted.prepared.remarks, *found.verdict.cautions],
         loop=Feedback(1.0, None),
         case=case,
@@ -661,9 +657,8 @@ def _interval_growth(degrees: float) -> float:
 def _interval_of_prior(answer: Answer, side: str, edge: Interval) -> Interval:
     """Return the 99.9 % interval of a width [y]."""
     jumps = answer.case.jump_edges
-    element = answer.element
     if jumps is not None:
         jump = jumps[SIDES.index(side)]
         return edge.extend_by((jump.low - jump.lowest) * answer.scale, 0.0)
-    degrees = answer.widths.degrees[side] if element is None else element.degrees
+    degrees = answer.widths.degrees[side] if answer.element is None else answer.element.degrees
     return edge.stretch_by(_interval_growth(degrees))

@@ -45,18 +45,18 @@ class IdentifiedAtRest(Spoken):
     @property
     def width(self) -> Interval | None:
         """Return the width of the band, or of the gap, as (value, low, high); None without one."""
-        numbers = next(iter(self.account.effects.values()), {})
+        numbers = self.account.first_numbers
         return numbers.get("width", numbers.get("gap"))
 
     @property
     def right(self) -> Interval | None:
         """Return the upper edge of the band [u]; None without one."""
-        return next(iter(self.account.effects.values()), {}).get("upper")
+        return self.account.first_numbers.get("upper")
 
     @property
     def left(self) -> Interval | None:
         """Return the lower edge of the band [u]; None without one."""
-        return next(iter(self.account.effects.values()), {}).get("lower")
+        return self.account.first_numbers.get("lower")
 
     def scenario(self, title: str = "Identified log") -> str:
         """Raise InputError: no plant was fitted."""
@@ -65,28 +65,23 @@ class IdentifiedAtRest(Spoken):
     def numbers(self) -> dict[str, Any]:
         """Return all numbers of the answer, as `--json` prints."""
         log = self.log
-        return dict(
-            to_json_value(
-                {
-                    "zone": False,
-                    "verdict": self.verdict,
-                    "found": self.headline(),
-                    "answer": self.account.to_json(),
-                    "width": None if self.width is None else list(self.width),
-                    "record": {"samples": int(log.t.size)},
-                    "units": {"input": log.input_unit, "output": log.output_units[0]},
-                    "remarks": [*log.remarks],
-                }
-            )
-        )
+        numbers = {
+            "zone": False,
+            "verdict": self.verdict,
+            "found": self.headline(),
+            "answer": self.account.to_json(),
+            "width": None if self.width is None else list(self.width),
+            "record": {"samples": int(log.t.size)},
+            "units": {"input": log.input_unit, "output": log.output_units[0]},
+            "remarks": [*log.remarks],
+        }
+        return to_json_value(numbers)
 
     def summary(self) -> dict[str, Any]:
         """Return the answer in words, as the command prints."""
         log = self.log
         names = f"{log.inputs[0]} [{log.input_unit}], {log.outputs[0]} [{log.output_units[0]}]"
-        lines: dict[str, Any] = {
-            "record": f"{log.t.size} samples, {names}",
-        }
+        lines: dict[str, Any] = {"record": f"{log.t.size} samples, {names}"}
         lines |= self.account.summary() | {"by": self.account.by}
         if log.remarks:
             lines["note"] = [*log.remarks]

@@ -43,7 +43,7 @@ def command_along(answer: Answer) -> Floats:
     """
     if answer.verdict == "play":
         return answer.z * answer.scale
-    return np.asarray(answer.case.grid.u[:, 0])
+    return answer.case.grid.u[:, 0]
 
 
 def measure_lines(
@@ -100,8 +100,8 @@ def pass_machine(lost: Lost, command: Floats, end: int) -> Floats:
     """
     if lost.kind == "backlash":
         gap = np.array([lost.width[end]])
-        return levels(command[:, None], gap, 0 * gap, command[:1])[:, 0]
-    return np.asarray(command - np.clip(command, -lost.left[end], lost.right[end]))
+        return levels(command, gap, 0 * gap, command[:1])
+    return command - np.clip(command, -lost.left[end], lost.right[end])
 
 
 def _held_out_readings(answer: Answer, lost: Lost) -> tuple[Floats, Floats, Lost]:

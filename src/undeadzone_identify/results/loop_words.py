@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from undeadzone.util.arrays import to_json_value
 from undeadzone_identify.logs.grid import Grid
 from undeadzone_identify.models.estimates import Interval, variance_along
 from undeadzone_identify.selection.decision import Case
@@ -88,18 +87,14 @@ def loop_numbers(case: Case, valve: ValveFindings) -> dict[str, Any]:
     """
     period = valve.period * case.grid.step
     moved = jump_of_reading(case, valve)
-    return dict(
-        to_json_value(
-            {
-                "S": list(valve.stick),
-                "J": list(valve.jump),
-                "jump_of_reading": None if moved is None else list(moved),
-                "account": valve.fit.account,
-                "regularity": valve.regularity,
-                "period": period if math.isfinite(period) else None,
-                "sensitivity": valve.sensitivity,
-                "shape": valve.shape,
-                "held_out_without": valve.error_without * case.record_data.y_scale,
-            }
-        )
-    )
+    return {
+        "S": list(valve.stick),
+        "J": list(valve.jump),
+        "jump_of_reading": None if moved is None else list(moved),
+        "account": valve.fit.account,
+        "regularity": valve.regularity,
+        "period": period if math.isfinite(period) else None,
+        "sensitivity": valve.sensitivity,
+        "shape": valve.shape,
+        "held_out_without": valve.error_without * case.record_data.y_scale,
+    }

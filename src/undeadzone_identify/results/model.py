@@ -28,7 +28,7 @@ def follow_play(z: Floats, right: float, left: float) -> Floats:
         z: its input (N).
         right, left: half gaps c_r, c_l.
     """
-    return levels(z[:, None], np.array([right]), np.array([left]), np.zeros(1))[:, 0]
+    return levels(z, np.array([right]), np.array([left]), np.zeros(1))
 
 
 SENSORS = {"dead_zone": sensor.deadzone, "jump": sensor.jump, "play": follow_play}
@@ -88,9 +88,7 @@ def simulate_answer(answer: Answer, u: Any) -> Simulated:
     rest = np.vstack([np.zeros((late, layout.m)), inputs])[: len(inputs)]
     for column, numerator in zip(rest.T, b.reshape(layout.m, layout.n), strict=True):
         z += lfilter(np.append(0.0, numerator), layout.full_denominator(a), column)
-    y: Floats = z
-    if answer.verdict in SENSORS:
-        y = SENSORS[answer.verdict](z, right, left)
+    y = SENSORS[answer.verdict](z, right, left) if answer.verdict in SENSORS else z
     t = answer.case.grid.step * np.arange(z.size)
     return Simulated(t, z + y_rest, np.asarray(y) + y_rest)
 
@@ -104,9 +102,7 @@ def _require_widths(answer: Answer) -> tuple[float, float]:
             f"simulate: the verdict is {answer.verdict}, and no model of it is simulated. "
             "`--kind` and `--place` of identify select another one"
         )
-    right = answer.right
-    left = answer.left
-    width = answer.width
+    right, left, width = answer.right, answer.left, answer.width
     if right is None and left is None and width is not None:
         return width.value / 2, width.value / 2
     if right is None or left is None or not np.isfinite([right.value, left.value]).all():

@@ -12,6 +12,7 @@ Noise is taken for white.
 
 from __future__ import annotations
 
+import io
 import math
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
@@ -21,10 +22,11 @@ from scipy.signal import chirp, sawtooth
 
 from undeadzone.errors import InputError
 from undeadzone.nonlinearities.sensor import DIRECTIONS
-from undeadzone.util.arrays import Floats
+from undeadzone.util.arrays import Flags, Floats
+from undeadzone_identify.models.chain import limit_rates
 from undeadzone_identify.models.elements import MapModel, PlayModel, dead_zone_map
 from undeadzone_identify.models.estimates import Interval
-from undeadzone_identify.models.least_squares import FittedModel
+from undeadzone_identify.models.least_squares import FittedModel, regression_residual
 from undeadzone_identify.models.measured import level_slopes
 from undeadzone_identify.models.plant import RecordData
 from undeadzone_identify.models.zone_fit import ZoneFit
@@ -72,10 +74,10 @@ class NextLog(NamedTuple):
     @property
     def input_table(self) -> str:
         """Return the input as CSV text."""
-        rows = [",".join(self.heads)]
-        for t, u in zip(self.t.tolist(), self.u.tolist(), strict=True):
-            rows.append(",".join(f"{number:.9g}" for number in (t, *u)))
-        return "\n".join(rows) + "\n"
+        text = io.StringIO()
+        rows = np.column_stack([self.t, self.u])
+        np.savetxt(text, rows, "%.9g", ",", header=",".join(self.heads), comments="")
+        return text.getvalue()
 
 
 class ModelAccount(NamedTuple):
@@ -84,34 +86,36 @@ class ModelAccount(NamedTuple):
     model: Any
     theta: Floats
 
+    @property
+    def is_of_start(self) -> Flags:
+        """Return the flags of the free numbers that are states at the start (K)."""
+        return np.isin(self.model.free, np.r_[self.model.simulator.layout.x0])
+
     def account_along(self, data: RecordData) -> ModelAccount:
         """Return the same model at rest, at the start of another record."""
         model = self.model.along(data)
         layout = model.simulator.layout
-        own = self.model.simulator.layout
-        return ModelAccount(model, layout.at_rest(own, self.theta))
+        return ModelAccount(model, layout.at_rest(self.model.simulator.layout, self.theta))
 
     def information_rows(self, begins_at_rest: bool) -> Floats:
         """Return the derivatives of the readings without those by the start (N x K)."""
         model = self.model
-        x0 = self.model.simulator.layout.x0
         slopes = model.slopes(self.theta)[1][model.simulator.data.ok]
-        of_start = (model.free >= x0.start) & (model.free < x0.stop)
+        of_start = self.is_of_start
         rows = slopes[:, ~of_start]
         unknown = [np.ones((len(rows), int(model.has_level)))]
         if not begins_at_rest:
             unknown.append(slopes[:, of_start])
-        basis = np.linalg.qr(np.hstack(unknown))[0]
-        return rows - basis @ (basis.T @ rows)
+        return regression_residual(np.hstack(unknown), rows)
 
     def interval_weights(self, name: str) -> Floats:
         """Return the row of right, left, width or centre, parameters of the start left
         out.
         """
-        model = self.model
-        x0 = model.simulator.layout.x0
-        row = np.array(DIRECTIONS[name]) @ level_slopes(model.levels, self.theta, model.free)
-        return np.asarray(row[(model.free < x0.start) | (model.free >= x0.stop)])
+        row = np.array(DIRECTIONS[name]) @ level_slopes(
+            self.model.levels, self.theta, self.model.free
+        )
+        return row[~self.is_of_start]
 
 
 def best_next_log(answer: Answer, account: Account) -> NextLog:
@@ -143,7 +147,7 @@ def _least_known_width(answer: Answer, account: Account) -> tuple[str, ModelAcco
     element = answer.element
     if element is None and servo is not None and servo.has_few_reversals:
         element = build_servo_element(answer.case, servo)
-    numbers: Mapping[str, Interval | None] = next(iter(account.effects.values()), {})
+    numbers: Mapping[str, Interval | None] = account.first_numbers
     model = _zone_account(answer.fit)
     if element is not None:
         model = _element_account(element)
@@ -193,9 +197,9 @@ def _score_by_interval(answer: Answer, name: str, model: ModelAccount) -> Iterat
     heads = ("t [s]", *(f"{one} [{grid.input_unit}]" for one in grid.inputs))
     row = model.interval_weights(name)
     rows = model.information_rows(begins_at_rest=False)
-    information = rows.T @ rows
-    scale = 1 / np.sqrt(np.diag(information) + 1e-300)
-    information = information * np.outer(scale, scale) + 1e-12 * np.eye(scale.size)
+    scale = 1 / np.sqrt(np.sum(rows**2, axis=0) + 1e-300)
+    rows = rows * scale
+    information = rows.T @ rows + 1e-12 * np.eye(scale.size)
     row = row * scale
     before = float(row @ np.linalg.solve(information, row))
     for kind, data in _candidate_records(answer, model):
@@ -212,8 +216,7 @@ def _score_by_interval(answer: Answer, name: str, model: ModelAccount) -> Iterat
 def _candidate_records(answer: Answer, account: ModelAccount) -> Iterator[tuple[str, RecordData]]:
     """Yield inputs within the log's limits that move z no further (name, record)."""
     own = account.model.simulator.data
-    step = answer.case.grid.step
-    size = int(np.clip(round(SECONDS / step), FEWEST, MOST))
+    size = int(np.clip(round(SECONDS / answer.case.grid.step), FEWEST, MOST))
     reach = FURTHER * float(np.ptp(answer.z))
     blank = np.zeros(size)
     integrates = account.model.simulator.layout.integrators > 0
@@ -264,18 +267,11 @@ def _limit_pattern(recorded: Floats, pattern: Floats, integrates: bool) -> Float
         pattern: values between -1 and 1 (N).
         integrates: whether the plant integrates. Then the pattern has mean 0, else z drifts.
     """
-    low = float(recorded.min())
-    high = float(recorded.max())
+    low, high = recorded.min(), recorded.max()
     middle = (low + high) / 2
     amplitude = (high - low) / 2
     if integrates or low * high < 0:  # symmetric about 0
         middle = 0.0
         amplitude = min(-low, high)
-    unlimited = middle + max(amplitude, 0.0) * pattern
-    largest_step = float(np.abs(np.diff(recorded)).max())
-    u = np.empty(unlimited.size)
-    previous = middle
-    for k, value in enumerate(unlimited.tolist()):
-        previous += min(max(value - previous, -largest_step), largest_step)
-        u[k] = previous
-    return u
+    unlimited = np.append(middle, middle + max(amplitude, 0.0) * pattern)
+    return limit_rates(unlimited, np.abs(np.diff(recorded)).max(keepdims=True))[1:, 0]

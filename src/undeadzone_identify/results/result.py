@@ -210,7 +210,7 @@ class Identified(Spoken):
     @property
     def alternatives(self) -> dict[str, Any]:
         """Return the distance of each model from the best [nats per sample]."""
-        return dict(self.numbers()["alternatives"])
+        return self.numbers()["alternatives"]
 
     def states(self) -> States:
         """Return z and the plant's states along the log, with standard deviations.
@@ -360,7 +360,7 @@ class Identified(Spoken):
     def numbers(self) -> dict[str, Any]:
         """Return all numbers of the answer, as `--json` prints."""
         numbers = answer_numbers(self.answer, self.account)
-        return dict(to_json_value(numbers | self._lines(numbers)))
+        return to_json_value(numbers | self._lines(numbers))
 
     def _lines(self, numbers: dict[str, Any]) -> dict[str, Any]:
         """Return the errors without and with the few lines that compensate what is named."""
@@ -378,12 +378,11 @@ class Identified(Spoken):
 def _simulate_states(simulator: PlantSimulator, theta: Floats) -> Floats:
     """Simulate the states in observer form (N x n), scaled."""
     layout = simulator.layout
-    data = simulator.data
     F, B, _ = observer_matrices(theta[layout.denominator], theta[layout.numerators], layout)
     x0 = theta[layout.x0].reshape(layout.records, layout.n)
     system = (F, B, np.eye(layout.n), np.zeros(B.shape), 1.0)
-    parts = zip(data.record_slices(), x0, strict=True)
-    return np.vstack([dlsim(system, data.u[part], x0=state)[2] for part, state in parts])
+    parts = zip(simulator.data.record_slices(), x0, strict=True)
+    return np.vstack([dlsim(system, simulator.data.u[part], x0=state)[2] for part, state in parts])
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)

@@ -14,6 +14,7 @@ import numpy as np
 from undeadzone.util.arrays import Flags, Floats
 from undeadzone_identify.models.elements import FEWEST, limited_zone_map
 from undeadzone_identify.models.least_squares import FittedModel
+from undeadzone_identify.models.likelihood import root_mean_square
 from undeadzone_identify.models.measured import measure_fit
 from undeadzone_identify.results.account import (
     BOUNDED,
@@ -163,10 +164,10 @@ def knows_the_end(answer: Answer) -> bool:
         return True
     others = [one for word in ("input_zone", "friction") if (one := _compare(answer, word))]
     return not any(
-        other.has_readings_of(named[0])
-        and other.rms < CLOSE * named[0].rms
-        and named[0].deviations_before(other) < APART
-        for other, _ in others
+        other.has_readings_of(named)
+        and other.rms < CLOSE * named.rms
+        and named.deviations_before(other) < APART
+        for other in others
     )
 
 
@@ -192,18 +193,20 @@ class Compared(NamedTuple):
         word: of the class.
         fit: with all data.
         error: of the held-out readings, 0 elsewhere (N), scaled.
+        test: those readings (N).
         numbers: in the unit of their end.
     """
 
     word: str
     fit: FittedModel[Any]
     error: Floats
+    test: Flags
     numbers: Numbers
 
     @property
     def rms(self) -> float:
         """Return the rms of the held-out errors, scaled, but for a common factor."""
-        return float(np.sqrt(np.mean(self.error**2)))
+        return root_mean_square(self.error)
 
     def has_readings_of(self, other: Compared) -> bool:
         """Return whether both are of the same readings: a class may be fitted to a part."""
@@ -224,9 +227,9 @@ class Compared(NamedTuple):
         is_curve = EFFECT_OF[self.word].endswith("shape") and ends[0] == ends[1]
         return is_curve and len({*SIDES} & other.numbers.keys()) == 1
 
-    def compare_to(self, line: Compared, test: Flags, scale: float) -> Buys:
+    def compare_to(self, line: Compared, scale: float) -> Buys:
         """Return the held-out errors of both, in units of the log."""
-        size = scale * math.sqrt(test.size / max(int(test.sum()), 1))
+        size = scale * math.sqrt(self.test.size / max(self.test.sum(), 1))
         return Buys(line.rms * size, self.rms * size, self.deviations_before(line))
 
     @property
@@ -237,14 +240,13 @@ class Compared(NamedTuple):
         return all(sides) and all(sizes)
 
 
-def _compare(answer: Answer, word: str) -> tuple[Compared, Flags] | None:
-    """Return a class's model on held-out data, and these; None without a fit of it."""
-    case = answer.case
-    fit = fit_of(case, answer.found, word)
+def _compare(answer: Answer, word: str) -> Compared | None:
+    """Return a class's model on held-out data; None without a fit of it."""
+    fit = fit_of(answer.case, answer.found, word)
     if fit is None:
         return None
-    e, test = held_out_residual(fit, case.options.held_out)
-    return Compared(word, fit, np.where(test, e, 0.0), _numbers_of_word(answer, word, fit)), test
+    e, test = held_out_residual(fit, answer.case.options.held_out)
+    return Compared(word, fit, np.where(test, e, 0.0), test, _numbers_of_word(answer, word, fit))
 
 
 def _numbers_of_word(answer: Answer, word: str, fit: FittedModel[Any]) -> Numbers:
@@ -290,27 +292,24 @@ def _buys_of_word(answer: Answer) -> Buys | None:
         return None
     named = _compare(answer, answer.verdict)
     line = None if named is None else _compare(answer, "none")
-    if named is None or line is None or not named[0].has_readings_of(line[0]):
+    if named is None or line is None or not named.has_readings_of(line):
         return None
-    return named[0].compare_to(line[0], named[1], answer.scale)
+    return named.compare_to(line, answer.scale)
 
 
 def _account_of_fits(answer: Answer, units: tuple[str, str]) -> Account:
     """Return the likeliest effect as an indication, else bounds where a straight plant holds."""
-    straight = _compare(answer, "none")
-    if straight is None:
+    line = _compare(answer, "none")
+    if line is None:
         return _open(answer, units)
-    line, test = straight
-    rows = []
-    for word in EFFECT_OF:
-        there = None if word in answer.found.denied else _compare(answer, word)
-        if there is not None and _is_comparable(there[0], line):
-            rows += [there[0]] * (not _moves_below_friction(answer, there[0]))
-    worth = [one for one in rows if one.compare_to(line, test, answer.scale).is_worth]
-    rows = sorted(worth, key=lambda one: one.rms)
-    positive = [one for one in rows if one.is_positive]
+    words = (word for word in EFFECT_OF if word not in answer.found.denied)
+    there = filter(None, (_compare(answer, word) for word in words))
+    rows = [one for one in there if _is_comparable(one, line)]
+    rows = [one for one in rows if not _moves_below_friction(answer, one)]
+    worth = [one for one in rows if one.compare_to(line, answer.scale).is_worth]
+    positive = sorted((one for one in worth if one.is_positive), key=lambda one: one.rms)
     if not positive:
-        return _bound(answer, units, line, test)
+        return _bound(answer, units, line)
     best = positive[0]
     close = [one for one in positive if best.is_hardly_before(one)]
     first = next((one for one in close if one.numbers and not best.is_curve_for_zone(one)), best)
@@ -319,7 +318,7 @@ def _account_of_fits(answer: Answer, units: tuple[str, str]) -> Account:
         effect = EFFECT_OF[one.word]
         if effect != EFFECT_OF[first.word] and len(others) < OTHERS:
             others.setdefault(effect, one.numbers)
-    buys = first.compare_to(line, test, answer.scale)
+    buys = first.compare_to(line, answer.scale)
     effects = {EFFECT_OF[first.word]: first.numbers}
     return Account(INDICATED, effects, DYNAMICS, units, buys, others, tuple(answer.reasons))
 
@@ -339,10 +338,10 @@ def _is_comparable(one: Compared, line: Compared) -> bool:
     return is_single and one.has_readings_of(line)
 
 
-def _bound(answer: Answer, units: tuple[str, str], line: Compared, test: Flags) -> Account:
+def _bound(answer: Answer, units: tuple[str, str], line: Compared) -> Account:
     """Return bounds of what could hide where a straight plant explains the log, else nothing."""
-    y = line.fit.squares.data.y[test]
-    left = line.error[test].std() / max(float(y.std()), 1e-300)
+    y = line.fit.squares.data.y[line.test]
+    left = line.error[line.test].std() / max(float(y.std()), 1e-300)
     reasons = tuple(answer.reasons)
     if left > 1 - EXPLAINED or any(one.is_real for one in answer.found.remainders):
         said = f"the input explains {100 * max(1 - left, 0.0):.0f} % of the held-out readings"

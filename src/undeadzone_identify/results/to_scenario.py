@@ -14,6 +14,7 @@ from scipy.linalg import block_diag
 
 from undeadzone.errors import InputError
 from undeadzone.linalg.matrices import Matrices
+from undeadzone.nonlinearities.sensor import SHAPE
 from undeadzone.util.arrays import Floats, to_scalar_or_list
 from undeadzone.util.text import escape_controls, fill_words
 from undeadzone_identify.logs.grid import rounding_step
@@ -157,13 +158,9 @@ def _shape_fields(answers: Sequence[Answer]) -> dict[str, str]:
     """
     shapes = [answer.shape for answer in answers if answer.shape is not None]
     if len(shapes) < len(answers):
-        return dict.fromkeys(("rounding", "slope_std", "lag"), "")
+        return dict.fromkeys(SHAPE, "")
     fields = {}
-    # The fields of a shape: rounding, slope, lag.
-    names = zip(
-        ("rounding", "slope_std", "lag"), (0.0, 1.0, 0.0), zip(*shapes, strict=True), strict=True
-    )
-    for name, usual, own in names:
+    for name, usual, own in zip(SHAPE, (0.0, 1.0, 0.0), zip(*shapes, strict=True), strict=True):
         stds = [math.hypot(one.value - usual, one.half_width / 2) for one in own]
         fields[name] = bool(np.isfinite(stds).all()) * _toml_numbers(stds)
     return fields
@@ -199,13 +196,12 @@ def _range_lines(ranges: Sequence[Sequence[tuple[float, float]]], where: str = "
 
 def _gap_fields(answer: Answer) -> dict[str, str]:
     """Return the gap of a play ahead of the dead zone; empty without a play. Raise InputError."""
-    element = answer.element
     gap = answer.width
     if answer.verdict != "both":
         return {"gap": ""}
-    if element is None or gap is None:
+    if answer.element is None or gap is None:
         raise InputError("scenario: both widths must be known")
-    low, high = prior_element_range(element, gap)
+    low, high = prior_element_range(answer.element, gap)
     return {
         "gap": _to_toml([gap.value / 2] * 2),
         "gap_interval": _interval_remark([gap]),

@@ -38,7 +38,7 @@ def servo_numbers(answer: Answer) -> dict[str, Any] | None:
         return None
     log = servo.log
     one = servo.servo
-    theta = one.theta
+    theta = one.structure.disable_absent_parts(one.theta)
     parts = one.structure.parts
     rate = log.step / log.seconds
     gain = float(theta[At.GAIN]) * log.y_scale / log.u_scale
@@ -47,13 +47,13 @@ def servo_numbers(answer: Answer) -> dict[str, Any] | None:
         "inertia": not one.structure.lag,
         "damping": math.exp(theta[At.DAMPING]) * rate,
         "gain": gain * (rate if one.structure.lag else rate**2),
-        "friction": float(theta[At.FRICTION]) * log.u_scale if "friction" in parts else 0.0,
-        "load_friction": float(theta[At.LOAD]) * log.u_scale if "load" in parts else 0.0,
-        "spring": math.exp(theta[At.SPRING]) * rate**2 if "spring" in parts else 0.0,
+        "friction": float(theta[At.FRICTION]) * log.u_scale,
+        "load_friction": float(theta[At.LOAD]) * log.u_scale,
+        "spring": math.exp(theta[At.SPRING]) * rate**2,
         "electrical_pole": math.exp(theta[At.POLE]) * rate if "pole" in parts else None,
         "delay": float(theta[At.DELAY]) * log.seconds,
         "torque": math.exp(theta[At.TORQUE]) * log.u_scale,
-        "slow_torque": math.exp(theta[At.SLOW]) * log.u_scale if "slow" in parts else 0.0,
+        "slow_torque": math.exp(theta[At.SLOW]) * log.u_scale,
         "trends": servo.trend_remarks,
         "crossings": {name: column.tolist() for name, column in crossing_columns(answer).items()},
     }
@@ -79,10 +79,9 @@ def servo_joints(answer: Answer) -> list[Joint]:
 
 def crossing_columns(answer: Answer) -> dict[str, Floats]:
     """Return the crossings of a servo's gap by column; empty without a servo."""
-    servo = answer.servo
-    if servo is None or answer.verdict in WITHOUT_GAP:
+    if answer.servo is None or answer.verdict in WITHOUT_GAP:
         return {}
-    crossings = servo.crossings
+    crossings = answer.servo.crossings
     return {
         "t": answer.case.grid.t[crossings.at],
         "side": crossings.side.astype(float),

@@ -227,7 +227,7 @@ def _blurred_readings(fit: FittedModel[Model]) -> Floats:
     nodes, weights = hermegauss(NODES)
     read = [model.noise_free_readings(z + rms * node, fit.theta) for node in nodes]
     blurred = weights / weights.sum() @ np.array(read)
-    return np.asarray(blurred - model.noise_free_readings(z, fit.theta))[:, None]
+    return (blurred - model.noise_free_readings(z, fit.theta))[:, None]
 
 
 def _centre(columns: Floats, ok: Flags) -> Floats:
@@ -284,29 +284,27 @@ def _directions(fit: FittedModel[Model]) -> dict[str, Floats]:
     through_plant = model.simulator.respond_from_rest
     read = model.noise_free_readings(z, theta)
     u = data.u[:, 0]
-    turn_u = last_turn(u)
-    turn_z = last_turn(z)
     t = np.linspace(-1.0, 1.0, z.size)
     directions = {
         "input": through_plant(theta, hat_columns(u, AT_INPUT)),
         "levels of the input": through_plant(theta, hat_columns(u, AT_LEVELS)),
         "output": hat_columns(z, AT_SENSOR),
-        "turns of the input": through_plant(theta, by_turn(turn_u, u)),
-        "turns of the output": by_turn(turn_z, z),
+        "turns of the input": through_plant(theta, by_last_turn(u)),
+        "turns of the output": by_last_turn(z),
         "time": read[:, None] * np.column_stack([t, t * t, np.sin(np.pi * t), np.cos(np.pi * t)]),
+        "rate of the input": through_plant(theta, _late_by_rate(u)),
+        "rate of the output": _late_by_rate(z),
     }
-    directions["rate of the input"] = through_plant(theta, _late_by_rate(u))
-    directions["rate of the output"] = _late_by_rate(z)
-    if float(np.std(read - z)) > 0:  # else these are more poles of the plant
-        lags = [shift_rows(read, k, data.start) for k in range(1, BEHIND + 1)]
-        lags += [shift_rows(read - z, k, data.start) for k in range(1, 4)]
-        directions["behind"] = np.column_stack(lags)
+    if np.std(read - z) > 0:  # else these are more poles of the plant
+        lags = [(read, k) for k in range(1, BEHIND + 1)] + [(read - z, k) for k in range(1, 4)]
+        late = [shift_rows(signal, k, data.start) for signal, k in lags]
+        directions["behind"] = np.column_stack(late)
     if model.name == "jump":  # a sensor of equal steps has one about 0, which the fit narrows
         angle = 2 * np.pi * z[:, None] / (model.levels(theta).sum() * np.array(WIDER))
         directions["steps"] = np.column_stack([np.sin(angle), np.cos(angle)])
     if isinstance(model, ChainModel | PlaceModel):
         passed = model.pass_input(u, theta)
-        if float(np.std(passed - u)) > 0:
+        if np.std(passed - u) > 0:
             behind = [model.pass_input(lag_columns(u, pole), theta) - passed for pole in AHEAD]
             directions["ahead"] = through_plant(theta, np.column_stack(behind))
             if isinstance(model, PlaceModel):  # one column finds what the hats of the input share
@@ -327,16 +325,13 @@ def hat_columns(values: Floats, count: int) -> Floats:
     return least_squares.hat_functions(values, centres)
 
 
-def by_turn(turn: Floats, signal: Floats) -> Floats:
-    """Return the sign of a signal's last move, alone and times the signal (N x 3)."""
-    return np.column_stack([turn, turn * signal, turn * np.abs(signal)])
-
-
-def last_turn(signal: Floats) -> Floats:
-    """Return the sign of a signal's last move (N); 0 before it moved."""
+def by_last_turn(signal: Floats) -> Floats:
+    """Return the sign of a signal's last move, 0 before it moved, alone and times the signal
+    (N x 3).
+    """
     sign = np.sign(np.diff(signal, prepend=signal[0]))
-    last = np.maximum.accumulate(np.where(sign != 0, np.arange(sign.size), 0))
-    return np.asarray(sign[last])
+    turn = sign[np.maximum.accumulate(np.where(sign != 0, np.arange(sign.size), 0))]
+    return np.column_stack([turn, turn * signal, turn * np.abs(signal)])
 
 
 def _late_by_rate(signal: Floats) -> Floats:

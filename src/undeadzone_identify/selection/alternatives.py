@@ -443,11 +443,10 @@ def _extend_to_records(
     """Return the model of a fit and its parameters for all records; at rest at first if a part was
     fitted.
     """
-    old = fit.model
     model = fit.model.along(whole)
-    if old.simulator.data.y.size == whole.y.size:
+    if fit.model.simulator.data.y.size == whole.y.size:
         return model, theta
-    return model, model.simulator.layout.at_rest(old.simulator.layout, theta)
+    return model, model.simulator.layout.at_rest(fit.model.simulator.layout, theta)
 
 
 def _describe_hidden_gap(rms: float) -> str:
@@ -526,11 +525,10 @@ def _measure_input_zone(
 ) -> tuple[dict[str, Interval], float]:
     """Return the widths of the input's zone [u], and their least degrees of freedom."""
     data = fit.model.simulator.data
-    model = fit.model
-    measured = measure_fit(fit, misfits, lambda theta: model.part_numbers(theta, "input"))
+    measured = measure_fit(fit, misfits, lambda theta: fit.model.part_numbers(theta, "input"))
     u = data.u[:, 0]
     scale = float(data.u_scale[0])
-    passed = model.pass_input(u, fit.theta)
+    passed = fit.model.pass_input(u, fit.theta)
     return _bound_unpassed(measured.scale_by(scale), scale * u, passed), measured.degrees
 
 
@@ -835,7 +833,7 @@ def _passes_limits(fit: FittedModel[MapModel], quantum: float) -> bool:
             continue
         beyond = np.maximum(sign * above[held], 0.0)
         white = white_noise_rms(above, held, data.start)
-        if math.sqrt(2 * float(np.mean(beyond**2))) > max(BEYOND * white, LEAST_BEYOND, quantum):
+        if math.sqrt(2 * np.mean(beyond**2)) > max(BEYOND * white, LEAST_BEYOND, quantum):
             return True
     return False
 

@@ -375,7 +375,7 @@ def _find_unclear(case: Case, word: str, best: Density, fits: Fits) -> Verdict |
         explained = f"the best plant explains {100 * max(share, 0.0):.0f} % of the {which}"
         changes = f", and {100 * within:.0f} % of all: it changes, or another input acts"
         others = chosen.error / max(1 - chosen.share, 1e-12)
-        if others < CALM * float(data.y[data.ok].std()):  # as after a single step
+        if others < CALM * data.y[data.ok].std():  # as after a single step
             changes = ", which hardly move: nothing tests a fit. Record several steps up and down,"
             changes += " each held until the readings settle"
         unstable = _describe_instability(case) if within <= LEAST else None
@@ -456,5 +456,5 @@ def mean_inside_zone(fit: ZoneFit) -> float | None:
         return None
     mean = float(y.mean())
     covariance, degrees = long_run_covariance((y - mean)[:, None])
-    half = student_quantile(degrees, SURE) * math.sqrt(float(covariance[0, 0])) / y.size
+    half = student_quantile(degrees, SURE) * math.sqrt(covariance[0, 0]) / y.size
     return mean if abs(mean) > max(half, RELEVANT * fit.disturbance_rms) else None

@@ -227,7 +227,7 @@ def is_delay_better(fits: list[OrderFit], late: list[OrderFit]) -> bool:
         late: with it.
     """
     best = best_order(fits)
-    margin = math.log(float(fits[0].fit.objective.readings.ok.sum()))
+    margin = math.log(fits[0].fit.objective.readings.ok.sum())
     if has_continuous_poles(best.fit):
         margin += CLEARLY  # a fast pole looks much like a delay
     return best_order(late).fit.bic + margin < best.fit.bic
@@ -296,6 +296,6 @@ def _start_from_linear(fit: ZoneFit, simulator: PlantSimulator) -> Floats:
     theta = fit.theta.copy()
     plant = fit_linear(simulator).theta
     theta[: layout.right] = plant[: layout.right]
-    theta[layout.numerators] *= float(fit.z.std() / simulator.simulate_z(plant).std())
-    theta[layout.right + 2] = math.log(ROUGH)
+    theta[layout.numerators] *= fit.z.std() / simulator.simulate_z(plant).std()
+    theta[layout.log_s] = math.log(ROUGH)
     return theta

@@ -43,7 +43,7 @@ def find_zone_locations(
         orders: of plants for which the log has enough samples.
     """
     fits = filter(lambda one: not _is_rounding_zone(one, quantum), _fit_all_locations(fit).values())
-    found = best_of_each((_word_of(one), one.density.bic, one) for one in fits)
+    found = best_of_each(fits, _word_of)
     top: PlaceFit | None = min(found.values(), key=lambda one: one.density.bic)
     while top is not None and top.model.shape.input and top.model.n + 1 in orders:
         word = _word_of(top)

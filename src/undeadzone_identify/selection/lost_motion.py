@@ -353,7 +353,7 @@ def moving_samples(y: Floats, quantum: float) -> Flags:
     change[MOVING:-MOVING] = y[2 * MOVING :] - y[: -2 * MOVING]
     ways = np.where(np.abs(change) > 2 * quantum, np.sign(change), 0.0)
     run = np.convolve(ways, np.ones(4 * MOVING + 1), "same")
-    return np.asarray(np.abs(run) == 4 * MOVING + 1)
+    return np.abs(run) == 4 * MOVING + 1
 
 
 def _split(answer: LostMotionAnswer) -> LostMotionAnswer:
@@ -380,7 +380,7 @@ def _split(answer: LostMotionAnswer) -> LostMotionAnswer:
     sums = np.add.reduceat((columns @ inverse) * left[:, None], turns)
     count = turns.size
     V = sums.T @ sums * count / max(count - 3, 1)
-    V = np.maximum(V, inverse * float(power) / way.size)
+    V = np.maximum(V, inverse * power / way.size)
     if kp <= 3 * math.sqrt(V[0, 0]):
         return answer
     slope = np.array([2 * step / kp**2, -2 / kp, 0.0])

@@ -60,7 +60,7 @@ def _draw_log_odds(family: Family, least: Density) -> Floats:
     noise = np.random.default_rng(0).standard_normal((DRAWS, len(slow)))
     scatter = noise @ slow * math.sqrt(len(gains) / len(slow))
     each = count / len(gains)
-    return np.asarray(each * (gains.sum(axis=0) + scatter) - 0.5 * numbers * math.log(count))
+    return each * (gains.sum(axis=0) + scatter) - 0.5 * numbers * math.log(count)
 
 
 def nats_behind_best(families: Sequence[Family]) -> dict[str, float]:

@@ -215,10 +215,9 @@ def score_held_out(
 
 def one_step_residuals(fit: zone_fit.ZoneFit, among: Flags) -> tuple[Floats, Flags]:
     """Return residuals e_t - rho e_(t-1) and the flags of outside samples in a row (N, N)."""
-    readings = fit.objective.readings
     e = fit.objective.unexplained_readings(fit.theta)
     ok = fit.objective.data.ok
-    speaks = ok if fit.objective.kind == "behind" else ok & (readings.side != 0)
+    speaks = ok if fit.objective.kind == "behind" else ok & (fit.objective.readings.side != 0)
     return predict_one_step(e, speaks & among, speaks, fit.objective.data.start)
 
 
@@ -386,8 +385,7 @@ def compare_with_no_zone(fit: zone_fit.ZoneFit) -> ZoneTest:
         return ZoneTest(0.0, fit)
     linear = zone_fit.fit_linear(objective.simulator, objective.readings.ok)
     begun = linear.theta.copy()
-    widths = slice(objective.layout.right, objective.layout.right + 2)
-    begun[widths] = zone_fit.widths_about_level(linear, 0.05)
+    begun[objective.layout.widths] = zone_fit.widths_about_level(linear, 0.05)
     best = zone_fit.improve_fit(fit, begun)
     spread = best.objective.robust_covariance(best.theta)
     row = best.objective.width_weights(1.0, 1.0)

@@ -270,11 +270,10 @@ def friction_of(servo: ServoGap) -> Interval | None:
     Args:
         servo: without a gap that matters.
     """
-    one = servo.servo
-    if not one.structure.parts & {"friction", "load"}:
+    if not servo.servo.structure.parts & {"friction", "load"}:
         return None
-    value = float(one.theta[RUBS].sum())
-    error = math.sqrt(max(float(covariance_of(servo, lambda theta: theta[RUBS].sum())), 0.0))
+    value = float(servo.servo.theta[RUBS].sum())
+    error = math.sqrt(max(covariance_of(servo, lambda theta: theta[RUBS].sum()), 0.0))
     degrees = degrees_of_reversals(servo.reversals)
     half = math.hypot(WIDER * student_quantile(degrees) * error, LEVEL * value)
     friction = Interval.from_half_width(value, half)
@@ -465,11 +464,10 @@ def add_servo_element(case: Case, servo: ServoGap, found: Findings) -> Findings:
 
 def describe_servo(servo: ServoGap) -> str:
     """Describe the parts and the gap of a servo in words."""
-    one = servo.servo
-    name = "a lag of first order" if one.structure.lag else "a motor"
+    name = "a lag of first order" if servo.servo.structure.lag else "a motor"
     names = {"pole": "an electrical pole", "slow": "slow torques", "friction": "friction"}
     names |= {"spring": "a spring", "load": "friction of the load"}
-    parts = [names[part] for part in sorted(one.structure.parts)]
+    parts = [names[part] for part in sorted(servo.servo.structure.parts)]
     with_parts = f" with {', '.join(parts)}" if parts else ""
     return (
         f"{name}{with_parts} behind gear play explains the readings."

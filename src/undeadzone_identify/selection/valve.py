@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.logs.kinds import kind_of
-from undeadzone.util.arrays import Floats, Integers
+from undeadzone.util.arrays import Floats, Integers, shift_rows
 from undeadzone_identify.logs.grid import Grid
 from undeadzone_identify.logs.log import Log
 from undeadzone_identify.models.chain import ChainFit, ChainModel
@@ -26,7 +26,7 @@ from undeadzone_identify.models.least_squares import (
     describe_p_value,
 )
 from undeadzone_identify.models.likelihood import root_mean_square
-from undeadzone_identify.models.plant import PlantSimulator, RecordData
+from undeadzone_identify.models.plant import PlantSimulator, RecordData, select_samples
 from undeadzone_identify.models.valve import ORDERS, LoopFits, LoopLog, fit_loop
 from undeadzone_identify.models.zone_fit import fit_linear
 from undeadzone_identify.selection.decision import (
@@ -135,7 +135,7 @@ class ValveFindings:
     @cached_property
     def apparent(self) -> float:
         """Return |1 / (1 + C G)| about the period, without an oscillation from outside."""
-        return self._fits.sensitivity(self._acting)
+        return self._fits.sensitivity(self._acting, np.empty((self._acting.size, 0)))
 
     @cached_property
     def hidden(self) -> float:
@@ -338,17 +338,9 @@ def _plant_behind(case: Case, v: Floats, late: int, part: slice) -> ChainFit | N
 
     Its order is the best of those whose poles a plant in continuous time has, else of all.
     """
-    data = case.recorded
-    delayed = np.append(np.full(late, v[0]), v[: v.size - late]) * np.ptp(data.u[part, 0])
-    delayed += float(data.u[part, 0].mean())
-    begun = data._replace(
-        u=delayed[:, None],
-        y=data.y[part],
-        ok=data.ok[part],
-        start=np.zeros(1, int),
-        side=data.side[part],
-        climbs=None,
-    )
+    own = select_samples(case.recorded, [part])
+    delayed = shift_rows(v, late, own.start)[:, None] * np.ptp(own.u[:, 0]) + own.u[:, 0].mean()
+    begun = own._replace(u=delayed, climbs=None)
     found = []
     for n in case.fitted.prepared.orders:
         simulator = PlantSimulator(begun, n, case.options.integrators)

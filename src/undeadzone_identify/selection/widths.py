@@ -145,9 +145,9 @@ def _to_stage(fit: ZoneFit | KalmanFit) -> _Stage:
 
 def _width_difference(row: tuple[float, float], other: OrderFit, chosen: OrderFit) -> float:
     """Return the excess of a width in another fit, scaled."""
-    one = other.fit
-    own = chosen.fit
-    return float(np.dot(row, (one.right - own.right, one.left - own.left)))
+    return float(
+        np.dot(row, (other.fit.right - chosen.fit.right, other.fit.left - chosen.fit.left))
+    )
 
 
 def lower_width_bound(fit: ZoneFit, side: str) -> float:
@@ -225,9 +225,8 @@ def widen_by_profile(fit: ZoneFit, side: str, edge: Interval, scale: float) -> I
     Returns:
         The union of both [y]; an end that the likelihood never forbids is infinite, or 0.
     """
-    objective = fit.objective
-    spread = objective.robust_covariance(fit.theta)
-    row = objective.width_weights(*DIRECTIONS[side])
+    spread = fit.objective.robust_covariance(fit.theta)
+    row = fit.objective.width_weights(*DIRECTIONS[side])
     robust, degrees = spread.variance_and_degrees(row)
     naive = float(row @ spread.naive @ row)
     drop = 0.5 * float(fisher.ppf(0.95, 1, degrees)) * robust / max(naive, 1e-300)

@@ -80,13 +80,7 @@ class GapCrossings(NamedTuple):
         """Describe the quantities with which the gap changes significantly."""
         if self.gap.size < FEW:
             return []
-        columns = {
-            "duration": self.duration,
-            "speed": np.abs(self.speed),
-            "y": self.y,
-            "direction": self.side,
-        }
-        rows = np.column_stack(list(columns.values()))
+        rows = np.column_stack([self.duration, np.abs(self.speed), self.y, self.side])
         rows = (rows - rows.mean(axis=0)) / (rows.std(axis=0) + 1e-300)
         rows = np.column_stack([np.ones(self.gap.size), rows])
         reach = OUTLIER * self.gap_scatter
@@ -95,9 +89,9 @@ class GapCrossings(NamedTuple):
         slopes = inverse @ rows.T @ gaps
         left = gaps - rows @ slopes
         degrees = max(self.gap.size - rows.shape[1], 1)
-        errors = np.sqrt(np.maximum(inverse.diagonal() * float(left @ left) / degrees, 1e-300))
+        errors = np.sqrt(np.maximum(inverse.diagonal() * (left @ left) / degrees, 1e-300))
         found = []
-        for name, slope, error in zip(columns, slopes[1:], errors[1:], strict=True):
+        for name, slope, error in zip(MEANING, slopes[1:], errors[1:], strict=True):
             share = abs(slope) / max(abs(self.median_gap), 1e-300)
             if abs(slope) > CLEAR * error and share > STRONG:
                 found.append(

@@ -26,16 +26,15 @@ from scipy.special import expit
 from scipy.stats import chi2, kurtosis
 
 from undeadzone.compile import lanes
+from undeadzone.nonlinearities.play import apply_backlash
 from undeadzone.util.arrays import Flags, Floats, Integers, shift_rows
 from undeadzone_identify.models.estimates import (
     Interval,
-    central_differences,
-    perturb_each,
-    perturbation_steps,
     sandwich_covariance,
     student_quantile,
 )
 from undeadzone_identify.models.least_squares import regression_residual
+from undeadzone_identify.models.measured import level_slopes
 from undeadzone_identify.models.motion import round_to_quantum
 from undeadzone_identify.models.plant import mean_lag_products
 from undeadzone_identify.servo import predictor
@@ -242,9 +241,9 @@ class ServoGap(NamedTuple):
         """Return the predicted z, its noise-free reading and the contact (N each), scaled."""
         log = self.log
         z = ServoLikelihood(log).run_predictor(one.theta[None], one.structure.lag)[0][:, 2]
-        half = float(one.theta[At.GAP]) / 2
+        half = one.theta[At.GAP] / 2
         before = shift_rows(log.y, 1, log.start)
-        readings = np.maximum(np.minimum(before, z + half), z - half)
+        readings = apply_backlash(np, z, before, half, half)
         readings = round_to_quantum(readings, log.quantum)
         return z, readings, np.sign(readings - before).astype(int)
 
@@ -310,14 +309,13 @@ def gap_offset_interval(found: ServoGap, level: float) -> Interval | None:
         found: the gap.
         level: the first reading [y].
     """
-    log = found.log
     one = found.servo
     if found.is_integrating:
         return None
     rest = _rest_position(one.structure, one.theta)
     variance = covariance_of(found, lambda theta: _rest_position(one.structure, theta))
     half = WIDER * student_quantile(degrees_of_reversals(found.reversals)) * math.sqrt(variance)
-    return Interval.from_half_width(-rest * log.y_scale - level, half * log.y_scale)
+    return Interval.from_half_width(-rest * found.log.y_scale - level, half * found.log.y_scale)
 
 
 def covariance_of(found: ServoGap, quantity: Callable[[Floats], Any]) -> Any:
@@ -329,10 +327,8 @@ def covariance_of(found: ServoGap, quantity: Callable[[Floats], Any]) -> Any:
     """
     one = found.servo
     free = one.structure.free_places(found.log.ticks, False)
-    steps = perturbation_steps(one.theta[free])
-    points = perturb_each(one.theta, free, steps)[1:]
-    slopes = central_differences(np.array(list(map(quantity, points))), steps)
-    return slopes.T @ found.covariance @ slopes
+    slopes = level_slopes(quantity, one.theta, free)
+    return slopes @ found.covariance @ slopes.T
 
 
 def _rest_position(structure: ServoStructure, theta: Floats) -> float:
@@ -484,6 +480,6 @@ def collect_odd_errors(log: Observations, slopes: ErrorSlopes) -> list[str]:
     used = np.flatnonzero(log.error_samples(False))
     past = log.kernel_inputs(log.ok)[used, 1 : LATEST + 1]
     left = regression_residual(past - past.mean(axis=0), r)
-    if 1 - float(left @ left) / max(float(r @ r), 1e-300) > INPUT_SHARE:
+    if 1 - (left @ left) / max(r @ r, 1e-300) > INPUT_SHARE:
         reasons.append("past inputs explain errors: no model of a motor explains them")
     return reasons

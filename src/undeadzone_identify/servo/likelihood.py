@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -70,10 +70,9 @@ def discretise_servo(
     A[:, 0, 1] = ~lag
     A[:, 1, 0] = np.where(lag, 0.0, -k)
     A[each, row, row] = -p
-    A[each, row, 2] = g
-    A[each, row, 5] = g
-    A[each, row, 3] = np.where(electric, g, 0.0)
-    A[each, row, 4] = np.where(electric, 0.0, g)
+    A[each, row, 2] = A[each, row, 5] = g
+    A[each, row, 3] = g * electric
+    A[each, row, 4] = g * ~electric
     A[:, 2, 2] = -1 / SLOW_TIME
     A[:, 3, 3] = -rate
     A[:, 3, 4] = rate
@@ -106,22 +105,18 @@ def build_lane_numbers(theta: Floats, log: Observations, free: bool, lag: bool |
         free: whether z is forgotten at reversals.
         lag: whether the plant is of first order; of all, or of each (L).
     """
-    step = log.step
-    A, B, Q = discretise_servo(theta, step, lag)
+    A, B, Q = discretise_servo(theta, log.step, lag)
     rows = np.zeros((len(theta), len(NUMBERS) + LATEST + 1))
-    for place, name in enumerate(PLANT):
-        kind, row, column = list(name)
+    for place, (kind, row, column) in enumerate(map(list, PLANT)):
         rows[:, place] = {"a": A, "b": B, "q": Q}[kind][:, int(row), int(column)]
     quantum = max(log.quantum, FINEST)
     speed = theta[:, At.GAIN] ** 2 / np.exp(2 * theta[:, At.DAMPING])
-    others = {
-        "friction": theta[:, At.FRICTION],
-        "load": theta[:, At.LOAD],
-        "offset": theta[:, At.OFFSET],
-        "gap": theta[:, At.GAP],
+    seen = ("friction", "load", "offset", "gap")
+    others: dict[str, Any] = {name: theta[:, At[name.upper()]] for name in seen}
+    others |= {
         "rms": SURE * quantum if log.ticks else np.exp(theta[:, At.NOISE]),
         "quantum": quantum,
-        "step": step,
+        "step": log.step,
         "first_v": AT_FIRST**2 * speed,
         "first_d": np.exp(2 * theta[:, At.SLOW]),
         "free": float(free),

@@ -63,7 +63,7 @@ def _inlier_rows(columns: Floats, target: Floats) -> Flags:
     for _ in range(3):
         slopes = np.linalg.lstsq(columns[inliers], target[inliers], rcond=1e-10)[0]
         left = np.abs(target - columns @ slopes)
-        inliers = left <= OUTLIER * NORMAL * float(np.median(left))
+        inliers = left <= OUTLIER * NORMAL * np.median(left)
     return inliers
 
 
@@ -126,16 +126,13 @@ class Observations(NamedTuple):
         """Return the flags of the first tick of each record (N)."""
         at = np.flatnonzero(self.side)
         record = np.searchsorted(self.start, at, side="right")
-        begun = np.zeros(self.side.size, bool)
-        begun[at[np.diff(record, prepend=-1) > 0]] = True
-        return begun
+        return np.isin(np.arange(self.side.size), at[np.diff(record, prepend=-1) > 0])
 
     def kernel_inputs(self, counted: Flags) -> Floats:
         """Return the inputs of the kernel (N x inputs), with the counted samples (N)
         marked.
         """
-        starts = np.zeros(self.u.size)
-        starts[self.start] = 1.0
+        starts = np.isin(np.arange(self.u.size), self.start)
         late = np.column_stack([shift_rows(self.u, j, self.start) for j in range(LATEST + 1)])
         if not self.ticks:
             return np.column_stack([late, self.y, self.ok, starts, counted])
@@ -145,9 +142,7 @@ class Observations(NamedTuple):
     def error_samples(self, free: bool) -> Flags:
         """Return the flags of samples with counted prediction errors (N)."""
         if not self.ticks:
-            counted = self.ok.copy()
-            counted[self.start] = False
-            return counted
+            return self.ok & ~np.isin(np.arange(self.ok.size), self.start)
         counted = (self.side != 0) & ~self.first_ticks
         return counted & ~self.reversal_ticks if free else counted
 
@@ -232,7 +227,7 @@ def to_schmitt_ticks(log: Observations) -> Observations:
     """Convert noisy readings to ticks of a Schmitt trigger; the gap grows by 2 REACH of noise."""
     reach = REACH * reading_noise_rms(log)
     half = np.array([reach])
-    play_output = levels(log.y[:, None], half, half, log.y[:1])[:, 0]
+    play_output = levels(log.y, half, half, log.y[:1])
     spacing = 2 / REACH * reach
     steps = np.round(play_output / spacing) * spacing
     side = change_sides(steps, log.ok, log.start)

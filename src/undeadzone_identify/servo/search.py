@@ -161,7 +161,7 @@ def _frictionless_output(log: Observations, theta: Floats, lag: bool) -> Floats:
     A, B, _ = discretise_servo(theta[None], log.step, lag)
     numerator, denominator = ss2tf(A[0, :2, :2], B[0, :2, :1], [[1.0, 0.0]], [[0.0]])
     late = shift_rows(log.u, 1 + round(theta[At.DELAY]), log.start)
-    return np.asarray(lfilter(numerator[0, 1:], denominator, late))
+    return lfilter(numerator[0, 1:], denominator, late)
 
 
 # --- The gap
@@ -264,12 +264,12 @@ def _exchange_pole(theta: Floats, step: float) -> Floats:
 
 def _part_start_values(name: str, one: Servo, step: float) -> list[float]:
     """Return the start values of an added part."""
-    rubs, rate = [0.003, 0.02, 0.1], 2 * one.theta[At.DAMPING]
+    rubs = np.array([0.003, 0.02, 0.1])
     values = {
         "friction": rubs,
         "load": rubs,
-        "spring": rate + np.log([1e-3, *SPRINGS]),
+        "spring": 2 * one.theta[At.DAMPING] + np.log([1e-3, *SPRINGS]),
         "pole": np.log(np.array([0.1, 0.3, 0.8]) / step),
         "slow": np.log([0.03, 0.2]),
     }
-    return list(values[name])
+    return values[name].tolist()
