@@ -17,6 +17,7 @@ from undeadzone_paper.measures import largest_absolute, width_convergence_rate
 from undeadzone_paper.printed import (
     DEFINITION,
     LAST,
+    ZONE_FLAGS,
     Outcome,
     VariantCount,
     count_outcomes,
@@ -47,7 +48,7 @@ class Paper(NamedTuple):
     @property
     def count_variants(self) -> list[VariantCount]:
         """Count the variants by plant and start."""
-        return [VariantCount(*row) for row in count_outcomes(self.variants, 2)]
+        return [VariantCount(*row) for row in count_outcomes(self.variants, 2, ZONE_FLAGS)]
 
     def summary(self) -> dict[str, Any]:
         """Return all numbers, ready for JSON.

@@ -284,13 +284,12 @@ def motion_at_truth(scenario: Scenario, s: ErrorSignals) -> float:
 
 
 def _error_at_zero_V(run: Run) -> float:
-    """Return the largest |x~| among samples with V = 0; a run without V counts as V = 0.
+    """Return the largest |x~| among samples with V = 0.
 
     V proves convergence of x^ only if it is positive definite: V = 0 implies x~ = 0. (30) is a form
     in y~, which is 0 inside the zone whatever x~ is.
     """
-    is_zero = (np.zeros(run.t.size) if run.V is None else run.V) == 0.0
-    return m.largest_absolute((run.x - run.x_hat)[is_zero]) if is_zero.any() else 0.0
+    return float(np.abs((run.x - run.x_hat)[run.V == 0.0]).max(initial=0.0))
 
 
 def _differences_of_V(p: ErrorSignals, linear: Matrices) -> dict[int, Floats]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -14,7 +14,8 @@ from undeadzone.util.arrays import Floats
 from undeadzone_paper.equations import FIGURES
 from undeadzone_paper.example import D
 from undeadzone_paper.measures import reading_estimate
-from undeadzone_paper.theorem import ESTIMATED, GIVEN, RIGHT, TheoremOutcome, select_outcomes
+from undeadzone_paper.printed import RIGHT, Outcome
+from undeadzone_paper.theorem import ESTIMATED, GIVEN, select_outcomes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -46,7 +47,7 @@ class SignalLine(NamedTuple):
 
     name: str
     colour: str
-    value: Callable[[Run], Floats]
+    value: Callable[[Run], Any]
 
 
 Y_HAT: Final = "\u0177"
@@ -77,6 +78,7 @@ _SECOND_ERROR: Final = _line_of_error(
     _line_of(X2_HAT, ink.ESTIMATE, "x_hat", 1), _line_of(X2, ink.TRUTH, "x", 1)
 )
 _OUTPUT: Final = _line_of("z", ink.TRUTH, "z")
+_V: Final = SignalLine("V", ink.TRUTH, lambda run: run.V)
 _WIDTHS: Final = (
     _line_of(f"{D_HAT} right", ink.ESTIMATE, "d_hat"),
     _line_of(f"{D_HAT} left", ink.OTHER, "d_hat", 1),
@@ -120,27 +122,22 @@ def _plot_pair(
     _plot_from_rest(axes, runs.resting, from_rest.value)
     start = f"As printed, started at {X1} = {runs.begun.x[0, 0]:g}"
     finish_panel(axes, start, ", ".join(line.name for line in lines))
-    _plot_lines(panels["repaired"], lines, runs.repaired)
-    finish_panel(panels["repaired"], "Repaired")
+    if _V in lines:
+        V = _V.value(runs.repaired)
+        plot_magnitude(panels["repaired"], runs.repaired.t, V, ink.TRUTH, "V")
+    else:
+        _plot_lines(panels["repaired"], lines, runs.repaired)
+    finish_panel(panels["repaired"], "Repaired", "V" * (_V in lines))
     return sketch
 
 
 def plot_V(runs: RunTrio, reference: str) -> Figure:
     """Plot V of (30) as printed, and V of the certificate."""
-    sketch, panels = create_panels([["printed", "repaired"]], f"V(t), {reference}")
-    axes = panels["printed"]
-    axes.plot(runs.begun.t, _values_of_V(runs.begun), color=ink.TRUTH, label="started outside")
-    _plot_from_rest(axes, runs.resting, _values_of_V)
-    finish_panel(axes, "V of (30), as printed", "V")
-    V = _values_of_V(runs.repaired)
-    plot_magnitude(panels["repaired"], runs.repaired.t, V, ink.TRUTH, "V")
-    finish_panel(panels["repaired"], "V of the certificate, repaired", "V", legend=0)
-    return sketch
+    title = f"V(t), of (30) as printed, of the certificate as repaired, {reference}"
+    return _plot_pair(title, (_V,), runs, _V)
 
 
-def plot_theorem(
-    runs: tuple[Run, ...], repaired: Run, outcomes: Sequence[TheoremOutcome]
-) -> Figure:
+def plot_theorem(runs: tuple[Run, ...], repaired: Run, outcomes: Sequence[Outcome]) -> Figure:
     """Plot Theorem 4.1 with its own law (29).
 
     Args:
@@ -171,7 +168,7 @@ def plot_theorem(
 
 
 def _plot_sorted_errors(
-    axes: Axes, outcomes: Sequence[TheoremOutcome], mismatch: str, colour: str
+    axes: Axes, outcomes: Sequence[Outcome], mismatch: str, colour: str
 ) -> None:
     """Plot the errors of the readings of (29) as printed, in their order."""
     errors = [outcome.worst_error for outcome in select_outcomes(outcomes, mismatch)]
@@ -188,11 +185,6 @@ def add_hats(words: str) -> str:
     return words
 
 
-def _values_of_V(run: Run) -> Floats:
-    """Return V of a run (N), NaN if it has none."""
-    return np.full(run.t.size, np.nan) if run.V is None else run.V
-
-
 def _plot_lines(axes: Axes, lines: tuple[SignalLine, ...], run: Run) -> None:
     """Plot the lines of a run: oscillating pairs early, an error or the widths over all of it."""
     paired = len(lines) == 2 and lines is not _WIDTHS
@@ -204,7 +196,7 @@ def _plot_lines(axes: Axes, lines: tuple[SignalLine, ...], run: Run) -> None:
         axes.plot(run.t[window], value, color=line.colour, label=line.name, linestyle=dashes)
 
 
-def _plot_from_rest(axes: Axes, run: Run, value: Callable[[Run], Floats]) -> None:
+def _plot_from_rest(axes: Axes, run: Run, value: Callable[[Run], Any]) -> None:
     """Plot a thin line of the run from rest, up to the end of the panel."""
     window = run.t <= axes.dataLim.x1
     axes.plot(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
 
@@ -182,6 +183,8 @@ _REPAIRED: Final = {
     "repaired_sampled": "repaired, 5 sin, sampled at 100 Hz",
 }
 _WORDS: Final = {
+    "max_abs_z": "largest |z|, last 4 s",
+    "max_abs_y": "largest |y|",
     "rms_tracking": "rms of z − r, last 2 s",
     "rms_estimation": "rms of z − z^, last 2 s",
     "d_right": "d_r^ at the end (true 1)",
@@ -196,15 +199,8 @@ _WORDS: Final = {
 def _outcome_table(paper: Paper) -> Html:
     """Return a table of the example's numbers as printed and as repaired."""
     summary = paper.summary()
-    printed = summary["printed"]
-    absent = [None] * len(_REPAIRED)
-    rows = [
-        ("largest |z|, last 4 s", printed["max_abs_z"], *absent),
-        ("largest |y|", printed["max_abs_y"], *absent),
-    ]
-    for key, words in _WORDS.items():
-        repaired = [summary[column][key] for column in _REPAIRED]
-        rows.append((words, printed.get(key), *repaired))
+    columns = [summary[name] for name in ("printed", *_REPAIRED)]
+    rows = [(words, *(column.get(key) for column in columns)) for key, words in _WORDS.items()]
     return build_table(("", "as printed, 5 sin, from rest", *_REPAIRED.values()), rows)
 
 
@@ -253,11 +249,11 @@ def _variants_section(paper: Paper) -> list[Html]:
     """Return the results of the variants as printed, and the stand-ins for missing parts."""
     head = ("equation", "plant", "start", "variants", "leave the zone", "move d^", "diverge")
     counts = [(READINGS[count.plant].words, *count) for count in paper.count_variants]
-    leaving = []
-    for outcome in paper.variants:
-        if outcome.leaves_zone and outcome.variant.start.startswith("from rest"):
-            numbers = (outcome.steady, outcome.peak, outcome.diverged_at)
-            leaving.append((*outcome.variant, *numbers))
+    leaving = [
+        (*outcome.variant, outcome.steady, outcome.peak, outcome.diverged_at)
+        for outcome in paper.variants
+        if outcome.leaves_zone and outcome.variant.start.startswith("from rest")
+    ]
     return [
         build_paragraph(_SILENCE),
         build_table(head, counts),
@@ -313,18 +309,15 @@ _SIDES: Final = (
 
 def _equations_section(paper: Paper) -> list[Html]:
     """Return the paper's equations: both sides, their places in the code, and their claims."""
-    rows = []
-    for entry in paper.summary()["equations"]:
-        rows.append(
-            (
-                f"({entry['number']}) {entry['what']}",
-                entry["compares"],
-                entry["printed"],
-                entry["mended"],
-                f"{entry['status']}: {entry['reason']}",
-                entry["where"],
-                ", ".join(entry["claims"]),
-            )
+    rows = [
+        (
+            "({number}) {what}".format_map(entry),
+            *itemgetter("compares", "printed", "mended")(entry),
+            "{status}: {reason}".format_map(entry),
+            entry["where"],
+            ", ".join(entry["claims"]),
         )
+        for entry in paper.summary()["equations"]
+    ]
     head = ("equation", "both sides", "as printed", "mended", "used", "in the code", "claims")
     return [build_paragraph(_SIDES), build_table(head, rows)]

@@ -54,6 +54,6 @@ def _write_variants(outcomes: list[Outcome], path: Path) -> Path:
         open(temporary, "w", newline="", encoding="utf-8") as file,
     ):
         writer = csv.writer(file)
-        writer.writerow([*Variant._fields, *Outcome._fields[1:]])
-        writer.writerows([*outcome.variant, *outcome[1:]] for outcome in outcomes)
+        writer.writerow([*Variant._fields, *Outcome._fields[1:6]])
+        writer.writerows([*outcome.variant, *outcome[1:6]] for outcome in outcomes)
     return path

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from functools import partial
 from typing import Any, Final, NamedTuple, TypeAlias
 
 import casadi as ca
@@ -49,11 +48,12 @@ from undeadzone_paper.example import (
     example_as_repaired,
 )
 from undeadzone_paper.law import PrintedLaw
+from undeadzone_paper.printed import count_flags
 from undeadzone_paper.theorem import (
+    ERROR_FLAGS,
     ESTIMATED,
     GIVEN,
     OTHER_SIGN,
-    count_diverging,
     is_kindest,
     select_outcomes,
 )
@@ -88,7 +88,6 @@ def measure_claims(evidence: Evidence) -> Numbers:
         **_gain_claims(linear_matrices(example_as_printed(1.0).plant)),
         **_observer_claims(evidence),
         **_width_claims(evidence),
-        **{name: _measure_ratios(evidence, cases) for name, cases in TABLES["relative"].items()},
         **_comparison_claims(evidence),
         **_theorem_claims(evidence),
         **{name: _missing_words(*words) for name, words in TABLES["announced"].items()},
@@ -104,22 +103,21 @@ def measure_claims(evidence: Evidence) -> Numbers:
     return numbers | {name: numbers[name]._replace(named=more) for name, more in named.items()}
 
 
-def _measure_rows(e: Evidence, measure: str, printed: str, repaired: str) -> ClaimNumbers:
+def _measure_rows(
+    e: Evidence, measure: str, printed: str, repaired: str, beside: str = ""
+) -> ClaimNumbers:
     """Compute a quantity on a row of runs as printed, and on one as repaired."""
-    worst = partial(m.worst_value, getattr(m, measure))
+
+    def worst(runs: Iterable[Run]) -> float:
+        """Return the largest value of the quantity among runs."""
+        return m.worst_value(getattr(m, measure), runs)
+
+    scale = worst(e.repaired[beside]) if beside else 1.0
+    cases = e.printed[printed] if printed in e.printed else {"": e.repaired[printed]}
     return ClaimNumbers(
-        {case: worst(runs) for case, runs in e.printed[printed].items()},
-        worst(e.repaired[repaired]),
+        {case: worst(runs) / scale for case, runs in cases.items()},
+        worst(e.repaired[repaired]) / scale if repaired else None,
     )
-
-
-def _measure_ratios(e: Evidence, cases: dict[str, list[str]]) -> ClaimNumbers:
-    """Compute a quantity on a row of repaired runs, relative to another row, by case."""
-    ratios = {}
-    for case, (measure, row, beside) in cases.items():
-        worst = partial(m.worst_value, getattr(m, measure))
-        ratios[case] = worst(e.repaired[row]) / worst(e.repaired[beside])
-    return ClaimNumbers(ratios, None)
 
 
 def _single(value: float, repaired: float | None = None, **named: Any) -> ClaimNumbers:
@@ -243,15 +241,8 @@ def destabilising_alpha(linear: Matrices, drift: Floats) -> float:
 
 def _observer_claims(e: Evidence) -> Numbers:
     """Compute the numbers of the claims on the observer and its loop."""
-    switching = _measure_rows(e, "first_state_error", NOMINAL, NOMINAL)
-    blind = m.first_state_error(*e.repaired["blind"])
-    nominal = e.repaired[NOMINAL]
     diverging = {case: _any_diverges(runs) for case, runs in e.printed[NOMINAL].items()}
     return {
-        "switching": ClaimNumbers(
-            {case: error / blind for case, error in switching.printed.items()},
-            (switching.repaired or 0.0) / blind,
-        ),
         "bounded": ClaimNumbers(diverging, _any_diverges(e.repaired["off nominal"])),
         "unstable": _single(1.0 - max(diverging.values())),
         "mismatch": _single(
@@ -261,9 +252,6 @@ def _observer_claims(e: Evidence) -> Numbers:
         "practical": _single(
             observer_operations(example_as_printed(5.0)),
             observer_operations(example_as_repaired(5.0)),
-        ),
-        "too-slow": _single(
-            m.width_convergence_rate(*e.repaired["slow"]), m.width_convergence_rate(nominal[0])
         ),
         "manipulator": ClaimNumbers(
             e.arm.tracking,
@@ -313,8 +301,15 @@ def _width_claims(e: Evidence) -> Numbers:
             outside=max(m.width_error(outside), errors[NOMINAL]),
         ),
         "reference-centre": _single(abs(float(period.mean()) - (D - D) / 2), still=errors["still"]),
+        "filtering": ClaimNumbers(
+            {
+                "with noise on y": errors["filtered noise"] / errors["noisy"],
+                "with a disturbance": errors["filtered gust"] / errors["disturbed"],
+            },
+            None,
+        ),
         "predetermined": _single(beforehand),
-        "identification": _single(beforehand / m.width_error(*e.repaired["logged"])),
+        "identification": _single(beforehand / errors["logged"]),
         "physical": _single(max((width.high - width.low) / 2 for width in e.identified)),
     }
 
@@ -355,7 +350,9 @@ def _theorem_claims(e: Evidence) -> Numbers:
         for mismatch in (GIVEN, ESTIMATED)
     }
     given = select_outcomes(e.theorem, GIVEN)
-    diverge, right, leave = np.sum([outcome.flags for outcome in given], axis=0).tolist()
+    survivors = [outcome for outcome in given if not outcome.diverges]
+    diverge, right, leave = count_flags(given, ERROR_FLAGS)
+    others = select_outcomes(e.theorem, GIVEN, OTHER_SIGN)
     nominal = e.repaired[NOMINAL]
     errors = (m.first_state_error, m.second_state_error, m.width_error)
     return {
@@ -369,12 +366,10 @@ def _theorem_claims(e: Evidence) -> Numbers:
                 "diverge": diverge,
                 "right": right,
                 "leave": leave,
-                "survive": sum(
-                    outcome.variant.width == D and outcome.diverged_at is None for outcome in given
-                ),
-                "other_diverge": count_diverging(select_outcomes(e.theorem, GIVEN, OTHER_SIGN)),
+                "survive": sum(outcome.variant.width == D for outcome in survivors),
+                "other_diverge": sum(outcome.diverges for outcome in others),
                 "kindest": max(
-                    outcome.width_error or 0.0 for outcome in given if is_kindest(outcome.variant)
+                    outcome.width_error for outcome in survivors if is_kindest(outcome.variant)
                 ),
             },
         ),
@@ -383,7 +378,10 @@ def _theorem_claims(e: Evidence) -> Numbers:
             _change_of_input(*[example_as_repaired(5.0).controller] * 2),
         ),
         "theorem-bounded": ClaimNumbers(
-            {case: count_diverging(group) / len(group) for case, group in printed.items()},
+            {
+                case: sum(outcome.diverges for outcome in group) / len(group)
+                for case, group in printed.items()
+            },
             _any_diverges(e.repaired["both times"]),
         ),
     }
@@ -392,10 +390,9 @@ def _theorem_claims(e: Evidence) -> Numbers:
 def _change_of_input(law: Any, other: Any) -> float:
     """Return the difference of u at equal estimates between a law and the same with another d."""
     model = system(example_as_printed(1.0).plant)
-    x = np.array([2.0, 0.0])
     one = np.ones(1)
-    estimate = Estimate(x, x[:1], one, one, x[:1], one)
-    target = Target(np.zeros(1), np.zeros(2), np.zeros(1))
+    estimate = Estimate(np.array([2.0, 0.0]), 2 * one, one, one, 2 * one, one)
+    target = Target(0 * one, np.zeros(2), 0 * one)
     built = [options.build(model) for options in (law, other)]
     inputs = [each.step(each.params, each.init(each.params), estimate, target)[1] for each in built]
     return m.largest_absolute(np.subtract(*inputs))
