@@ -234,14 +234,13 @@ def _differences_as_mended(p: ErrorSignals, q: ErrorSignals, linear: Matrices) -
     """Return left less right side of equations that are mended in a form of their own."""
     A = linear.A
     sat = np.abs(np.clip(p.z, -D, D))
-    placed = observer_gain(linear, POLES, None).ravel()
     return {
         2: np.maximum(0.0, sat - saturation_bound(D, D)),
         15: A - companion_form(-A[-1]).A,
         16: motion_at_truth(example_as_repaired(1.0), p),
         25: _largest_rise(_signed_sides(p.side), p),
         37: linear_matrices(READINGS["omega_n = 1"].plant).A[1] - OF_38,
-        40: pole_error(linear, placed),
+        40: pole_error(linear, observer_gain(linear, POLES, None).ravel()),
         41: p.x_hat @ (A - [[0.0, 1.0], [-1.0, -2.0]]).T,
     }
 

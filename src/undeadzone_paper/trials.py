@@ -230,13 +230,9 @@ def innovation_loop_pole(linear: Matrices, alpha: float) -> float:
 
 def destabilising_alpha(linear: Matrices, drift: Floats) -> float:
     """Return the least alpha, within bounds, from which A - B K with K of (34) is unstable."""
-
-    def excess(exponent: float) -> float:
-        """Return the rightmost pole at alpha = 10^exponent [1/s]."""
-        return rightmost_pole(linear, drift, 10.0**exponent)
-
     ends = np.log10([CONDITIONS["least_alpha"], CONDITIONS["most_alpha"]])
-    return 10.0 ** float(brentq(excess, *ends, xtol=1e-12))
+    excess = brentq(lambda power: rightmost_pole(linear, drift, 10.0**power), *ends, xtol=1e-12)
+    return float(10.0**excess)
 
 
 def _observer_claims(e: Evidence) -> Numbers:
@@ -407,16 +403,14 @@ def calm_share(switch: Callable[[Any], Any]) -> float:
     Args:
         switch: in place of the sign of s
     """
-    # of the switched part; of sampling [s]
-    gain = 5.0
-    step = 1e-3
-    Ad, Bd, _ = zoh(linear_matrices(example_as_printed(1.0).plant), step)
+    gain = 5.0  # of the switched part
+    Ad, Bd, _ = zoh(linear_matrices(example_as_printed(1.0).plant), 1e-3)
     x = np.array([1.0, 0.0])
     inputs = []
-    for _ in range(round(5.0 / step)):
+    for _ in range(5000):
         inputs.append(x[0] - gain * float(switch(2.0 * x[0] + x[1])))
         x = Ad @ x + Bd[:, 0] * inputs[-1]
-    jumps = np.abs(np.diff(inputs[-round(2.0 / step) :]))
+    jumps = np.abs(np.diff(inputs[-2000:]))
     return float((jumps < gain / 2).mean())
 
 
