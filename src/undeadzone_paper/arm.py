@@ -90,8 +90,7 @@ def run_arm() -> ArmRuns:
     problem = resolve_scenario(scenario)
     contact = simulate(scenario, check_step=False)
     last = slice(-round(LAST / scenario.simulation.step), None)
-    tracking = {}
-    estimation = {}
+    tracking, estimation = {}, {}
     for given, words in WORDS.items():
         link, estimate, reference = _run_as_printed(problem, given)
         tracking[words] = rms_or_inf((link - reference)[last])
@@ -100,7 +99,7 @@ def run_arm() -> ArmRuns:
     return ArmRuns(tracking, estimation, reached["rms_tracking"], reached["rms_estimation"])
 
 
-def _run_as_printed(problem: Problem, given: bool) -> tuple[Floats, Floats, Floats]:
+def _run_as_printed(problem: Problem, given: bool) -> tuple[Floats, ...]:
     """Run the arm with the paper's observer and law.
 
     Args:
@@ -115,8 +114,7 @@ def _run_as_printed(problem: Problem, given: bool) -> tuple[Floats, Floats, Floa
     reference = SWING * np.sin(2 * np.pi * FREQUENCY * t)
     advance, start = _close_printed_loop(problem, given)
     _, angles = advance.mapaccum(t.size)(start, reference)
-    link, estimate = np.asarray(angles)
-    return link, estimate, reference
+    return *np.asarray(angles), reference
 
 
 def _close_printed_loop(problem: Problem, given: bool) -> tuple[ca.Function, Floats]:

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from undeadzone_paper.claims import Claim
 
 COLUMNS = ("claim", "measured", "as printed", "repaired", "limit", "verdict")
-NUMBERS = ("as printed", "repaired", "limit")  # of these columns, those that hold numbers
 COLOURS = {"holds": "green", "holds after repair": "yellow"}  # of verdicts; of others red
 
 
@@ -75,17 +74,14 @@ def _claims_table(claims: list[Claim]) -> Table:
     from rich import box
     from rich.table import Table
 
-    table = Table(title="The paper's claims", box=box.SIMPLE_HEAD, pad_edge=False)
-    for column in COLUMNS:
-        table.add_column(column, justify="right" if column in NUMBERS else "left")
+    table = Table(*COLUMNS, title="The paper's claims", box=box.SIMPLE_HEAD, pad_edge=False)
+    for column in table.columns[2:5]:
+        column.justify = "right"
     for claim in claims:
         text = claim.text
-        verdict = claim.verdict
-        numbers = [
-            _cell_number_text(value) for value in (claim.worst_printed, claim.repaired, text.limit)
-        ]
-        colour = COLOURS.get(verdict, "red")
-        table.add_row(text.claim, text.quantity, *numbers, f"[{colour}]{verdict}[/]")
+        numbers = map(_cell_number_text, (claim.worst_printed, claim.repaired, text.limit))
+        verdict = f"[{COLOURS.get(claim.verdict, 'red')}]{claim.verdict}[/]"
+        table.add_row(text.claim, text.quantity, *numbers, verdict)
     return table
 
 

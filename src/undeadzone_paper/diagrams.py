@@ -110,7 +110,7 @@ def trace_diagram(scenario: Scenario) -> Diagram:
         SENSOR: zone.kind,
         OBSERVER: _tag(scenario.observer),
     }
-    names = {name: "\n".join([name, *kinds.get(name, "").split()]) for name in PLACES}
+    names = {name: f"{name}\n{kinds.get(name, '')}".strip() for name in PLACES}
     return Diagram(names, [Arrow(*ends, named) for ends, named in arrows.items() if named])
 
 

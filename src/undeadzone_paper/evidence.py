@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import Any, Final, NamedTuple, TypeAlias
 
 from undeadzone.results.run import Run
-from undeadzone.scenario.schema import Scenario, Simulation
+from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.simulate import simulate
 from undeadzone_identify.models.estimates import Interval
 from undeadzone_identify.pipeline import identify
@@ -20,7 +20,6 @@ from undeadzone_paper.arm import HALF_GAP, ArmRuns, run_arm
 from undeadzone_paper.equations import read_words
 from undeadzone_paper.example import (
     AMPLITUDES,
-    DURATION,
     STARTED,
     D,
     example_as_printed,
@@ -116,7 +115,7 @@ def _law_runs(progress: Callable[[int], None] | None) -> Runs:
         example_of_theorem(
             TheoremVariant(mismatch, AS_PRINTED, "(39)", "printed", False, -1.0, STARTED, D)
         )
-        | {"simulation": Simulation(duration=DURATION)}
+        | {"simulation": {"step": 1e-3}}
         for mismatch in (GIVEN, ESTIMATED)
     ]
     return tuple(

@@ -50,12 +50,7 @@ READINGS: Final = {
 }
 
 
-def example_reference(amplitude: float) -> Sine:
-    """Return the signal amplitude * sin 2 pi t."""
-    return Sine(amplitude=amplitude, frequency=1.0)
-
-
-def example_as_printed(amplitude: float, x1: float = 0.0, signed_left: bool = False) -> Scenario:
+def example_as_printed(amplitude: float, x1: float = 0.0) -> Scenario:
     """Build the example as printed:
 
     (16), (41) without B u, (25), (42), plant (39), d^(0) = d (A2).
@@ -63,15 +58,13 @@ def example_as_printed(amplitude: float, x1: float = 0.0, signed_left: bool = Fa
     Args:
         amplitude: of r = amplitude sin 2 pi t
         x1: x1(0), x2(0) = 0
-        signed_left: d_l is read as negative, as in "d_r = -d_l = 1", not as positive, as in A1
     """
-    left_sign = 1.0 if signed_left else -1.0
     return Scenario(
         title=f"As printed, r = {amplitude:g} sin 2πt",
         plant=Plant(A=[[0.0, 1.0], [-1.0, -2.0]], B=[[0.0], [1.0]], C=[[1.0, 0.0]], x0=[x1, 0.0]),
         sensor=Sensor(right=D, left=D),
-        reference=example_reference(amplitude),
-        observer=Printed(L=L_PRINTED, alpha=ALPHA, widths0=D, left_sign=left_sign),
+        reference=Sine(amplitude=amplitude, frequency=1.0),
+        observer=Printed(L=L_PRINTED, alpha=ALPHA, widths0=D),
         controller=PD(L=L_PRINTED, alpha=ALPHA),
         simulation=Simulation(duration=DURATION),
     )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import reduce
+from operator import or_
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -61,12 +63,10 @@ def compute_facts() -> list[Fact]:
     r as a force.
     """
     plants = {name: linear_matrices(reading.plant) for name, reading in READINGS.items()}
-    pairs: Pairs = {}
-    for name, linear in plants.items():
-        pairs |= _pole_facts(name, linear)
-    pairs |= _riccati_facts(plants["omega_n = 1"]) | _certificate_facts(plants["omega_n = 1"])
-    for amplitude in AMPLITUDES:
-        pairs |= _response_facts(amplitude)
+    one = plants["omega_n = 1"]
+    groups = [_pole_facts(name, linear) for name, linear in plants.items()]
+    groups += [_riccati_facts(one), _certificate_facts(one), *map(_response_facts, AMPLITUDES)]
+    pairs = reduce(or_, groups)
     return [Fact(*place, *map(float, pair)) for place, pair in pairs.items()]
 
 

@@ -34,7 +34,7 @@ class RunTrio(NamedTuple):
     Attributes:
         resting: as printed, from rest
         begun: as printed, started outside the zone
-        repaired: as repaired
+        repaired: as repaired, started there too
     """
 
     resting: Run
@@ -116,13 +116,13 @@ def plot_pair(name: str, runs: RunTrio, reference: str) -> Figure:
     window = runs.resting.t <= axes.dataLim.x1
     t, value = runs.resting.t[window], lines[0].value(runs.resting)[window]
     axes.plot(t, value, color=ink.PRINTED, linewidth=1.0, label="from rest")
-    start = f"As printed, started at {X1} = {runs.begun.x[0, 0]:g}"
-    finish_panel(axes, start, ", ".join(line.name for line in lines))
+    start = f"started at {X1} = {runs.begun.x[0, 0]:g}"
+    finish_panel(axes, f"As printed, {start}", ", ".join(line.name for line in lines))
     if name == "V":
         plot_magnitude(mended, runs.repaired.t, _V.value(runs.repaired), ink.TRUTH, "V")
     else:
         _plot_lines(mended, lines, runs.repaired)
-    finish_panel(mended, "Repaired", "V" * (name == "V"))
+    finish_panel(mended, f"Repaired, {start}", "V" * (name == "V"))
     return sketch
 
 
@@ -131,7 +131,7 @@ def plot_theorem(runs: tuple[Run, ...], repaired: Run, outcomes: Sequence[Outcom
 
     Args:
         runs: with d - d^ given, and with it estimated, started outside the zone with d^ = d
-        repaired: the example as repaired
+        repaired: the example as repaired, started there
         outcomes: of every reading of the theorem
     """
     title = "Theorem 4.1 with its own law (29): d \u2212 d\u0302 given, and estimated"

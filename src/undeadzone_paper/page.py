@@ -107,7 +107,7 @@ def _draw_figures(paper: Paper) -> Iterator[Drawn]:
     """Draw the figures one by one."""
     evidence = paper.evidence
     printed = evidence.printed[NOMINAL]
-    repaired = evidence.repaired[NOMINAL]
+    repaired = evidence.repaired["begun"]
     force = plot_silence(*response_to_force(AMPLITUDES[0]))
     theorem = plot_theorem(evidence.law, repaired[0], evidence.theorem)
     yield Drawn("silence", _CAPTIONS["silence"], force)
@@ -224,8 +224,8 @@ def _variants_section(paper: Paper) -> list[Html]:
 def claims_text(number: int, claims: list[Claim]) -> str:
     """Return the verdicts on the claims on a figure, as a sentence."""
     named = claims_on("figure", number, (claim.text for claim in claims))
-    verdicts = {claim.text.id: claim.verdict for claim in claims}
-    listed = ", ".join(f"{name} ({verdicts[name]})" for name in named)
+    judged = (f"{claim.text.id} ({claim.verdict})" for claim in claims if claim.text.id in named)
+    listed = ", ".join(judged)
     return f"Claims: {listed}." if named else "No claim names it."
 
 

@@ -222,9 +222,9 @@ def run_family(
 
 def gain_by_name(name: str, model: System) -> Floats:
     """Return L by name (2): (40), its negative, or the gain that places the poles of (40)."""
-    if name == "placed":
-        return observer_gain(model.linear, POLES, None).ravel()
-    return np.array(L_PRINTED) * {"printed": 1.0, "negated": -1.0}[name]
+    printed = np.array(L_PRINTED)
+    placed = observer_gain(model.linear, POLES, None).ravel()
+    return dict(zip(GAINS, (printed, -printed, placed), strict=True))[name]
 
 
 def count_outcomes(

@@ -37,7 +37,7 @@ PLANTS: Final = {
     "(39)": READINGS["omega_n = 1"].plant,
     "(15)": Plant(companion=[0.0, 0.0]),
 }
-GAINS: Final = {"printed": "(40)", "placed": "the poles"}
+GAINS: Final = ("printed", "placed")
 GIVEN = "given"
 ESTIMATED = "estimated"
 AS_PRINTED = "(29) as printed"

@@ -21,7 +21,7 @@ from undeadzone_paper.theorem import AS_PRINTED
 def runs(paper: Paper) -> RunTrio:
     evidence = paper.evidence
     printed = evidence.printed[NOMINAL]
-    return RunTrio(printed[RESTING][1], printed[BEGUN][1], evidence.repaired[NOMINAL][1])
+    return RunTrio(printed[RESTING][1], printed[BEGUN][1], evidence.repaired["begun"][1])
 
 
 @pytest.mark.parametrize("number", FIGURES)
@@ -30,6 +30,10 @@ def test_a_figure_of_the_paper_has_two_panels_and_none_of_V(number: int, runs: R
     assert len(figure.axes) == 2
     assert not [axes for axes in figure.axes if axes.get_ylabel() == "V"]
     assert figure.get_suptitle().startswith(f"Figure {number}: ")
+
+
+def test_both_panels_begin_at_the_same_state(runs: RunTrio) -> None:
+    np.testing.assert_array_equal(runs.begun.x[0], runs.repaired.x[0])
 
 
 def test_V_and_tracking_have_figures_of_their_own(runs: RunTrio) -> None:
