@@ -74,11 +74,10 @@ def geared_arm() -> Scenario:
 def hanging_arm() -> Plant:
     """Return the arm about its hanging angle, linear, rigid, motor included."""
     arm = system(Plant(arm=OneLink()))
-    values = dict(zip(arm.names, np.asarray(arm.params), strict=True))
-    inertia = MOTOR + float(values["m"] * values["c"] ** 2 + values["I"])
-    stiffness = values["m"] * values["c"] * values["g"]
+    mass, _, centre, own, gravity, *_ = np.asarray(arm.params).tolist()  # in the order of its names
+    inertia = MOTOR + (mass * centre**2 + own)
     return Plant(
-        A=[[0.0, 1.0], [-float(stiffness / inertia), -VISCOUS / inertia]],
+        A=[[0.0, 1.0], [-(mass * centre * gravity / inertia), -VISCOUS / inertia]],
         B=[[0.0], [1 / inertia]],
         C=[[1.0, 0.0]],
     )

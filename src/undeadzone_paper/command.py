@@ -17,6 +17,12 @@ if TYPE_CHECKING:
     from undeadzone_paper.claims import Claim
 
 COLUMNS = ("claim", "measured", "as printed", "repaired", "limit", "verdict")
+SUMMARY: str = (
+    "As printed: max |z| = {printed[max_abs_z]:.4g} over the last 4 s, max |y| = "
+    "{printed[max_abs_y]:g}: the sensor never speaks.\n"
+    "Repaired: rms z - r = {repaired[rms_tracking]:.3g} over the last 2 s, "
+    "d_r^ = {repaired[d_right]:.6g}, d_l^ = {repaired[d_left]:.6g} (true 1, 1)."
+)
 COLOURS = {"holds": "green", "holds after repair": "yellow"}  # of verdicts; of others red
 
 
@@ -55,16 +61,7 @@ def _print_claims(claims: list[Claim], summary: dict[str, Any], written: list[Pa
     console = Console()
     console.print(_claims_table(claims))
     console.print(verdict_counts_text(claims), highlight=False)
-    printed = summary["printed"]
-    repaired = summary["repaired"]
-    console.print(
-        f"As printed: max |z| = {printed['max_abs_z']:.4g} over the last 4 s, max |y| = "
-        f"{printed['max_abs_y']:g}: the sensor never speaks."
-    )
-    console.print(
-        f"Repaired: rms z - r = {repaired['rms_tracking']:.3g} over the last 2 s, "
-        f"d_r^ = {repaired['d_right']:.6g}, d_l^ = {repaired['d_left']:.6g} (true 1, 1)."
-    )
+    console.print(SUMMARY.format_map(summary))
     for path in written:
         console.print(f"wrote {path}", highlight=False)
 

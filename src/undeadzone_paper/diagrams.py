@@ -73,7 +73,7 @@ def trace_diagram(scenario: Scenario) -> Diagram:
     plant = problem.plant
     observer = require_graph(problem.observer)
     law = problem.controller
-    x, u = ca.SX.sym("x", plant.n), ca.SX.sym("u", plant.m)
+    u = ca.SX.sym("u", plant.m)
     y, side, z = (ca.SX.sym(name, plant.p) for name in ("y", "side", "z"))
     _, s = tree.create_symbols(observer.init(observer.params), "s")
     following, estimate = observer.step(observer.params, s, u, Reading(y, side))
@@ -96,7 +96,7 @@ def trace_diagram(scenario: Scenario) -> Diagram:
     }
     results = {
         CONTROLLER: tree.stack_leaves(answer),
-        PLANT: plant.move(plant.params, x, u),
+        PLANT: plant.move(plant.params, ca.SX.zeros(plant.n), u),
         SENSOR: read,
         OBSERVER: tree.stack_leaves(following),
         INVERSE: estimate.z_inverse,

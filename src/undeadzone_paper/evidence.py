@@ -49,7 +49,6 @@ CONDITIONS: Final[dict[str, Any]] = TABLES["words"] | {
 NOMINAL: Final = "nominal"
 RESTING: Final = "from rest"
 BEGUN: Final = f"from x1 = {STARTED:g}"
-SIGNED: Final = f"{BEGUN} with d_l < 0"
 
 
 class Evidence(NamedTuple):

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 from pathlib import Path
 
 from undeadzone.report.html import Origin
-from undeadzone.util.files import replace_file, write_text
+from undeadzone.util.files import write_text
 from undeadzone_paper.audit import Paper, Progress
 from undeadzone_paper.page import write_audit_figures, write_audit_page
 from undeadzone_paper.printed import Outcome, Variant
@@ -49,11 +50,8 @@ def write(
 
 def _write_variants(outcomes: list[Outcome], path: Path) -> Path:
     """Write a line for each variant and its outcome."""
-    with (
-        replace_file(path) as temporary,
-        open(temporary, "w", newline="", encoding="utf-8") as file,
-    ):
-        writer = csv.writer(file)
-        writer.writerow([*Variant._fields, *Outcome._fields[1:6]])
-        writer.writerows([*outcome.variant, *outcome[1:6]] for outcome in outcomes)
-    return path
+    text = io.StringIO()
+    writer = csv.writer(text)
+    writer.writerow([*Variant._fields, *Outcome._fields[1:6]])
+    writer.writerows([*outcome.variant, *outcome[1:6]] for outcome in outcomes)
+    return write_text(text.getvalue(), path)

@@ -97,7 +97,7 @@ def measure_claims(evidence: Evidence) -> Numbers:
     silent = evidence.printed[NOMINAL][RESTING][0]
     named = {
         "tanh-term": {"worse": with_term / without},
-        "output-harder": {"silence": float((at_output.side[:, 0] == 0).mean())},
+        "output-harder": {"silence": (at_output.side == 0).mean()},
         "tracking": {"moved": m.largest_absolute(silent.z[silent.last])},
     }
     return numbers | {name: numbers[name]._replace(named=more) for name, more in named.items()}
@@ -180,14 +180,14 @@ def _gain_claims(linear: Matrices) -> Numbers:
         "observer-poles": _single(
             pole_error(linear, L_PRINTED),
             pole_error(linear, placed),
-            leftmost=float(left),
-            rightmost=float(right),
+            leftmost=left,
+            rightmost=right,
         ),
         "riccati-gain": _single(
             max(innovation_loop_pole(linear, alpha) for alpha in _alphas()),
             _worst_rightmost_pole(linear, linear.A),
             brink=destabilising_alpha(linear, m.error_matrix(linear, L_POLES)),
-            fed=float(right),
+            fed=right,
             fed_back=_worst_rightmost_pole(linear, printed_drift),
         ),
     }
@@ -294,9 +294,9 @@ def _width_claims(e: Evidence) -> Numbers:
         "reference-amplitude": _single(
             m.worst_value(m.width_error, unaware),
             errors["amplitudes"],
-            inside=float(inside.d_hat[-1].max()),
-            grazing_right=float(right),
-            grazing_left=float(left),
+            inside=inside.d_hat[-1].max(),
+            grazing_right=right,
+            grazing_left=left,
             outside=max(m.width_error(outside), errors[NOMINAL]),
         ),
         "reference-centre": _single(abs(float(period.mean()) - (D - D) / 2), still=errors["still"]),
