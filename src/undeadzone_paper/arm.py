@@ -94,8 +94,7 @@ def run_arm() -> ArmRuns:
         link, estimate, reference = _run_as_printed(problem, given)
         tracking[words] = rms_or_inf((link - reference)[last])
         estimation[words] = rms_or_inf((estimate - link)[last])
-    reached = contact.summary()
-    return ArmRuns(tracking, estimation, reached["rms_tracking"], reached["rms_estimation"])
+    return ArmRuns(tracking, estimation, contact.rms_tracking, contact.rms_estimation)
 
 
 def _run_as_printed(problem: Problem, given: bool) -> tuple[Floats, ...]:

@@ -55,14 +55,15 @@ class Paper(NamedTuple):
 
         `printed` is the literal example with r = 5 sin 2 pi t, `repaired` its repair.
         """
-        repaired = self.evidence.repaired
-        five, two = repaired[NOMINAL]
+        names = ("repaired", "repaired_2sin", "repaired_sampled")
+        repaired = dict(zip(names, self.evidence.repaired["both times"], strict=True))
         texts = [claim.text for claim in self.claims]
-        summary = {
+        summary: dict[str, Any] = {
             "printed": _numbers_as_printed(self.evidence.printed[NOMINAL][RESTING][0]),
-            "repaired": _numbers_as_repaired(five),
-            "repaired_2sin": _numbers_as_repaired(two),
-            "repaired_sampled": _numbers_as_repaired(repaired["sampled"][0]),
+            **{
+                name: {**run.summary(), "rate": width_convergence_rate(run)}
+                for name, run in repaired.items()
+            },
             "variants": {
                 "definition": DEFINITION,
                 "counts": self.count_variants,
@@ -113,8 +114,3 @@ def _numbers_as_printed(run: Run) -> dict[str, Any]:
         "max_abs_y": largest_absolute(run.y),
     }
     return numbers | {name: value for name, value in run.summary().items() if name in LISTED}
-
-
-def _numbers_as_repaired(run: Run) -> dict[str, Any]:
-    """Return the numbers of a repaired run."""
-    return {**run.summary(), "rate": width_convergence_rate(run)}

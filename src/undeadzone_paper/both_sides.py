@@ -36,8 +36,6 @@ from undeadzone_paper.example import (
 )
 from undeadzone_paper.trials import pole_error
 
-SIGMA: Final = 1.0  # of (25)
-
 
 class BothSides(NamedTuple):
     """Largest difference of both sides of an equation.
@@ -203,7 +201,7 @@ def _differences_as_printed(p: ErrorSignals, linear: Matrices) -> dict[int, Any]
     estimated = np.clip(p.z_hat, -p.d_hat[:, 1], p.d_hat[:, 0])
     sign = np.sign(p.y)
     above = _branch_flags(p.z, 0.0) - _branch_flags(p.z, D)
-    step = SIGMA * float(C[0] @ P @ L_PRINTED) * p.chi
+    step = float(C[0] @ P @ L_PRINTED) * p.chi
     residual = drift.T @ P + P @ drift - 2 * ALPHA * P @ B @ B.T @ P + np.eye(len(A))
     slope = A - [[0.0, 1.0], [0.0, -3.0]]  # of (41)
     return {
@@ -294,7 +292,7 @@ def _differences_of_V(p: ErrorSignals, linear: Matrices) -> dict[int, Floats]:
     """Return V' along p less the right sides of (31)-(36).
 
     For y~ M y~' with a matrix M stands y~ C M C' y~, as for P in (30). For y~ P L C chi_bar d~
-    stands y~ C P L chi_bar d~.
+    stands y~ C P L chi_bar d~, and sigma of (25) is 1.
     """
     A, B, C = linear
     c = C[0]
@@ -302,8 +300,8 @@ def _differences_of_V(p: ErrorSignals, linear: Matrices) -> dict[int, Floats]:
     P = m.printed_riccati(linear, drift).P
     size = float(c @ P @ c)
     gain = float(c @ P @ L_PRINTED)
-    d_moved = -SIGMA * gain * p.e[:, None] * p.chi  # d^', so that d~' = -d^'
-    of_widths = -(p.d_error * d_moved).sum(axis=1) / SIGMA  # d~ d~' / sigma
+    d_moved = -gain * p.e[:, None] * p.chi  # d^', so that d~' = -d^'
+    of_widths = -(p.d_error * d_moved).sum(axis=1)  # d~ d~' / sigma
     offset = p.take_off(p.d_error)
     y_moved = np.where(p.side != 0, p.x[:, 1], 0.0)
     side = zone(p.z_hat, *p.d_hat.T)

@@ -161,7 +161,16 @@ def plot_theorem(runs: tuple[Run, ...], repaired: Run, outcomes: Sequence[Outcom
 
 def add_hats(words: str) -> str:
     """Return words with letters in place of x1, x^1, y^ and d^."""
-    letters = {"x^1": X1_HAT, "x^2": X2_HAT, "x1": X1, "x2": X2, "y^": Y_HAT, "d^": D_HAT}
+    letters = {
+        "x^1": X1_HAT,
+        "x^2": X2_HAT,
+        "x1": X1,
+        "x2": X2,
+        "y^": Y_HAT,
+        "d^": D_HAT,
+        "omega_n": "\u03c9\u2099",
+        " pi": "π",
+    }
     for plain, letter in letters.items():
         words = words.replace(plain, letter)
     return words
@@ -192,9 +201,8 @@ def plot_silence(t: Floats, outputs: Mapping[str, Floats]) -> Figure:
     for axes in panels.values():
         shade_zone(axes, D, D)
         for (reading, z), colour in zip(outputs.items(), _COLOURS, strict=True):
-            name = reading.replace("omega_n", "\u03c9\u2099").replace(" pi", "π")
             if axes is everything or np.abs(z).max() < D:
-                axes.plot(t[early], z[early], color=colour, label=name)
+                axes.plot(t[early], z[early], color=colour, label=add_hats(reading))
     inside.set_ylim(-D / 2, D / 2)
     leaves = "Only with unity DC gain does the output leave the dead zone"
     finish_panel(everything, leaves, "output z", legend=5)

@@ -62,8 +62,7 @@ def with_printed_V(run: Run) -> Run:
 
 def rms_or_inf(values: Floats) -> float:
     """Return the root mean square, or inf if the values diverge."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        size = float(np.sqrt(np.mean(np.square(values))))
+    size = float(np.linalg.norm(values) / np.sqrt(np.size(values)))
     return size if size < LIMIT else np.inf
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from operator import itemgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 from undeadzone.report.html import (
     Html,
@@ -69,14 +69,6 @@ _CAPTIONS: Final = _PAGE["captions"]
 _HEADS: Final = _PAGE["heads"]
 
 
-class Drawn(NamedTuple):
-    """Figure of the audit with its name and its caption on the page."""
-
-    name: str
-    caption: str
-    figure: Figure
-
-
 Pictures: TypeAlias = dict[Path, Html]  # the pictures of the page by the files of their figures
 
 
@@ -103,25 +95,25 @@ def write_audit_figures(
     return pictures
 
 
-def _draw_figures(paper: Paper) -> Iterator[Drawn]:
-    """Draw the figures one by one."""
+def _draw_figures(paper: Paper) -> Iterator[tuple[str, str, Figure]]:
+    """Draw the figures one by one, each with its name and its caption on the page."""
     evidence = paper.evidence
     printed = evidence.printed[NOMINAL]
     repaired = evidence.repaired["begun"]
     force = plot_silence(*response_to_force(AMPLITUDES[0]))
     theorem = plot_theorem(evidence.law, repaired[0], evidence.theorem)
-    yield Drawn("silence", _CAPTIONS["silence"], force)
-    yield Drawn("theorem", _CAPTIONS["theorem"], theorem)
+    yield "silence", _CAPTIONS["silence"], force
+    yield "theorem", _CAPTIONS["theorem"], theorem
     for number in DIAGRAMS:
         caption = _caption(paper, number, "diagrams")
-        yield Drawn(f"figure_{number}", caption, plot_diagrams(number, LOOPS))
+        yield f"figure_{number}", caption, plot_diagrams(number, LOOPS)
     captions = {f"figure_{number}": _caption(paper, number, "figures") for number in FIGURES}
     captions |= {name: _CAPTIONS[name] for name in ("tracking", "V")}
     trios = zip(printed[RESTING], printed[BEGUN], repaired, strict=True)
     for (amplitude, suffix), trio in zip(SUFFIXES.items(), trios, strict=True):
         reference = f"r = {amplitude:g} sin 2πt"
         for name, caption in captions.items():
-            yield Drawn(name + suffix, caption, plot_pair(name, RunTrio(*trio), reference))
+            yield name + suffix, caption, plot_pair(name, RunTrio(*trio), reference)
 
 
 def _caption(paper: Paper, number: int, kind: str) -> str:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from itertools import product
 from operator import attrgetter
-from typing import Any, Final, NamedTuple, TypeVar
+from typing import Any, Final, NamedTuple
 
 import msgspec
 import numpy as np
@@ -37,8 +37,6 @@ from undeadzone_paper.example import (
 )
 from undeadzone_paper.measures import largest_absolute
 from undeadzone_paper.observer import Printed
-
-V = TypeVar("V")  # variant of the example, or of the theorem
 
 STEP: Final = 5e-3  # [s]
 DURATION: Final = 12.0  # [s]; what diverges has done so by then
@@ -159,7 +157,7 @@ def run_variants(progress: Callable[[int], None] | None) -> list[Outcome]:
 
 
 def run_all(
-    variants: list[V], build: Callable[[V], Scenario], progress: Callable[[int], None] | None
+    variants: list[Any], build: Callable[[Any], Scenario], progress: Callable[[int], None] | None
 ) -> list[Outcome]:
     """Run variants of one graph.
 
@@ -180,17 +178,22 @@ def example_of_variant(variant: Variant) -> Scenario:
     law = PD(L=L, alpha=ALPHA).build(model).params
     return example_as_printed(5.0) | {
         "plant": msgspec.structs.replace(READINGS[variant.plant].plant, x0=[x1, 0.0]),
-        "observer": Printed(
-            L=L,
-            sigma=variant.sigma,
-            alpha=ALPHA,
-            widths0=width,
-            feed_input=variant.feeds_input,
-            left_sign=variant.left_sign,
-        ),
+        "observer": observer_of_variant(variant, L, width, variant.sigma),
         "controller": PD(k_p=variant.pd_sign * law.k_p, k_d=variant.pd_sign * law.k_d),
         "simulation": Simulation(duration=DURATION, step=STEP),
     }
+
+
+def observer_of_variant(variant: Any, L: Floats, width: float, sigma: float = 1.0) -> Printed:
+    """Return the observer of a variant of the example, or of the theorem, with d^(0) = width."""
+    return Printed(
+        L=L,
+        sigma=sigma,
+        alpha=ALPHA,
+        widths0=width,
+        feed_input=variant.feeds_input,
+        left_sign=variant.left_sign,
+    )
 
 
 def run_family(

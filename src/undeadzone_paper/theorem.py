@@ -27,8 +27,14 @@ from undeadzone_paper.example import (
     example_as_printed,
 )
 from undeadzone_paper.law import PrintedLaw
-from undeadzone_paper.observer import Printed
-from undeadzone_paper.printed import STEP, Outcome, count_outcomes, gain_by_name, run_all
+from undeadzone_paper.printed import (
+    STEP,
+    Outcome,
+    count_outcomes,
+    gain_by_name,
+    observer_of_variant,
+    run_all,
+)
 
 NEAR_REST: Final = 0.01  # x1(0); at 0 rounding would decide about a loop that begins at the truth
 UNEQUAL: Final = 0.2  # d^(0) that is not d
@@ -104,13 +110,7 @@ def example_of_theorem(variant: TheoremVariant) -> Scenario:
     return example_as_printed(5.0) | {
         "title": "Theorem 4.1: observer (16), (17), adaptation (25), law (29)",
         "plant": msgspec.structs.replace(PLANTS[variant.plant], x0=[variant.x1, 0.0]),
-        "observer": Printed(
-            L=L,
-            alpha=ALPHA,
-            widths0=variant.width,
-            feed_input=variant.feeds_input,
-            left_sign=variant.left_sign,
-        ),
+        "observer": observer_of_variant(variant, L, variant.width),
         "controller": PrintedLaw(
             L=L,
             widths=D if variant.mismatch == GIVEN else None,

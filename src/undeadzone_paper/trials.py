@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from typing import Any, Final, NamedTuple, TypeAlias
 
 import casadi as ca
@@ -107,11 +108,7 @@ def _measure_rows(
     e: Evidence, measure: str, printed: str, repaired: str, beside: str = ""
 ) -> ClaimNumbers:
     """Compute a quantity on a row of runs as printed, and on one as repaired."""
-
-    def worst(runs: Iterable[Run]) -> float:
-        """Return the largest value of the quantity among runs."""
-        return m.worst_value(getattr(m, measure), runs)
-
+    worst = partial(m.worst_value, getattr(m, measure))
     scale = worst(e.repaired[beside]) if beside else 1.0
     cases = e.printed[printed] if printed in e.printed else {"": e.repaired[printed]}
     return ClaimNumbers(
@@ -174,7 +171,7 @@ def _deviation(run: Run, x: Floats) -> float:
 def _gain_claims(linear: Matrices) -> Numbers:
     """Compute the numbers of the claims on the gains (40) and (42)."""
     placed = observer_gain(linear, POLES, None).ravel()
-    printed_drift = m.error_matrix(linear, L_PRINTED)
+    printed_drift = m.error_matrix(linear)
     left, right = np.sort(np.linalg.eigvals(printed_drift).real)
     return {
         "observer-poles": _single(
@@ -210,9 +207,9 @@ def _worst_rightmost_pole(linear: Matrices, drift: Floats) -> float:
     return max(rightmost_pole(linear, drift, alpha) for alpha in _alphas())
 
 
-def _alphas() -> list[float]:
+def _alphas() -> Floats:
     """Return the values of alpha that are tried."""
-    return np.geomspace(CONDITIONS["least_alpha"], CONDITIONS["most_alpha"], 51).tolist()
+    return np.geomspace(CONDITIONS["least_alpha"], CONDITIONS["most_alpha"], 51)
 
 
 def innovation_loop_pole(linear: Matrices, alpha: float) -> float:
@@ -222,7 +219,7 @@ def innovation_loop_pole(linear: Matrices, alpha: float) -> float:
     x~' = (A - L C) x~ - B (k_p C + k_d C (A - L C)) x~, as C B = 0. The plant adds the poles of A.
     """
     _, B, C = linear
-    drift = m.error_matrix(linear, L_PRINTED)
+    drift = m.error_matrix(linear)
     k_p, k_d = m.printed_riccati(linear, drift, alpha).K[0]
     closed = drift - B @ (k_p * C + k_d * C @ drift)
     return float(np.linalg.eigvals(closed).real.max())
