@@ -25,8 +25,6 @@ from undeadzone_paper.printed import (
 )
 from undeadzone_paper.theorem import count_theorem
 
-Progress = Callable[[int], None]
-
 
 class Paper(NamedTuple):
     """Results of the audit.
@@ -86,7 +84,7 @@ class Paper(NamedTuple):
         return dict(to_json_value(summary))
 
 
-def audit(progress: Progress | None = None) -> Paper:
+def audit(progress: Callable[[int], None] | None = None) -> Paper:
     """Run the example in every variant and repaired, and decide the claims.
 
     Args:

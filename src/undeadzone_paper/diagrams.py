@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Point = tuple[float, float]
-
 HATS: Final = {
     "x": "x\u0302",
     "z": "z\u0302",
@@ -39,7 +37,7 @@ HATS: Final = {
 
 HALF: Final = (0.75, 0.3)  # of a block, width and height
 _LAYOUT: Final = read_words("diagrams.toml")
-PLACES: Final[dict[str, Point]] = _LAYOUT["places"]
+PLACES: Final[dict[str, tuple[float, float]]] = _LAYOUT["places"]
 REFERENCE, CONTROLLER, PLANT, SENSOR, OBSERVER, INVERSE = PLACES
 OUT = "out"
 PATHS: Final[dict[tuple[str, str], dict[str, Any]]] = {
@@ -77,10 +75,8 @@ def trace_diagram(scenario: Scenario) -> Diagram:
     sizes = {"r": len(problem.tracked), "x_ref": plant.n, "u_ff": plant.m}
     targets = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
     _, memory = tree.create_symbols(law.init(law.params), "c")
-    symbolic = estimate._replace(**symbols)
-    answer = law.step(
-        law.params, memory, symbolic, Target(**targets, plan=ca.SX.zeros(law.plan_size))
-    )
+    target = Target(**targets, plan=ca.SX.zeros(law.plan_size))
+    answer = law.step(law.params, memory, estimate._replace(**symbols), target)
     zone = problem.sensor
     read = branch(z, where(z, zone.right, zone.left), zone.right, zone.left, zone.slope, zone.kind)
     sources = {

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from operator import itemgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, TypeAlias
+from typing import TYPE_CHECKING, Final
 
 from undeadzone.report.html import (
     Html,
@@ -69,12 +69,9 @@ _CAPTIONS: Final = _PAGE["captions"]
 _HEADS: Final = _PAGE["heads"]
 
 
-Pictures: TypeAlias = dict[Path, Html]  # the pictures of the page by the files of their figures
-
-
 def write_audit_figures(
     paper: Paper, folder: Path, progress: Callable[[int], None] | None
-) -> Pictures:
+) -> dict[Path, Html]:
     """Write the figures as SVG. Raises FileError.
 
     Args:
@@ -83,8 +80,9 @@ def write_audit_figures(
         progress: called with 1 for each figure written
 
     Returns:
-        Pictures of silence.svg, theorem.svg, figure_1.svg, figure_2.svg, figure_3.svg ...
-        figure_8.svg, tracking.svg, V.svg for r = 5 sin, figure_3_2sin.svg ... for r = 2 sin.
+        The pictures of the page by their files: silence.svg, theorem.svg, figure_1.svg,
+        figure_2.svg, figure_3.svg ... figure_8.svg, tracking.svg, V.svg for r = 5 sin,
+        figure_3_2sin.svg ... for r = 2 sin.
     """
     pictures = {}
     for name, caption, figure in _draw_figures(paper):
@@ -122,7 +120,9 @@ def _caption(paper: Paper, number: int, kind: str) -> str:
     return f"Figure {number}: {words}, {_CAPTIONS[kind]}. {claims_text(number, paper.claims)}"
 
 
-def write_audit_page(paper: Paper, pictures: Pictures, path: Path, origin: Origin | None) -> Path:
+def write_audit_page(
+    paper: Paper, pictures: dict[Path, Html], path: Path, origin: Origin | None
+) -> Path:
     """Write one self-contained HTML page with all results. Raises FileError.
 
     Args:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import csv
 import io
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 from undeadzone.report.html import Origin
 from undeadzone.util.files import write_text
-from undeadzone_paper.audit import Paper, Progress
+from undeadzone_paper.audit import Paper
 from undeadzone_paper.page import write_audit_figures, write_audit_page
 from undeadzone_paper.printed import Outcome, Variant
 
@@ -18,7 +19,7 @@ def write(
     paper: Paper,
     folder: Path,
     figures: bool = True,
-    progress: Progress | None = None,
+    progress: Callable[[int], None] | None = None,
     origin: Origin | None = None,
 ) -> list[Path]:
     """Write paper.json and variants.csv, and figures 1-8 and report.html if wanted.

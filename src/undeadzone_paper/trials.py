@@ -316,9 +316,6 @@ def _missing_words(*words: str) -> ClaimNumbers:
     return _single(float(sum(word not in text for word in words)))
 
 
-SIMPLE: Final = 1000.0  # operations that a practical step may take
-
-
 def _comparison_claims(e: Evidence) -> Numbers:
     """Compute the numbers of the claims on other methods: operations and chattering."""
     example = example_as_repaired(5.0)
@@ -331,7 +328,7 @@ def _comparison_claims(e: Evidence) -> Numbers:
     sign, smooth = calm_share(np.sign), calm_share(lambda s: np.tanh(m.SHARPNESS * s))
     return {
         "others-too-complex": ClaimNumbers(
-            {name: SIMPLE / (count + observer) for name, count in laws.items()},
+            {name: 1000.0 / (count + observer) for name, count in laws.items()},
             None,
             {"laws": f"A law alone takes {words}."},
         ),
