@@ -47,10 +47,10 @@ HEAD: Final = """# The paper's claims
 *Which statements of the paper hold if they are computed?*
 
 `undeadzone paper` computes its sentences, equations (1)-(42) and Theorem 4.1, and draws figures 1
-to 8 as printed and repaired. `python docs/claims.py` writes this page, [the statements that hold
-after repair](paper_repaired.md) and [the numbers](paper_numbers.md) from the results. The words,
-limits and reasons stand in `src/undeadzone_paper/claims.toml`, the computations in `trials.py` and
-`both_sides.py` beside it.
+to 8 as printed and repaired, from equal starts. `python docs/claims.py` writes this page, [the
+statements that hold after repair](paper_repaired.md) and [the numbers](paper_numbers.md) from the
+results. The words, limits and reasons stand in `src/undeadzone_paper/claims.toml`, the runs in
+`runs.toml` beside it, the computations in `trials.py` and `both_sides.py`.
 
 To run the paper's methods with other numbers, write `observer.method = "printed"` and
 `controller.method = "printed"`, law (29), or `"pd"`, law (42), into a scenario:

@@ -74,11 +74,10 @@ def geared_arm() -> Scenario:
 def hanging_arm() -> Plant:
     """Return the arm about its hanging angle, linear, rigid, motor included."""
     arm = system(Plant(arm=OneLink()))
-    values = dict(zip(arm.names, np.asarray(arm.params), strict=True))
-    inertia = MOTOR + float(values["m"] * values["c"] ** 2 + values["I"])
-    stiffness = values["m"] * values["c"] * values["g"]
+    mass, _, centre, own, gravity, *_ = np.asarray(arm.params).tolist()  # in the order of its names
+    inertia = MOTOR + (mass * centre**2 + own)
     return Plant(
-        A=[[0.0, 1.0], [-float(stiffness / inertia), -VISCOUS / inertia]],
+        A=[[0.0, 1.0], [-(mass * centre * gravity / inertia), -VISCOUS / inertia]],
         B=[[0.0], [1 / inertia]],
         C=[[1.0, 0.0]],
     )
@@ -90,17 +89,15 @@ def run_arm() -> ArmRuns:
     problem = resolve_scenario(scenario)
     contact = simulate(scenario, check_step=False)
     last = slice(-round(LAST / scenario.simulation.step), None)
-    tracking = {}
-    estimation = {}
+    tracking, estimation = {}, {}
     for given, words in WORDS.items():
         link, estimate, reference = _run_as_printed(problem, given)
         tracking[words] = rms_or_inf((link - reference)[last])
         estimation[words] = rms_or_inf((estimate - link)[last])
-    reached = contact.summary()
-    return ArmRuns(tracking, estimation, reached["rms_tracking"], reached["rms_estimation"])
+    return ArmRuns(tracking, estimation, contact.rms_tracking, contact.rms_estimation)
 
 
-def _run_as_printed(problem: Problem, given: bool) -> tuple[Floats, Floats, Floats]:
+def _run_as_printed(problem: Problem, given: bool) -> tuple[Floats, ...]:
     """Run the arm with the paper's observer and law.
 
     Args:
@@ -115,8 +112,7 @@ def _run_as_printed(problem: Problem, given: bool) -> tuple[Floats, Floats, Floa
     reference = SWING * np.sin(2 * np.pi * FREQUENCY * t)
     advance, start = _close_printed_loop(problem, given)
     _, angles = advance.mapaccum(t.size)(start, reference)
-    link, estimate = np.asarray(angles)
-    return link, estimate, reference
+    return *np.asarray(angles), reference
 
 
 def _close_printed_loop(problem: Problem, given: bool) -> tuple[ca.Function, Floats]:

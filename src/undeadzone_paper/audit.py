@@ -17,14 +17,13 @@ from undeadzone_paper.measures import largest_absolute, width_convergence_rate
 from undeadzone_paper.printed import (
     DEFINITION,
     LAST,
+    ZONE_FLAGS,
     Outcome,
     VariantCount,
     count_outcomes,
     run_variants,
 )
 from undeadzone_paper.theorem import count_theorem
-
-Progress = Callable[[int], None]
 
 
 class Paper(NamedTuple):
@@ -47,21 +46,22 @@ class Paper(NamedTuple):
     @property
     def count_variants(self) -> list[VariantCount]:
         """Count the variants by plant and start."""
-        return [VariantCount(*row) for row in count_outcomes(self.variants, 2)]
+        return [VariantCount(*row) for row in count_outcomes(self.variants, 2, ZONE_FLAGS)]
 
     def summary(self) -> dict[str, Any]:
         """Return all numbers, ready for JSON.
 
         `printed` is the literal example with r = 5 sin 2 pi t, `repaired` its repair.
         """
-        repaired = self.evidence.repaired
-        five, two = repaired[NOMINAL]
+        names = ("repaired", "repaired_2sin", "repaired_sampled")
+        repaired = dict(zip(names, self.evidence.repaired["both times"], strict=True))
         texts = [claim.text for claim in self.claims]
-        summary = {
+        summary: dict[str, Any] = {
             "printed": _numbers_as_printed(self.evidence.printed[NOMINAL][RESTING][0]),
-            "repaired": _numbers_as_repaired(five),
-            "repaired_2sin": _numbers_as_repaired(two),
-            "repaired_sampled": _numbers_as_repaired(repaired["sampled"][0]),
+            **{
+                name: {**run.summary(), "rate": width_convergence_rate(run)}
+                for name, run in repaired.items()
+            },
             "variants": {
                 "definition": DEFINITION,
                 "counts": self.count_variants,
@@ -84,7 +84,7 @@ class Paper(NamedTuple):
         return dict(to_json_value(summary))
 
 
-def audit(progress: Progress | None = None) -> Paper:
+def audit(progress: Callable[[int], None] | None = None) -> Paper:
     """Run the example in every variant and repaired, and decide the claims.
 
     Args:
@@ -112,8 +112,3 @@ def _numbers_as_printed(run: Run) -> dict[str, Any]:
         "max_abs_y": largest_absolute(run.y),
     }
     return numbers | {name: value for name, value in run.summary().items() if name in LISTED}
-
-
-def _numbers_as_repaired(run: Run) -> dict[str, Any]:
-    """Return the numbers of a repaired run."""
-    return {**run.summary(), "rate": width_convergence_rate(run)}

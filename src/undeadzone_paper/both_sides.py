@@ -34,9 +34,7 @@ from undeadzone_paper.example import (
     example_as_printed,
     example_as_repaired,
 )
-from undeadzone_paper.trials import SHARPNESS, pole_error
-
-SIGMA: Final = 1.0  # of (25)
+from undeadzone_paper.trials import pole_error
 
 
 class BothSides(NamedTuple):
@@ -59,7 +57,6 @@ class ErrorSignals(NamedTuple):
         z, z_hat, y, u: output, reading, input, and the estimate of the output (N)
         d_hat: d^ (N x 2)
         side: the measured side (N)
-        L: gains of the observer
         chi: [chi_r chi_l] of (8)-(10) as printed, [chi_r -chi_l] of the measured side as mended
         e: y~ = y - y^ (N), y^ of (17) as printed, by chi as mended
         push: B u, as far as it stays in x~' (N x 2)
@@ -73,7 +70,6 @@ class ErrorSignals(NamedTuple):
     u: Floats
     d_hat: Floats
     side: Floats
-    L: Floats
     chi: Floats
     e: Floats
     push: Floats
@@ -99,44 +95,42 @@ def compare_sides(evidence: Evidence) -> dict[int, BothSides]:
     linear = linear_matrices(example_as_printed(1.0).plant)
     p = _signals_as_printed(evidence.law[0], linear)
     q = _signals_as_mended(repaired)
-    read = ErrorSignals(*[part[q.side != 0] if len(part) == len(q.e) else part for part in q])
+    read = ErrorSignals._make(part[q.side != 0] for part in q)
     printed = {
-        **_differences(p, linear, -1.0),
+        **_differences(p, linear, L_PRINTED, -1.0),
         **dict(zip((9, 10), _indicator_errors(p).T, strict=True)),
         **_differences_as_printed(p, linear),
         **_differences_of_V(p, linear),
         30: _error_at_zero_V(evidence.printed[NOMINAL][RESTING][0]),
     }
     mended = {
-        **_differences(read, linear, 1.0),
+        **_differences(read, linear, L_REPAIRED, 1.0),
         **dict.fromkeys((5, 6, 8, 9, 10), _indicator_errors(q)),
         **_differences_as_mended(p, q, linear),
         30: _error_at_zero_V(repaired),
         36: m.lyapunov_rise(repaired),
     }
+    largest = {number: m.largest_absolute(apart) for number, apart in mended.items()}
     return {
-        number: BothSides(
-            m.largest_absolute(printed[number]),
-            m.largest_absolute(mended[number]) if number in mended else None,
-        )
+        number: BothSides(m.largest_absolute(printed[number]), largest.get(number))
         for number in sorted(printed)
     }
 
 
 def _signals_as_printed(run: Run, linear: Matrices) -> ErrorSignals:
     """Return the signals of a run of one output with the indicators, y^ and L as printed."""
-    sign = np.tanh(SHARPNESS * run.y)
+    sign = np.tanh(m.SHARPNESS * run.y)
     chi = np.hstack([1 + sign, 1 - sign]) / 2
     push = run.u * linear.B.T
     e = run.y[:, 0] - m.reading_estimate(run)
-    return ErrorSignals._make([*_measured(run), np.array(L_PRINTED), chi, e, push])
+    return ErrorSignals._make([*_measured(run), chi, e, push])
 
 
 def _signals_as_mended(run: Run) -> ErrorSignals:
     """Return the signals of a run of one output on the measured side: B u cancels in x~'."""
     chi = _signed_sides(run.side[:, 0])
     e = run.y[:, 0] - run.z_hat[:, 0] + (chi * run.d_hat).sum(axis=1)
-    return ErrorSignals._make([*_measured(run), np.array(L_REPAIRED), chi, e, 0.0 * run.x])
+    return ErrorSignals._make([*_measured(run), chi, e, 0.0 * run.x])
 
 
 def _measured(run: Run) -> tuple[Floats, ...]:
@@ -160,7 +154,9 @@ def _branch_flags(values: Floats, edge: float) -> Floats:
     return np.stack([values > edge, values < -edge], axis=1) * 1.0
 
 
-def _differences(s: ErrorSignals, linear: Matrices, sign: float) -> dict[int, Floats]:
+def _differences(
+    s: ErrorSignals, linear: Matrices, L: tuple[float, ...], sign: float
+) -> dict[int, Floats]:
     """Return left less right side of each equation that has the same form printed and mended.
 
     In (22)-(24) L chi_bar d~ stands for L C chi_bar d~.
@@ -168,6 +164,7 @@ def _differences(s: ErrorSignals, linear: Matrices, sign: float) -> dict[int, Fl
     Args:
         s: signals of either version
         linear: A, B, C
+        L: gains of the observer
         sign: of the last term of (24), which is that of (23) as mended
     """
     A, _, C = linear
@@ -177,18 +174,18 @@ def _differences(s: ErrorSignals, linear: Matrices, sign: float) -> dict[int, Fl
     seen = s.x_error @ C[0]
     innovation = s.e - (s.z - s.z_hat - off)
     in_states = s.e - (seen - off)
-    in_errors = np.outer(seen - off, s.L)
-    moved = s.x_error @ A.T + s.push - np.outer(s.e, s.L)
-    drift = m.error_matrix(linear, s.L)
+    in_errors = np.outer(seen - off, L)
+    moved = s.x_error @ A.T + s.push - np.outer(s.e, L)
+    drift = m.error_matrix(linear, L)
     return {
         **dict.fromkeys((11, 12), s.y - (s.z - offset)),
         13: np.abs(sat) - np.abs(offset),
-        **dict.fromkeys((18, 19), np.outer(innovation, s.L)),
-        20: np.outer(in_states, s.L),
+        **dict.fromkeys((18, 19), np.outer(innovation, L)),
+        20: np.outer(in_states, L),
         21: offset - sat,
         22: moved - (s.x @ A.T + s.push - s.x_hat @ A.T - in_errors),
         23: moved - (s.x_error @ A.T + s.push - in_errors),
-        24: moved - (s.x_error @ drift.T + s.push + sign * np.outer(off, s.L)),
+        24: moved - (s.x_error @ drift.T + s.push + sign * np.outer(off, L)),
         26: s.y + s.take_off(s.d_hat) - (s.z - off),
         27: innovation,
         28: in_states,
@@ -204,7 +201,7 @@ def _differences_as_printed(p: ErrorSignals, linear: Matrices) -> dict[int, Any]
     estimated = np.clip(p.z_hat, -p.d_hat[:, 1], p.d_hat[:, 0])
     sign = np.sign(p.y)
     above = _branch_flags(p.z, 0.0) - _branch_flags(p.z, D)
-    step = SIGMA * float(C[0] @ P @ p.L) * p.chi
+    step = float(C[0] @ P @ L_PRINTED) * p.chi
     residual = drift.T @ P + P @ drift - 2 * ALPHA * P @ B @ B.T @ P + np.eye(len(A))
     slope = A - [[0.0, 1.0], [0.0, -3.0]]  # of (41)
     return {
@@ -214,12 +211,12 @@ def _differences_as_printed(p: ErrorSignals, linear: Matrices) -> dict[int, Any]
         5: above[:, 0],
         6: above[:, 1],
         7: (sign - p.side)[p.side != 0],
-        8: np.tanh(SHARPNESS * p.y) - sign,
+        8: np.tanh(m.SHARPNESS * p.y) - sign,
         15: A - companion_form(np.zeros(len(A))).A,
         16: motion_at_truth(example_as_printed(1.0), p),
-        18: np.outer(p.e - (p.z - sat - p.z_hat + estimated), p.L),
+        18: np.outer(p.e - (p.z - sat - p.z_hat + estimated), L_PRINTED),
         25: _largest_rise(step, p),
-        29: ALPHA * float(B[:, 0] @ P @ p.L) * (p.take_off(p.d_error) + p.e),
+        29: ALPHA * float(B[:, 0] @ P @ L_PRINTED) * (p.take_off(p.d_error) + p.e),
         34: residual,
         37: -np.array([OMEGA, 2 * OMEGA]) - OF_38,  # omega_n = 2 pi, zeta = 1
         38: A[1] - OF_38,
@@ -234,14 +231,13 @@ def _differences_as_mended(p: ErrorSignals, q: ErrorSignals, linear: Matrices) -
     """Return left less right side of equations that are mended in a form of their own."""
     A = linear.A
     sat = np.abs(np.clip(p.z, -D, D))
-    placed = observer_gain(linear, POLES, None).ravel()
     return {
         2: np.maximum(0.0, sat - saturation_bound(D, D)),
         15: A - companion_form(-A[-1]).A,
         16: motion_at_truth(example_as_repaired(1.0), p),
         25: _largest_rise(_signed_sides(p.side), p),
         37: linear_matrices(READINGS["omega_n = 1"].plant).A[1] - OF_38,
-        40: pole_error(linear, placed),
+        40: pole_error(linear, observer_gain(linear, POLES, None).ravel()),
         41: p.x_hat @ (A - [[0.0, 1.0], [-1.0, -2.0]]).T,
     }
 
@@ -284,36 +280,35 @@ def motion_at_truth(scenario: Scenario, s: ErrorSignals) -> float:
 
 
 def _error_at_zero_V(run: Run) -> float:
-    """Return the largest |x~| among samples with V = 0; a run without V counts as V = 0.
+    """Return the largest |x~| among samples with V = 0.
 
     V proves convergence of x^ only if it is positive definite: V = 0 implies x~ = 0. (30) is a form
     in y~, which is 0 inside the zone whatever x~ is.
     """
-    is_zero = (np.zeros(run.t.size) if run.V is None else run.V) == 0.0
-    return m.largest_absolute((run.x - run.x_hat)[is_zero]) if is_zero.any() else 0.0
+    return float(np.abs((run.x - run.x_hat)[run.V == 0.0]).max(initial=0.0))
 
 
 def _differences_of_V(p: ErrorSignals, linear: Matrices) -> dict[int, Floats]:
     """Return V' along p less the right sides of (31)-(36).
 
     For y~ M y~' with a matrix M stands y~ C M C' y~, as for P in (30). For y~ P L C chi_bar d~
-    stands y~ C P L chi_bar d~.
+    stands y~ C P L chi_bar d~, and sigma of (25) is 1.
     """
     A, B, C = linear
     c = C[0]
     drift = m.error_matrix(linear)
     P = m.printed_riccati(linear, drift).P
     size = float(c @ P @ c)
-    gain = float(c @ P @ p.L)
-    d_moved = -SIGMA * gain * p.e[:, None] * p.chi  # d^', so that d~' = -d^'
-    of_widths = -(p.d_error * d_moved).sum(axis=1) / SIGMA  # d~ d~' / sigma
+    gain = float(c @ P @ L_PRINTED)
+    d_moved = -gain * p.e[:, None] * p.chi  # d^', so that d~' = -d^'
+    of_widths = -(p.d_error * d_moved).sum(axis=1)  # d~ d~' / sigma
     offset = p.take_off(p.d_error)
     y_moved = np.where(p.side != 0, p.x[:, 1], 0.0)
     side = zone(p.z_hat, *p.d_hat.T)
-    z_hat_moved = (p.x_hat @ A.T + np.outer(p.e, p.L))[:, 0]
+    z_hat_moved = (p.x_hat @ A.T + np.outer(p.e, L_PRINTED))[:, 0]
     y_hat_moved = np.abs(side) * z_hat_moved - (_signed_sides(side) * d_moved).sum(axis=1)
     V_moved = 2 * size * p.e * (y_moved - y_hat_moved) + of_widths
-    form = p.x_error @ drift.T + p.push - np.outer(offset, p.L)
+    form = p.x_error @ drift.T + p.push - np.outer(offset, L_PRINTED)
     square = float(c @ drift.T @ P @ c + c @ drift @ P @ c)
     push = float(c @ P @ B[:, 0])
     cross = 2 * p.e * gain * offset

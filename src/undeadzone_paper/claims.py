@@ -56,7 +56,7 @@ class Claim(NamedTuple):
 
     Attributes:
         text: the claim in words
-        printed: its quantity as printed, by case. The worst counts (empty: no equation has it)
+        printed: its quantity as printed, by case. The worst counts (empty: there is none)
         repaired: its quantity as repaired (None: there is nothing to repair)
     """
 
@@ -66,7 +66,7 @@ class Claim(NamedTuple):
 
     @property
     def worst_printed(self) -> float | None:
-        """Return the quantity as printed in the worst case, or None if no equation has it."""
+        """Return the quantity as printed in the worst case, or None if there is none."""
         return max(self.printed.values(), default=None)
 
     @property
@@ -84,7 +84,7 @@ class Claim(NamedTuple):
     def numbers_text(self) -> str:
         """Return the numbers as text."""
         cases = [f"{value_text(value)} {case}".strip() for case, value in self.printed.items()]
-        first = ", ".join(cases) or "in no equation"
+        first = ", ".join(cases) or "none"
         limit = f"limit {self.text.limit:g}"
         if self.repaired is None:
             return f"{self.text.quantity}: {first}; {limit}"

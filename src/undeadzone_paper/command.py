@@ -17,7 +17,12 @@ if TYPE_CHECKING:
     from undeadzone_paper.claims import Claim
 
 COLUMNS = ("claim", "measured", "as printed", "repaired", "limit", "verdict")
-NUMBERS = ("as printed", "repaired", "limit")  # of these columns, those that hold numbers
+SUMMARY: str = (
+    "As printed: max |z| = {printed[max_abs_z]:.4g} over the last 4 s, max |y| = "
+    "{printed[max_abs_y]:g}: the sensor never speaks.\n"
+    "Repaired: rms z - r = {repaired[rms_tracking]:.3g} over the last 2 s, "
+    "d_r^ = {repaired[d_right]:.6g}, d_l^ = {repaired[d_left]:.6g} (true 1, 1)."
+)
 COLOURS = {"holds": "green", "holds after repair": "yellow"}  # of verdicts; of others red
 
 
@@ -56,16 +61,7 @@ def _print_claims(claims: list[Claim], summary: dict[str, Any], written: list[Pa
     console = Console()
     console.print(_claims_table(claims))
     console.print(verdict_counts_text(claims), highlight=False)
-    printed = summary["printed"]
-    repaired = summary["repaired"]
-    console.print(
-        f"As printed: max |z| = {printed['max_abs_z']:.4g} over the last 4 s, max |y| = "
-        f"{printed['max_abs_y']:g}: the sensor never speaks."
-    )
-    console.print(
-        f"Repaired: rms z - r = {repaired['rms_tracking']:.3g} over the last 2 s, "
-        f"d_r^ = {repaired['d_right']:.6g}, d_l^ = {repaired['d_left']:.6g} (true 1, 1)."
-    )
+    console.print(SUMMARY.format_map(summary))
     for path in written:
         console.print(f"wrote {path}", highlight=False)
 
@@ -75,17 +71,14 @@ def _claims_table(claims: list[Claim]) -> Table:
     from rich import box
     from rich.table import Table
 
-    table = Table(title="The paper's claims", box=box.SIMPLE_HEAD, pad_edge=False)
-    for column in COLUMNS:
-        table.add_column(column, justify="right" if column in NUMBERS else "left")
+    table = Table(*COLUMNS, title="The paper's claims", box=box.SIMPLE_HEAD, pad_edge=False)
+    for column in table.columns[2:5]:
+        column.justify = "right"
     for claim in claims:
         text = claim.text
-        verdict = claim.verdict
-        numbers = [
-            _cell_number_text(value) for value in (claim.worst_printed, claim.repaired, text.limit)
-        ]
-        colour = COLOURS.get(verdict, "red")
-        table.add_row(text.claim, text.quantity, *numbers, f"[{colour}]{verdict}[/]")
+        numbers = map(_cell_number_text, (claim.worst_printed, claim.repaired, text.limit))
+        verdict = f"[{COLOURS.get(claim.verdict, 'red')}]{claim.verdict}[/]"
+        table.add_row(text.claim, text.quantity, *numbers, verdict)
     return table
 
 

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Point = tuple[float, float]
-
 HATS: Final = {
     "x": "x\u0302",
     "z": "z\u0302",
@@ -37,16 +35,11 @@ HATS: Final = {
 }
 """What figures call the fields of an estimate."""
 
-REFERENCE = "reference"
-CONTROLLER = "controller"
-PLANT = "plant"
-SENSOR = "sensor"
-OBSERVER = "observer"
-INVERSE = "inverse"
-OUT = "out"
 HALF: Final = (0.75, 0.3)  # of a block, width and height
 _LAYOUT: Final = read_words("diagrams.toml")
-PLACES: Final[dict[str, Point]] = _LAYOUT["places"]
+PLACES: Final[dict[str, tuple[float, float]]] = _LAYOUT["places"]
+REFERENCE, CONTROLLER, PLANT, SENSOR, OBSERVER, INVERSE = PLACES
+OUT = "out"
 PATHS: Final[dict[tuple[str, str], dict[str, Any]]] = {
     (row["from"], row["to"]): row for row in _LAYOUT["arrows"]
 }
@@ -73,7 +66,7 @@ def trace_diagram(scenario: Scenario) -> Diagram:
     plant = problem.plant
     observer = require_graph(problem.observer)
     law = problem.controller
-    x, u = ca.SX.sym("x", plant.n), ca.SX.sym("u", plant.m)
+    u = ca.SX.sym("u", plant.m)
     y, side, z = (ca.SX.sym(name, plant.p) for name in ("y", "side", "z"))
     _, s = tree.create_symbols(observer.init(observer.params), "s")
     following, estimate = observer.step(observer.params, s, u, Reading(y, side))
@@ -81,10 +74,9 @@ def trace_diagram(scenario: Scenario) -> Diagram:
     estimated = {HATS[name]: symbol for name, symbol in symbols.items()}
     sizes = {"r": len(problem.tracked), "x_ref": plant.n, "u_ff": plant.m}
     targets = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
-    plan = ca.SX.zeros(law.plan_size)
     _, memory = tree.create_symbols(law.init(law.params), "c")
-    symbolic = estimate._replace(**symbols)
-    answer = law.step(law.params, memory, symbolic, Target(**targets, plan=plan))
+    target = Target(**targets, plan=ca.SX.zeros(law.plan_size))
+    answer = law.step(law.params, memory, estimate._replace(**symbols), target)
     zone = problem.sensor
     read = branch(z, where(z, zone.right, zone.left), zone.right, zone.left, zone.slope, zone.kind)
     sources = {
@@ -96,7 +88,7 @@ def trace_diagram(scenario: Scenario) -> Diagram:
     }
     results = {
         CONTROLLER: tree.stack_leaves(answer),
-        PLANT: plant.move(plant.params, x, u),
+        PLANT: plant.move(plant.params, ca.SX.zeros(plant.n), u),
         SENSOR: read,
         OBSERVER: tree.stack_leaves(following),
         INVERSE: estimate.z_inverse,
@@ -105,18 +97,10 @@ def trace_diagram(scenario: Scenario) -> Diagram:
         ends: _signals_in(results[ends[1]], sources[ends[0]]) for ends in PATHS if OUT not in ends
     }
     arrows |= {(SENSOR, OUT): ("y",), (INVERSE, OUT): (HATS["z_inverse"],)}
-    kinds = {
-        CONTROLLER: _tag(scenario.controller),
-        SENSOR: zone.kind,
-        OBSERVER: _tag(scenario.observer),
-    }
-    names = {name: "\n".join([name, *kinds.get(name, "").split()]) for name in PLACES}
+    tags = [str(part.__struct_config__.tag) for part in (scenario.controller, scenario.observer)]
+    kinds = dict(zip((CONTROLLER, OBSERVER, SENSOR), (*tags, zone.kind), strict=True))
+    names = {name: f"{name}\n{kinds.get(name, '')}".strip() for name in PLACES}
     return Diagram(names, [Arrow(*ends, named) for ends, named in arrows.items() if named])
-
-
-def _tag(options: Any) -> str:
-    """Return the method of options, as a scenario names it."""
-    return str(options.__struct_config__.tag)
 
 
 def _signals_in(expression: Any, symbols: dict[str, ca.SX]) -> tuple[str, ...]:

@@ -63,9 +63,9 @@ def _by_number(words: dict[str, str]) -> dict[int, str]:
 
 
 _WORDS: Final = read_words("equations.toml")
-ASSUMPTIONS: Final = _by_number(_WORDS["assumptions"])
-DIAGRAMS: Final = _by_number(_WORDS["diagrams"])
-FIGURES: Final = _by_number(_WORDS["figures"])
+ASSUMPTIONS, DIAGRAMS, FIGURES = (
+    _by_number(_WORDS[name]) for name in ("assumptions", "diagrams", "figures")
+)
 STAND_INS: Final = _WORDS["stand_ins"]
 """What stands in for printed shapes that do not agree, by equation."""
 EQUATIONS: Final = tuple(Equation(**entry) for entry in _WORDS["equations"])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple
 
-import msgspec
 import numpy as np
 
 from undeadzone.controllers import PD, StateFeedback
@@ -51,17 +50,7 @@ READINGS: Final = {
 }
 
 
-def example_reference(amplitude: float) -> Sine:
-    """Return the signal amplitude * sin 2 pi t."""
-    return Sine(amplitude=amplitude, frequency=1.0)
-
-
-def _printed_plant(x1: float) -> Plant:
-    """Return plant (39), started at (x1, 0)."""
-    return Plant(A=[[0.0, 1.0], [-1.0, -2.0]], B=[[0.0], [1.0]], C=[[1.0, 0.0]], x0=[x1, 0.0])
-
-
-def example_as_printed(amplitude: float, x1: float = 0.0, signed_left: bool = False) -> Scenario:
+def example_as_printed(amplitude: float, x1: float = 0.0) -> Scenario:
     """Build the example as printed:
 
     (16), (41) without B u, (25), (42), plant (39), d^(0) = d (A2).
@@ -69,15 +58,13 @@ def example_as_printed(amplitude: float, x1: float = 0.0, signed_left: bool = Fa
     Args:
         amplitude: of r = amplitude sin 2 pi t
         x1: x1(0), x2(0) = 0
-        signed_left: d_l is read as negative, as in "d_r = -d_l = 1", not as positive, as in A1
     """
-    left_sign = 1.0 if signed_left else -1.0
     return Scenario(
         title=f"As printed, r = {amplitude:g} sin 2πt",
-        plant=_printed_plant(x1),
+        plant=Plant(A=[[0.0, 1.0], [-1.0, -2.0]], B=[[0.0], [1.0]], C=[[1.0, 0.0]], x0=[x1, 0.0]),
         sensor=Sensor(right=D, left=D),
-        reference=example_reference(amplitude),
-        observer=Printed(L=L_PRINTED, alpha=ALPHA, widths0=D, left_sign=left_sign),
+        reference=Sine(amplitude=amplitude, frequency=1.0),
+        observer=Printed(L=L_PRINTED, alpha=ALPHA, widths0=D),
         controller=PD(L=L_PRINTED, alpha=ALPHA),
         simulation=Simulation(duration=DURATION),
     )
@@ -88,10 +75,8 @@ def example_as_repaired(amplitude: float) -> Scenario:
 
     The observer knows u and the measured side, and feedforward makes z follow r.
     """
-    return msgspec.structs.replace(
-        example_as_printed(amplitude),
-        title=f"Repaired, r = {amplitude:g} sin 2πt",
-        plant=_printed_plant(0.5),
-        observer=Certified(L=L_REPAIRED, gamma=10.0, widths0=[0.2, 0.2], width_max=3.0),
-        controller=StateFeedback(alpha=ALPHA),
-    )
+    return example_as_printed(amplitude, x1=0.5) | {
+        "title": f"Repaired, r = {amplitude:g} sin 2πt",
+        "observer": Certified(L=L_REPAIRED, gamma=10.0, widths0=[0.2, 0.2], width_max=3.0),
+        "controller": StateFeedback(alpha=ALPHA),
+    }

@@ -23,11 +23,10 @@ from undeadzone_paper.example import (
     example_as_printed,
 )
 from undeadzone_paper.measures import error_matrix, largest_absolute, printed_riccati
-from undeadzone_paper.printed import run_family
+from undeadzone_paper.printed import LAST, run_family
 from undeadzone_paper.trials import destabilising_alpha, rightmost_pole
 
 REQUIRED: Final = -sum(POLES), POLES[0] * POLES[1]  # p, q of the polynomial s^2 + p s + q
-STEADY: Final = 4.0  # [s] at the end of a run, over which a steady amplitude is read
 
 
 class Fact(NamedTuple):
@@ -51,7 +50,7 @@ class Fact(NamedTuple):
         return abs(self.measured - self.closed_form) / max(1.0, abs(self.closed_form))
 
 
-Pairs = dict[tuple[str, str], tuple[Any, Any]]  # measured and closed form, by where and what
+Pairs = tuple[str, dict[str, tuple[Any, Any]]]  # where; measured and closed form, by what
 
 
 def compute_facts() -> list[Fact]:
@@ -61,13 +60,15 @@ def compute_facts() -> list[Fact]:
     r as a force.
     """
     plants = {name: linear_matrices(reading.plant) for name, reading in READINGS.items()}
-    pairs: Pairs = {}
-    for name, linear in plants.items():
-        pairs |= _pole_facts(name, linear)
-    pairs |= _riccati_facts(plants["omega_n = 1"]) | _certificate_facts(plants["omega_n = 1"])
+    one = plants["omega_n = 1"]
+    groups = [_pole_facts(name, linear) for name, linear in plants.items()]
+    groups += [_riccati_facts(one), _certificate_facts(one)]
     for amplitude in AMPLITUDES:
-        pairs |= _response_facts(amplitude)
-    return [Fact(*place, *map(float, pair)) for place, pair in pairs.items()]
+        groups += _response_facts(amplitude)
+    facts: list[Fact] = []
+    for where, pairs in groups:
+        facts += [Fact(where, what, *map(float, pair)) for what, pair in pairs.items()]
+    return facts
 
 
 def _pole_facts(name: str, linear: Matrices) -> Pairs:
@@ -78,11 +79,11 @@ def _pole_facts(name: str, linear: Matrices) -> Pairs:
     poles = np.sort(np.linalg.eigvals(error_matrix(linear)).real)
     placed = observer_gain(linear, POLES, None).ravel()
     p, q = REQUIRED
-    return {
-        (name, "rightmost pole of A - L C, (40)"): (poles[1], roots[0]),
-        (name, "leftmost pole of A - L C, (40)"): (poles[0], roots[1]),
-        (name, "l1 for poles -4, -10"): (placed[0], p - a1),
-        (name, "l2 for poles -4, -10"): (placed[1], q - a0 - a1 * (p - a1)),
+    return name, {
+        "rightmost pole of A - L C, (40)": (poles[1], roots[0]),
+        "leftmost pole of A - L C, (40)": (poles[0], roots[1]),
+        "l1 for poles -4, -10": (placed[0], p - a1),
+        "l2 for poles -4, -10": (placed[1], q - a0 - a1 * (p - a1)),
     }
 
 
@@ -111,11 +112,11 @@ def _riccati_facts(linear: Matrices) -> Pairs:
     pole = _quadratic_roots(2 + k2, 1 + k1)[0]
     where = "omega_n = 1, (34) with A - L C, L = (12, 15)"
     least = destabilising_alpha(linear, drift)
-    return {
-        (where, "k1"): (K[0], k1),
-        (where, "k2"): (K[1], k2),
-        (where, "rightmost pole of A - B K"): (rightmost_pole(linear, drift, ALPHA), pole),
-        (where, "alpha from which A - B K is unstable"): (least, brink),
+    return where, {
+        "k1": (K[0], k1),
+        "k2": (K[1], k2),
+        "rightmost pole of A - B K": (rightmost_pole(linear, drift, ALPHA), pole),
+        "alpha from which A - B K is unstable": (least, brink),
     }
 
 
@@ -126,13 +127,13 @@ def _control_gain(alpha: float) -> tuple[float, float]:
     g = np.sqrt(q**2 + 2 * alpha * (1 + l1**2))
     f = np.sqrt(p**2 - 2 * q + 2 * alpha + 2 * g)
     k2 = (f - p) / 2
-    return float((g - q) / 2 - k2 * l1), float(k2)
+    return (g - q) / 2 - k2 * l1, k2
 
 
 def _certificate_facts(linear: Matrices) -> Pairs:
     """Compute min Re(1 + G(jw)) for L = (12, 15), and compare its sign with the certificate.
 
-    G = C (sI - A)^-1 L = (b s + a) / (s + 1)^2 with a = 2 l1 + l2, b = l1, v = w^2.
+    G = C (sI - A)^-1 L = (l1 s + 2 l1 + l2) / (s + 1)^2, and v = w^2.
     """
     A, _, C = linear
     L = np.array([L_POLES]).T
@@ -140,16 +141,15 @@ def _certificate_facts(linear: Matrices) -> Pairs:
     w = np.linspace(0.0, 20.0, 20001)  # [rad/s]
     G = C @ np.linalg.solve(1j * w[:, None, None] * np.eye(2) - A, L)
     sampled = 1 + G.real.ravel()
-    a, b = 2 * l1 + l2, l1
-    # Re G = (a + (2 b - a) v) / (1 + v)^2; its derivative vanishes at v = (2 b - 3 a) / (2 b - a).
-    v = (2 * b - 3 * a) / (2 * b - a)
-    least = 1 + (a + (2 * b - a) * v) / (1 + v) ** 2
+    # Re G = (2 l1 + l2 - l2 v) / (1 + v)^2; its derivative vanishes at v = 3 + 4 l1 / l2.
+    v = 3 + 4 * l1 / l2
+    least = 1 + (2 * l1 + l2 - l2 * v) / (1 + v) ** 2
     proof = certify(linear, L, np.array([2.0]))
     where = "omega_n = 1, L = (12, 15)"
-    return {
-        (where, "min Re(1 + G(jw))"): (sampled.min(), least),
-        (where, "w of that minimum [rad/s]"): (w[sampled.argmin()], np.sqrt(v)),
-        (where, "certified (1: yes)"): (proof.certified, least > 0),
+    return where, {
+        "min Re(1 + G(jw))": (sampled.min(), least),
+        "w of that minimum [rad/s]": (w[sampled.argmin()], np.sqrt(v)),
+        "certified (1: yes)": (proof.certified, least > 0),
     }
 
 
@@ -167,22 +167,23 @@ def response_to_force(amplitude: float) -> tuple[Floats, dict[str, Floats]]:
     return t, dict(zip(READINGS, responses, strict=True))
 
 
-def _response_facts(amplitude: float) -> Pairs:
+def _response_facts(amplitude: float) -> list[Pairs]:
     """Compute the steady amplitude with u = r, and the peak from rest if both poles are equal."""
-    pairs: Pairs = {}
+    groups: list[Pairs] = []
     t, outputs = response_to_force(amplitude)
     for name, z in outputs.items():
         A, B, _ = linear_matrices(READINGS[name].plant)
         a0, a1 = -A[1]  # of the plant's polynomial s^2 + a1 s + a0
         force = amplitude * B[1, 0]
         where = f"{name}, u = {amplitude:g} sin 2 pi t"
-        last = largest_absolute(z[t >= t[-1] - STEADY])
+        last = largest_absolute(z[t >= t[-1] - LAST])
         steady = force / np.hypot(a0 - OMEGA**2, a1 * OMEGA)
-        pairs[where, "steady amplitude of z"] = last, steady
+        pairs = {"steady amplitude of z": (last, steady)}
         if np.isclose(a1**2, 4 * a0):
             peak = largest_absolute(_double_pole_response(force, a1 / 2, t))
-            pairs[where, "peak of |z| from rest"] = largest_absolute(z), peak
-    return pairs
+            pairs["peak of |z| from rest"] = largest_absolute(z), peak
+        groups.append((where, pairs))
+    return groups
 
 
 def _double_pole_response(force: float, w: float, t: Floats) -> Floats:

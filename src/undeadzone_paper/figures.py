@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -14,7 +14,8 @@ from undeadzone.util.arrays import Floats
 from undeadzone_paper.equations import FIGURES
 from undeadzone_paper.example import D
 from undeadzone_paper.measures import reading_estimate
-from undeadzone_paper.theorem import ESTIMATED, GIVEN, RIGHT, TheoremOutcome, select_outcomes
+from undeadzone_paper.printed import RIGHT, Outcome
+from undeadzone_paper.theorem import ESTIMATED, GIVEN, select_outcomes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -33,7 +34,7 @@ class RunTrio(NamedTuple):
     Attributes:
         resting: as printed, from rest
         begun: as printed, started outside the zone
-        repaired: as repaired
+        repaired: as repaired, started there too
     """
 
     resting: Run
@@ -46,7 +47,7 @@ class SignalLine(NamedTuple):
 
     name: str
     colour: str
-    value: Callable[[Run], Floats]
+    value: Callable[[Run], Any]
 
 
 Y_HAT: Final = "\u0177"
@@ -77,75 +78,60 @@ _SECOND_ERROR: Final = _line_of_error(
     _line_of(X2_HAT, ink.ESTIMATE, "x_hat", 1), _line_of(X2, ink.TRUTH, "x", 1)
 )
 _OUTPUT: Final = _line_of("z", ink.TRUTH, "z")
+_V: Final = SignalLine("V", ink.TRUTH, lambda run: run.V)
 _WIDTHS: Final = (
     _line_of(f"{D_HAT} right", ink.ESTIMATE, "d_hat"),
     _line_of(f"{D_HAT} left", ink.OTHER, "d_hat", 1),
 )
 _LINES: Final = {
-    3: (_READING, _READING_HAT),
-    4: (_line_of_error(_READING_HAT, _READING),),
-    5: (_FIRST, _FIRST_HAT),
-    6: (_FIRST_ERROR,),
-    7: (_SECOND_ERROR,),
-    8: _WIDTHS,
+    "figure_3": (_READING, _READING_HAT),
+    "figure_4": (_line_of_error(_READING_HAT, _READING),),
+    "figure_5": (_FIRST, _FIRST_HAT),
+    "figure_6": (_FIRST_ERROR,),
+    "figure_7": (_SECOND_ERROR,),
+    "figure_8": _WIDTHS,
+    "tracking": (_OUTPUT, _line_of("\u03b8 desired", ink.REFERENCE, "r")),
+    "V": (_V,),
+}
+_TITLES: Final = {
+    **{f"figure_{number}": f"Figure {number}: {words}" for number, words in FIGURES.items()},
+    "tracking": "Output z and desired trajectory",
+    "V": "V(t), of (30) as printed, of the certificate as repaired",
 }
 
 
-def plot_paper_figure(number: int, runs: RunTrio, reference: str) -> Figure:
-    """Plot one of figures 3-8.
+def plot_pair(name: str, runs: RunTrio, reference: str) -> Figure:
+    """Plot signals as printed and as repaired, and the first of them from rest as printed.
 
     Args:
-        number: of the figure
+        name: figure_3 to figure_8; tracking, z beside the desired trajectory; or V
         runs: that it shows
         reference: of these runs, in words
     """
-    title = f"Figure {number}: {add_hats(FIGURES[number])}, {reference}"
-    return _plot_pair(title, _LINES[number], runs, _LINES[number][0])
-
-
-def plot_tracking(runs: RunTrio, reference: str) -> Figure:
-    """Plot z beside the desired trajectory, as in the text of figures 3 and 4."""
-    title = f"Output z and desired trajectory, {reference}"
-    desired = _line_of("\u03b8 desired", ink.REFERENCE, "r")
-    return _plot_pair(title, (desired, _OUTPUT), runs, _OUTPUT)
-
-
-def _plot_pair(
-    title: str, lines: tuple[SignalLine, ...], runs: RunTrio, from_rest: SignalLine
-) -> Figure:
-    """Plot lines as printed and as repaired, with a signal from rest as printed."""
+    title = f"{add_hats(_TITLES[name])}, {reference}"
     sketch, panels = create_panels([["printed", "repaired"]], title)
-    axes = panels["printed"]
+    lines = _LINES[name]
+    axes, mended = panels.values()
     _plot_lines(axes, lines, runs.begun)
-    _plot_from_rest(axes, runs.resting, from_rest.value)
-    start = f"As printed, started at {X1} = {runs.begun.x[0, 0]:g}"
-    finish_panel(axes, start, ", ".join(line.name for line in lines))
-    _plot_lines(panels["repaired"], lines, runs.repaired)
-    finish_panel(panels["repaired"], "Repaired")
+    window = runs.resting.t <= axes.dataLim.x1
+    t, value = runs.resting.t[window], lines[0].value(runs.resting)[window]
+    axes.plot(t, value, color=ink.PRINTED, linewidth=1.0, label="from rest")
+    start = f"started at {X1} = {runs.begun.x[0, 0]:g}"
+    finish_panel(axes, f"As printed, {start}", ", ".join(line.name for line in lines))
+    if name == "V":
+        plot_magnitude(mended, runs.repaired.t, _V.value(runs.repaired), ink.TRUTH, "V")
+    else:
+        _plot_lines(mended, lines, runs.repaired)
+    finish_panel(mended, f"Repaired, {start}", "V" * (name == "V"))
     return sketch
 
 
-def plot_V(runs: RunTrio, reference: str) -> Figure:
-    """Plot V of (30) as printed, and V of the certificate."""
-    sketch, panels = create_panels([["printed", "repaired"]], f"V(t), {reference}")
-    axes = panels["printed"]
-    axes.plot(runs.begun.t, _values_of_V(runs.begun), color=ink.TRUTH, label="started outside")
-    _plot_from_rest(axes, runs.resting, _values_of_V)
-    finish_panel(axes, "V of (30), as printed", "V")
-    V = _values_of_V(runs.repaired)
-    plot_magnitude(panels["repaired"], runs.repaired.t, V, ink.TRUTH, "V")
-    finish_panel(panels["repaired"], "V of the certificate, repaired", "V", legend=0)
-    return sketch
-
-
-def plot_theorem(
-    runs: tuple[Run, ...], repaired: Run, outcomes: Sequence[TheoremOutcome]
-) -> Figure:
+def plot_theorem(runs: tuple[Run, ...], repaired: Run, outcomes: Sequence[Outcome]) -> Figure:
     """Plot Theorem 4.1 with its own law (29).
 
     Args:
         runs: with d - d^ given, and with it estimated, started outside the zone with d^ = d
-        repaired: the example as repaired
+        repaired: the example as repaired, started there
         outcomes: of every reading of the theorem
     """
     title = "Theorem 4.1 with its own law (29): d \u2212 d\u0302 given, and estimated"
@@ -162,35 +148,32 @@ def plot_theorem(
     words = f"Largest |{D_HAT} \u2212 d|, which began at 0"
     finish_panel(panels["widths"], words, "error [z]", legend=2)
     readings = panels["readings"]
+    readings.set_yscale("log")
     for name, colour in names.items():
-        _plot_sorted_errors(readings, outcomes, name, colour)
+        errors = sorted(outcome.worst_error for outcome in select_outcomes(outcomes, name))
+        finite = np.array(errors)[np.isfinite(errors)]
+        readings.plot(np.arange(finite.size) + 1, np.maximum(finite, LEAST), ".", color=colour)
     readings.axhline(RIGHT, color=ink.ZONE, linewidth=1.0, label="right up to here")
     words = "Error of each reading at its end"
     finish_panel(readings, words, "error", "reading, sorted; missing: diverged", 3)
     return sketch
 
 
-def _plot_sorted_errors(
-    axes: Axes, outcomes: Sequence[TheoremOutcome], mismatch: str, colour: str
-) -> None:
-    """Plot the errors of the readings of (29) as printed, in their order."""
-    errors = [outcome.worst_error for outcome in select_outcomes(outcomes, mismatch)]
-    finite = [error for error in sorted(errors) if np.isfinite(error)]
-    axes.set_yscale("log")
-    axes.plot(range(1, len(finite) + 1), np.maximum(finite, LEAST), ".", color=colour)
-
-
 def add_hats(words: str) -> str:
     """Return words with letters in place of x1, x^1, y^ and d^."""
-    letters = {"x^1": X1_HAT, "x^2": X2_HAT, "x1": X1, "x2": X2, "y^": Y_HAT, "d^": D_HAT}
+    letters = {
+        "x^1": X1_HAT,
+        "x^2": X2_HAT,
+        "x1": X1,
+        "x2": X2,
+        "y^": Y_HAT,
+        "d^": D_HAT,
+        "omega_n": "\u03c9\u2099",
+        " pi": "π",
+    }
     for plain, letter in letters.items():
         words = words.replace(plain, letter)
     return words
-
-
-def _values_of_V(run: Run) -> Floats:
-    """Return V of a run (N), NaN if it has none."""
-    return np.full(run.t.size, np.nan) if run.V is None else run.V
 
 
 def _plot_lines(axes: Axes, lines: tuple[SignalLine, ...], run: Run) -> None:
@@ -202,14 +185,6 @@ def _plot_lines(axes: Axes, lines: tuple[SignalLine, ...], run: Run) -> None:
     for line, dashes in zip(lines, ("-", DASHED if paired else "-"), strict=False):
         value = line.value(run)[window]
         axes.plot(run.t[window], value, color=line.colour, label=line.name, linestyle=dashes)
-
-
-def _plot_from_rest(axes: Axes, run: Run, value: Callable[[Run], Floats]) -> None:
-    """Plot a thin line of the run from rest, up to the end of the panel."""
-    window = run.t <= axes.dataLim.x1
-    axes.plot(
-        run.t[window], value(run)[window], color=ink.PRINTED, linewidth=1.0, label="from rest"
-    )
 
 
 def plot_silence(t: Floats, outputs: Mapping[str, Floats]) -> Figure:
@@ -226,9 +201,8 @@ def plot_silence(t: Floats, outputs: Mapping[str, Floats]) -> Figure:
     for axes in panels.values():
         shade_zone(axes, D, D)
         for (reading, z), colour in zip(outputs.items(), _COLOURS, strict=True):
-            name = reading.replace("omega_n", "\u03c9\u2099").replace(" pi", "π")
             if axes is everything or np.abs(z).max() < D:
-                axes.plot(t[early], z[early], color=colour, label=name)
+                axes.plot(t[early], z[early], color=colour, label=add_hats(reading))
     inside.set_ylim(-D / 2, D / 2)
     leaves = "Only with unity DC gain does the output leave the dead zone"
     finish_panel(everything, leaves, "output z", legend=5)

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate
 from undeadzone.nonlinearities.sensor import indicators, saturation
-from undeadzone.observers.adaptive.adaptation_laws import to_width_pairs
 from undeadzone.plants.system import System
 from undeadzone.registry import Options
 from undeadzone.util.arrays import Array, Floats
@@ -64,15 +61,13 @@ class PrintedLaw(Options, frozen=True, kw_only=True, tag="printed"):
 
     def _law_numbers(self, model: System) -> LawParams:
         """Return the law's numbers. Raises InputError, ShapeError, StructureError."""
-        L, alpha, P = printed_gains(self, model, "controller")
+        L, alpha, P, right, left = printed_gains(self, model, "controller", "widths")
         _, B, C = model.linear
-        widths = 0.0 if self.widths is None else self.widths
-        right, left = to_width_pairs("controller.widths", widths, 1)[0]
         return LawParams(
             of_reading=alpha * (B.T @ P @ C.T)[0],
             of_widths=alpha * (B.T @ P @ L)[0],
-            right=np.array([right]),
-            left=np.array([left]),
+            right=right,
+            left=left,
             **read_numbers(self, "controller", "sharpness", "sign", "left_sign"),
         )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from typing import Final
 
 import numpy as np
 
@@ -14,6 +15,8 @@ from undeadzone.results.run import LAST, Run
 from undeadzone.results.scales import LIMIT
 from undeadzone.util.arrays import Floats
 from undeadzone_paper.example import ALPHA, L_PRINTED, example_as_printed
+
+SHARPNESS: Final = 100.0  # k_s of tanh(k_s y), (8)
 
 
 def largest_absolute(values: Floats) -> float:
@@ -59,14 +62,16 @@ def with_printed_V(run: Run) -> Run:
 
 def rms_or_inf(values: Floats) -> float:
     """Return the root mean square, or inf if the values diverge."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        size = float(np.sqrt(np.mean(np.square(values))))
+    size = float(np.linalg.norm(values) / np.sqrt(np.size(values)))
     return size if size < LIMIT else np.inf
 
 
 def worst_value(measure: Callable[[Run], float], runs: Iterable[Run]) -> float:
     """Return the largest value of a quantity among runs, infinite if one of them diverges."""
-    return max(np.inf if run.divergence_time is not None else measure(run) for run in runs)
+    runs = list(runs)
+    if any(run.divergence_time is not None for run in runs):
+        return np.inf
+    return max(map(measure, runs))
 
 
 def reading_error(run: Run) -> float:
@@ -119,15 +124,10 @@ def total_inverse_error(run: Run) -> float:
     return rms_or_inf((run.z_inverse - run.z)[run.last])
 
 
-def indicator_error(run: Run, sharpness: float) -> float:
-    """Return the largest error of the smooth indicators (8)-(10) of y for the branch of z [1].
-
-    Args:
-        run: of one output
-        sharpness: k_s of tanh(k_s y)
-    """
+def indicator_error(run: Run) -> float:
+    """Return the largest error of the smooth indicators (8)-(10) of y for the branch of z [1]."""
     where = zone(run.z, *np.array(run.info.widths))
-    right, left = indicators(run.y, sharpness)
+    right, left = indicators(run.y, SHARPNESS)
     return largest_absolute(np.hstack([right - (where > 0), left - (where < 0)]))
 
 

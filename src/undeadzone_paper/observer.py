@@ -73,26 +73,26 @@ class Printed(Options, frozen=True, kw_only=True, tag="printed"):
 
     def _observer_numbers(self, model: System) -> PrintedParams:
         """Return the observer's numbers. Raises InputError, ShapeError, StructureError."""
-        L, _, P = printed_gains(self, model, "observer")
-        right, left = to_width_pairs("observer.widths0", self.widths0, 1)[0]
+        L, _, P, right, left = printed_gains(self, model, "observer", "widths0")
         return PrintedParams(
             model=model.params,
             L=L,
             cpl=model.linear.C @ P @ L,
             feed_input=np.float64(self.feed_input),
-            right0=np.array([right]),
-            left0=np.array([left]),
+            right0=right,
+            left0=left,
             **read_numbers(self, "observer", "sigma", "sharpness", "left_sign"),
         )
 
 
-def printed_gains(options: Any, model: System, table: str) -> tuple[Floats, float, Floats]:
-    """Return L (n x 1), alpha, and P of (34) with A - L C.
+def printed_gains(options: Any, model: System, table: str, widths: str) -> tuple[Any, ...]:
+    """Return L (n x 1), alpha, P of (34) with A - L C, and widths right (1), left (1).
 
     Args:
         options: of the observer or the law as printed, with L, alpha and Q
         model: the model
         table: of the options in a scenario, named in errors
+        widths: the option that has the widths
 
     Raises:
         InputError, ShapeError, StructureError: options that the model cannot take
@@ -101,7 +101,9 @@ def printed_gains(options: Any, model: System, table: str) -> tuple[Floats, floa
     L = innovation_gain(options.L, model, f"{table}.L")
     alpha = require_number(f"{table}.alpha", options.alpha, above=0.0)
     Q = require_weight(f"{table}.Q", options.Q, model.n)
-    return L, alpha, paper_riccati(A - L @ C, B, alpha, Q).P
+    given = getattr(options, widths)
+    pairs = to_width_pairs(f"{table}.{widths}", 0.0 if given is None else given, 1)
+    return L, alpha, paper_riccati(A - L @ C, B, alpha, Q).P, *pairs.T
 
 
 def read_numbers(options: Any, table: str, *names: str) -> dict[str, Any]:

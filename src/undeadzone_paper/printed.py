@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from itertools import product
+from operator import attrgetter
 from typing import Any, Final, NamedTuple
 
 import msgspec
@@ -34,11 +35,14 @@ from undeadzone_paper.example import (
     D,
     example_as_printed,
 )
+from undeadzone_paper.measures import largest_absolute
 from undeadzone_paper.observer import Printed
 
 STEP: Final = 5e-3  # [s]
 DURATION: Final = 12.0  # [s]; what diverges has done so by then
 LAST: Final = 4.0  # [s] over which the steady amplitude is read
+LATE: Final = 2.0  # [s] over which errors are read
+RIGHT: Final = 0.05  # errors of widths and state up to which a run ends right
 LIMIT: Final = 1e6  # beyond it a variant has diverged
 MOVED: Final = 1e-9  # change of d^ that counts as a move
 
@@ -80,7 +84,7 @@ class Variant(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """Outcome of a variant.
+    """Outcome of a variant of the example, or of Theorem 4.1.
 
     Attributes:
         variant: which one
@@ -89,19 +93,38 @@ class Outcome(NamedTuple):
         leaves_zone: whether z leaves the dead zone
         moves_widths: whether d^ moves
         diverged_at: when a signal leaves +-LIMIT [s] (None: never)
+        width_error: largest |d^ - d|, last 2 s (inf: diverged)
+        state_error: largest |x^ - x|, last 2 s (inf: diverged)
     """
 
-    variant: Variant
+    variant: Any
     steady: float | None
     peak: float
     leaves_zone: bool
     moves_widths: bool
     diverged_at: float | None
+    width_error: float
+    state_error: float
 
     @property
-    def flags(self) -> tuple[bool, ...]:
-        """Return whether it leaves the zone, moves d^, diverges: what is counted."""
-        return self.leaves_zone, self.moves_widths, self.diverged_at is not None
+    def diverges(self) -> bool:
+        """Return whether a signal leaves +-LIMIT."""
+        return self.diverged_at is not None
+
+    @property
+    def ends_right(self) -> bool:
+        """Return whether the errors of widths and state end small."""
+        return self.worst_error <= RIGHT
+
+    @property
+    def leaves_true_widths(self) -> bool:
+        """Return whether a run that begins at d^ = d and survives ends with wrong widths."""
+        return self.variant.width == D and RIGHT < self.width_error < np.inf
+
+    @property
+    def worst_error(self) -> float:
+        """Return the larger of both errors."""
+        return max(self.width_error, self.state_error)
 
 
 class VariantCount(NamedTuple):
@@ -115,6 +138,10 @@ class VariantCount(NamedTuple):
     diverge: int
 
 
+ZONE_FLAGS: Final = ("leaves_zone", "moves_widths", "diverges")
+"""What is counted of outcomes, in the order of `VariantCount`."""
+
+
 def run_variants(progress: Callable[[int], None] | None) -> list[Outcome]:
     """Run every variant, 4 plants x 3 starts x 48, with r = 5 sin 2 pi t.
 
@@ -126,7 +153,20 @@ def run_variants(progress: Callable[[int], None] | None) -> list[Outcome]:
         READINGS, GAINS, STARTS, (False, True), signs, signs, (-1.0, 1.0)
     )
     variants = [Variant(plant, start, L, *more) for plant, L, start, *more in choices]
-    runs = run_family([example_of_variant(variant) for variant in variants], progress)
+    return run_all(variants, example_of_variant, progress)
+
+
+def run_all(
+    variants: list[Any], build: Callable[[Any], Scenario], progress: Callable[[int], None] | None
+) -> list[Outcome]:
+    """Run variants of one graph.
+
+    Args:
+        variants: of the example, or of the theorem
+        build: builds the scenario of a variant
+        progress: called with the number of steps just done
+    """
+    runs = run_family([build(variant) for variant in variants], progress)
     return [_build_outcome(*pair) for pair in zip(variants, runs, strict=True)]
 
 
@@ -138,17 +178,22 @@ def example_of_variant(variant: Variant) -> Scenario:
     law = PD(L=L, alpha=ALPHA).build(model).params
     return example_as_printed(5.0) | {
         "plant": msgspec.structs.replace(READINGS[variant.plant].plant, x0=[x1, 0.0]),
-        "observer": Printed(
-            L=L,
-            sigma=variant.sigma,
-            alpha=ALPHA,
-            widths0=width,
-            feed_input=variant.feeds_input,
-            left_sign=variant.left_sign,
-        ),
+        "observer": observer_of_variant(variant, L, width, variant.sigma),
         "controller": PD(k_p=variant.pd_sign * law.k_p, k_d=variant.pd_sign * law.k_d),
         "simulation": Simulation(duration=DURATION, step=STEP),
     }
+
+
+def observer_of_variant(variant: Any, L: Floats, width: float, sigma: float = 1.0) -> Printed:
+    """Return the observer of a variant of the example, or of the theorem, with d^(0) = width."""
+    return Printed(
+        L=L,
+        sigma=sigma,
+        alpha=ALPHA,
+        widths0=width,
+        feed_input=variant.feeds_input,
+        left_sign=variant.left_sign,
+    )
 
 
 def run_family(
@@ -180,45 +225,56 @@ def run_family(
 
 def gain_by_name(name: str, model: System) -> Floats:
     """Return L by name (2): (40), its negative, or the gain that places the poles of (40)."""
-    if name == "placed":
-        return observer_gain(model.linear, POLES, None).ravel()
-    return np.array(L_PRINTED) * {"printed": 1.0, "negated": -1.0}[name]
+    printed = np.array(L_PRINTED)
+    placed = observer_gain(model.linear, POLES, None).ravel()
+    return dict(zip(GAINS, (printed, -printed, placed), strict=True))[name]
 
 
-def count_outcomes(outcomes: Iterable[Any], fields: int) -> list[tuple[Any, ...]]:
+def count_outcomes(
+    outcomes: Iterable[Outcome], fields: int, flags: tuple[str, ...]
+) -> list[tuple[Any, ...]]:
     """Count outcomes by the first fields of their variants, in their order.
 
     Args:
-        outcomes: with their variants and their flags
+        outcomes: with their variants
         fields: how many fields of a variant name its group
+        flags: what is counted
 
     Returns:
         Rows of these fields, the outcomes of the group, and the counts of each flag.
     """
-    groups: dict[tuple[Any, ...], list[tuple[bool, ...]]] = {}
+    groups: dict[tuple[Any, ...], list[Outcome]] = {}
     for outcome in outcomes:
-        groups.setdefault(outcome.variant[:fields], []).append(outcome.flags)
-    return [(*key, len(flags), *np.sum(flags, axis=0).tolist()) for key, flags in groups.items()]
+        groups.setdefault(outcome.variant[:fields], []).append(outcome)
+    return [(*key, len(group), *count_flags(group, flags)) for key, group in groups.items()]
 
 
-def _build_outcome(variant: Variant, signal: Outputs) -> Outcome:
+def count_flags(outcomes: Iterable[Outcome], flags: tuple[str, ...]) -> list[int]:
+    """Count the outcomes with each of some flags."""
+    get_flags = attrgetter(*flags)
+    return np.sum([get_flags(outcome) for outcome in outcomes], axis=0).tolist()
+
+
+def _build_outcome(variant: Any, signal: Outputs) -> Outcome:
     """Compute the outcome from the signals up to their divergence."""
-    diverged = first_divergence(signal)
-    end = len(signal.z) if diverged is None else diverged
+    end = _first_divergence(signal)
     z = np.abs(signal.z[:end, 0])
-    widths = np.hstack([signal.estimate.right, signal.estimate.left])[:end]
-    steady = float(z[-round(LAST / STEP) :].max())
+    widths = np.hstack([signal.estimate.right, signal.estimate.left])
+    errors = (widths - D, signal.estimate.x - signal.x)
+    late = [largest_absolute(error[-round(LATE / STEP) :]) for error in errors]
     return Outcome(
         variant,
-        steady=None if diverged is not None else steady,
+        steady=float(z[-round(LAST / STEP) :].max()) if end is None else None,
         peak=float(z.max()),
         leaves_zone=bool(z.max() > D),
-        moves_widths=bool(np.abs(widths - widths[0]).max() > MOVED),
-        diverged_at=None if diverged is None else diverged * STEP,
+        moves_widths=bool(np.abs(widths[:end] - widths[0]).max() > MOVED),
+        diverged_at=None if end is None else end * STEP,
+        width_error=late[0] if end is None else np.inf,
+        state_error=late[1] if end is None else np.inf,
     )
 
 
-def first_divergence(signal: Outputs) -> int | None:
+def _first_divergence(signal: Outputs) -> int | None:
     """Return the number of the first sample with a signal beyond `LIMIT`, or None."""
     largest = np.abs(np.hstack([*signal[:-1], *signal.estimate])).max(axis=1)
     bad = np.flatnonzero(~(largest < LIMIT))

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 from undeadzone.report.html import Origin
-from undeadzone.util.files import replace_file, write_text
-from undeadzone_paper.audit import Paper, Progress
+from undeadzone.util.files import write_text
+from undeadzone_paper.audit import Paper
 from undeadzone_paper.page import write_audit_figures, write_audit_page
 from undeadzone_paper.printed import Outcome, Variant
 
@@ -17,7 +19,7 @@ def write(
     paper: Paper,
     folder: Path,
     figures: bool = True,
-    progress: Progress | None = None,
+    progress: Callable[[int], None] | None = None,
     origin: Origin | None = None,
 ) -> list[Path]:
     """Write paper.json and variants.csv, and figures 1-8 and report.html if wanted.
@@ -49,11 +51,8 @@ def write(
 
 def _write_variants(outcomes: list[Outcome], path: Path) -> Path:
     """Write a line for each variant and its outcome."""
-    with (
-        replace_file(path) as temporary,
-        open(temporary, "w", newline="", encoding="utf-8") as file,
-    ):
-        writer = csv.writer(file)
-        writer.writerow([*Variant._fields, *Outcome._fields[1:]])
-        writer.writerows([*outcome.variant, *outcome[1:]] for outcome in outcomes)
-    return path
+    text = io.StringIO()
+    writer = csv.writer(text)
+    writer.writerow([*Variant._fields, *Outcome._fields[1:6]])
+    writer.writerows([*outcome.variant, *outcome[1:6]] for outcome in outcomes)
+    return write_text(text.getvalue(), path)

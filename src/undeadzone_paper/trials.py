@@ -49,11 +49,12 @@ from undeadzone_paper.example import (
     example_as_repaired,
 )
 from undeadzone_paper.law import PrintedLaw
+from undeadzone_paper.printed import count_flags
 from undeadzone_paper.theorem import (
+    ERROR_FLAGS,
     ESTIMATED,
     GIVEN,
     OTHER_SIGN,
-    count_diverging,
     is_kindest,
     select_outcomes,
 )
@@ -75,7 +76,7 @@ class ClaimNumbers(NamedTuple):
 
 Numbers: TypeAlias = dict[str, ClaimNumbers]  # by the claim's id
 
-SHARPNESS: Final = 100.0  # k_s of tanh(k_s y), (8)
+EXACT: Final = 1e-3  # rms of x^1 - x1 up to which an observer observes
 EQUAL: Final = 1e-12  # rms of y^ - y up to which they are equal
 SIGNS: Final = {"with d_l > 0": D, "with d_l < 0": -D}  # d_l by case
 
@@ -88,7 +89,6 @@ def measure_claims(evidence: Evidence) -> Numbers:
         **_gain_claims(linear_matrices(example_as_printed(1.0).plant)),
         **_observer_claims(evidence),
         **_width_claims(evidence),
-        **{name: _measure_ratios(evidence, cases) for name, cases in TABLES["relative"].items()},
         **_comparison_claims(evidence),
         **_theorem_claims(evidence),
         **{name: _missing_words(*words) for name, words in TABLES["announced"].items()},
@@ -98,28 +98,23 @@ def measure_claims(evidence: Evidence) -> Numbers:
     silent = evidence.printed[NOMINAL][RESTING][0]
     named = {
         "tanh-term": {"worse": with_term / without},
-        "output-harder": {"silence": float((at_output.side[:, 0] == 0).mean())},
+        "output-harder": {"silence": (at_output.side == 0).mean()},
         "tracking": {"moved": m.largest_absolute(silent.z[silent.last])},
     }
     return numbers | {name: numbers[name]._replace(named=more) for name, more in named.items()}
 
 
-def _measure_rows(e: Evidence, measure: str, printed: str, repaired: str) -> ClaimNumbers:
+def _measure_rows(
+    e: Evidence, measure: str, printed: str, repaired: str, beside: str = ""
+) -> ClaimNumbers:
     """Compute a quantity on a row of runs as printed, and on one as repaired."""
     worst = partial(m.worst_value, getattr(m, measure))
+    scale = worst(e.repaired[beside]) if beside else 1.0
+    cases = e.printed[printed] if printed in e.printed else {"": e.repaired[printed]}
     return ClaimNumbers(
-        {case: worst(runs) for case, runs in e.printed[printed].items()},
-        worst(e.repaired[repaired]),
+        {case: worst(runs) / scale for case, runs in cases.items()},
+        worst(e.repaired[repaired]) / scale if repaired else None,
     )
-
-
-def _measure_ratios(e: Evidence, cases: dict[str, list[str]]) -> ClaimNumbers:
-    """Compute a quantity on a row of repaired runs, relative to another row, by case."""
-    ratios = {}
-    for case, (measure, row, beside) in cases.items():
-        worst = partial(m.worst_value, getattr(m, measure))
-        ratios[case] = worst(e.repaired[row]) / worst(e.repaired[beside])
-    return ClaimNumbers(ratios, None)
 
 
 def _single(value: float, repaired: float | None = None, **named: Any) -> ClaimNumbers:
@@ -161,7 +156,7 @@ def _sensor_claims(e: Evidence) -> Numbers:
         "width-bound": ClaimNumbers(widths, max(0.0, largest - saturation_bound(D, D))),
         "figure-1": ClaimNumbers(figure_1, max(_deviation(run, run.z) for run in nominal)),
         "indicators": _single(
-            max(m.indicator_error(run, SHARPNESS) for run in e.printed[NOMINAL][RESTING]),
+            max(map(m.indicator_error, e.printed[NOMINAL][RESTING])),
             max(map(m.side_error, nominal)),
         ),
         "unit-slope": _single(of_slope, m.largest_absolute(nominal[0].d_hat - scaled.d_hat)),
@@ -176,20 +171,20 @@ def _deviation(run: Run, x: Floats) -> float:
 def _gain_claims(linear: Matrices) -> Numbers:
     """Compute the numbers of the claims on the gains (40) and (42)."""
     placed = observer_gain(linear, POLES, None).ravel()
-    printed_drift = m.error_matrix(linear, L_PRINTED)
+    printed_drift = m.error_matrix(linear)
     left, right = np.sort(np.linalg.eigvals(printed_drift).real)
     return {
         "observer-poles": _single(
             pole_error(linear, L_PRINTED),
             pole_error(linear, placed),
-            leftmost=float(left),
-            rightmost=float(right),
+            leftmost=left,
+            rightmost=right,
         ),
         "riccati-gain": _single(
             max(innovation_loop_pole(linear, alpha) for alpha in _alphas()),
             _worst_rightmost_pole(linear, linear.A),
             brink=destabilising_alpha(linear, m.error_matrix(linear, L_POLES)),
-            fed=float(right),
+            fed=right,
             fed_back=_worst_rightmost_pole(linear, printed_drift),
         ),
     }
@@ -212,9 +207,9 @@ def _worst_rightmost_pole(linear: Matrices, drift: Floats) -> float:
     return max(rightmost_pole(linear, drift, alpha) for alpha in _alphas())
 
 
-def _alphas() -> list[float]:
+def _alphas() -> Floats:
     """Return the values of alpha that are tried."""
-    return np.geomspace(CONDITIONS["least_alpha"], CONDITIONS["most_alpha"], 51).tolist()
+    return np.geomspace(CONDITIONS["least_alpha"], CONDITIONS["most_alpha"], 51)
 
 
 def innovation_loop_pole(linear: Matrices, alpha: float) -> float:
@@ -224,7 +219,7 @@ def innovation_loop_pole(linear: Matrices, alpha: float) -> float:
     x~' = (A - L C) x~ - B (k_p C + k_d C (A - L C)) x~, as C B = 0. The plant adds the poles of A.
     """
     _, B, C = linear
-    drift = m.error_matrix(linear, L_PRINTED)
+    drift = m.error_matrix(linear)
     k_p, k_d = m.printed_riccati(linear, drift, alpha).K[0]
     closed = drift - B @ (k_p * C + k_d * C @ drift)
     return float(np.linalg.eigvals(closed).real.max())
@@ -232,38 +227,27 @@ def innovation_loop_pole(linear: Matrices, alpha: float) -> float:
 
 def destabilising_alpha(linear: Matrices, drift: Floats) -> float:
     """Return the least alpha, within bounds, from which A - B K with K of (34) is unstable."""
-
-    def excess(exponent: float) -> float:
-        """Return the rightmost pole at alpha = 10^exponent [1/s]."""
-        return rightmost_pole(linear, drift, 10.0**exponent)
-
     ends = np.log10([CONDITIONS["least_alpha"], CONDITIONS["most_alpha"]])
-    return 10.0 ** float(brentq(excess, *ends, xtol=1e-12))
+    excess = brentq(lambda power: rightmost_pole(linear, drift, 10.0**power), *ends, xtol=1e-12)
+    return float(10.0**excess)
 
 
 def _observer_claims(e: Evidence) -> Numbers:
     """Compute the numbers of the claims on the observer and its loop."""
-    switching = _measure_rows(e, "first_state_error", NOMINAL, NOMINAL)
-    blind = m.first_state_error(*e.repaired["blind"])
-    nominal = e.repaired[NOMINAL]
+    errors = _measure_rows(e, "first_state_error", NOMINAL, NOMINAL).printed
+    cost = observer_operations(example_as_printed(5.0))
     diverging = {case: _any_diverges(runs) for case, runs in e.printed[NOMINAL].items()}
     return {
-        "switching": ClaimNumbers(
-            {case: error / blind for case, error in switching.printed.items()},
-            (switching.repaired or 0.0) / blind,
-        ),
         "bounded": ClaimNumbers(diverging, _any_diverges(e.repaired["off nominal"])),
         "unstable": _single(1.0 - max(diverging.values())),
         "mismatch": _single(
             _mismatch_effect(*e.printed["fixed widths"][""]),
             _mismatch_effect(*e.repaired["fixed widths"]),
         ),
-        "practical": _single(
-            observer_operations(example_as_printed(5.0)),
+        "practical": ClaimNumbers(
+            {case: cost for case, error in errors.items() if error <= EXACT},
             observer_operations(example_as_repaired(5.0)),
-        ),
-        "too-slow": _single(
-            m.width_convergence_rate(*e.repaired["slow"]), m.width_convergence_rate(nominal[0])
+            {"cost": cost},
         ),
         "manipulator": ClaimNumbers(
             e.arm.tracking,
@@ -307,14 +291,21 @@ def _width_claims(e: Evidence) -> Numbers:
         "reference-amplitude": _single(
             m.worst_value(m.width_error, unaware),
             errors["amplitudes"],
-            inside=float(inside.d_hat[-1].max()),
-            grazing_right=float(right),
-            grazing_left=float(left),
+            inside=inside.d_hat[-1].max(),
+            grazing_right=right,
+            grazing_left=left,
             outside=max(m.width_error(outside), errors[NOMINAL]),
         ),
         "reference-centre": _single(abs(float(period.mean()) - (D - D) / 2), still=errors["still"]),
+        "filtering": ClaimNumbers(
+            {
+                "with noise on y": errors["filtered noise"] / errors["noisy"],
+                "with a disturbance": errors["filtered gust"] / errors["disturbed"],
+            },
+            None,
+        ),
         "predetermined": _single(beforehand),
-        "identification": _single(beforehand / m.width_error(*e.repaired["logged"])),
+        "identification": _single(beforehand / errors["logged"]),
         "physical": _single(max((width.high - width.low) / 2 for width in e.identified)),
     }
 
@@ -323,9 +314,6 @@ def _missing_words(*words: str) -> ClaimNumbers:
     """Count the words that no caption and no equation contains. No repair can supply them."""
     text = "\n".join([*FIGURES.values(), *(equation.what for equation in EQUATIONS)])
     return _single(float(sum(word not in text for word in words)))
-
-
-SIMPLE: Final = 1000.0  # operations that a practical step may take
 
 
 def _comparison_claims(e: Evidence) -> Numbers:
@@ -337,10 +325,10 @@ def _comparison_claims(e: Evidence) -> Numbers:
         for name, table in TABLES["controllers"].items()
     }
     words = ", ".join(f"{count:.0f} {name}" for name, count in laws.items())
-    sign, smooth = calm_share(np.sign), calm_share(lambda s: np.tanh(SHARPNESS * s))
+    sign, smooth = calm_share(np.sign), calm_share(lambda s: np.tanh(m.SHARPNESS * s))
     return {
         "others-too-complex": ClaimNumbers(
-            {name: SIMPLE / (count + observer) for name, count in laws.items()},
+            {name: 1000.0 / (count + observer) for name, count in laws.items()},
             None,
             {"laws": f"A law alone takes {words}."},
         ),
@@ -355,7 +343,9 @@ def _theorem_claims(e: Evidence) -> Numbers:
         for mismatch in (GIVEN, ESTIMATED)
     }
     given = select_outcomes(e.theorem, GIVEN)
-    diverge, right, leave = np.sum([outcome.flags for outcome in given], axis=0).tolist()
+    survivors = [outcome for outcome in given if not outcome.diverges]
+    counts = count_flags(given, ERROR_FLAGS)
+    others = select_outcomes(e.theorem, GIVEN, OTHER_SIGN)
     nominal = e.repaired[NOMINAL]
     errors = (m.first_state_error, m.second_state_error, m.width_error)
     return {
@@ -366,15 +356,11 @@ def _theorem_claims(e: Evidence) -> Numbers:
             },
             max(m.worst_value(error, nominal) for error in errors),
             {
-                "diverge": diverge,
-                "right": right,
-                "leave": leave,
-                "survive": sum(
-                    outcome.variant.width == D and outcome.diverged_at is None for outcome in given
-                ),
-                "other_diverge": count_diverging(select_outcomes(e.theorem, GIVEN, OTHER_SIGN)),
+                **dict(zip(("diverge", "right", "leave"), counts, strict=True)),
+                "survive": sum(outcome.variant.width == D for outcome in survivors),
+                "other_diverge": sum(outcome.diverges for outcome in others),
                 "kindest": max(
-                    outcome.width_error or 0.0 for outcome in given if is_kindest(outcome.variant)
+                    outcome.width_error for outcome in survivors if is_kindest(outcome.variant)
                 ),
             },
         ),
@@ -383,7 +369,10 @@ def _theorem_claims(e: Evidence) -> Numbers:
             _change_of_input(*[example_as_repaired(5.0).controller] * 2),
         ),
         "theorem-bounded": ClaimNumbers(
-            {case: count_diverging(group) / len(group) for case, group in printed.items()},
+            {
+                case: sum(outcome.diverges for outcome in group) / len(group)
+                for case, group in printed.items()
+            },
             _any_diverges(e.repaired["both times"]),
         ),
     }
@@ -392,10 +381,9 @@ def _theorem_claims(e: Evidence) -> Numbers:
 def _change_of_input(law: Any, other: Any) -> float:
     """Return the difference of u at equal estimates between a law and the same with another d."""
     model = system(example_as_printed(1.0).plant)
-    x = np.array([2.0, 0.0])
     one = np.ones(1)
-    estimate = Estimate(x, x[:1], one, one, x[:1], one)
-    target = Target(np.zeros(1), np.zeros(2), np.zeros(1))
+    estimate = Estimate(np.array([2.0, 0.0]), 2 * one, one, one, 2 * one, one)
+    target = Target(0 * one, np.zeros(2), 0 * one)
     built = [options.build(model) for options in (law, other)]
     inputs = [each.step(each.params, each.init(each.params), estimate, target)[1] for each in built]
     return m.largest_absolute(np.subtract(*inputs))
@@ -410,16 +398,14 @@ def calm_share(switch: Callable[[Any], Any]) -> float:
     Args:
         switch: in place of the sign of s
     """
-    # of the switched part; of sampling [s]
-    gain = 5.0
-    step = 1e-3
-    Ad, Bd, _ = zoh(linear_matrices(example_as_printed(1.0).plant), step)
+    gain = 5.0  # of the switched part
+    Ad, Bd, _ = zoh(linear_matrices(example_as_printed(1.0).plant), 1e-3)
     x = np.array([1.0, 0.0])
     inputs = []
-    for _ in range(round(5.0 / step)):
+    for _ in range(5000):
         inputs.append(x[0] - gain * float(switch(2.0 * x[0] + x[1])))
         x = Ad @ x + Bd[:, 0] * inputs[-1]
-    jumps = np.abs(np.diff(inputs[-round(2.0 / step) :]))
+    jumps = np.abs(np.diff(inputs[-2000:]))
     return float((jumps < gain / 2).mean())
 
 

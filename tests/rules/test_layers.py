@@ -92,9 +92,10 @@ FLOORS = {
         ("command",),
     ),
     undeadzone_paper: (
-        ("equations", "law", "observer"),
-        ("example",),
-        ("diagrams", "measures", "printed"),
+        ("equations", "observer"),
+        ("example", "law"),
+        ("diagrams", "measures"),
+        ("printed",),
         ("arm", "theorem"),
         ("evidence", "figures"),
         ("trials",),

@@ -36,7 +36,7 @@ from undeadzone_paper.claims import (
     verdict_counts_text,
 )
 from undeadzone_paper.equations import EQUATIONS, FIGURES
-from undeadzone_paper.evidence import BEGUN, CONDITIONS, NOMINAL, RESTING, SIGNED, TABLES
+from undeadzone_paper.evidence import BEGUN, CONDITIONS, NOMINAL, RESTING, TABLES
 from undeadzone_paper.example import (
     ALPHA,
     L_POLES,
@@ -116,7 +116,7 @@ def test_as_printed_but_started_outside_the_widths_run_off_or_the_loop_diverges(
     paper: Paper,
 ) -> None:
     printed = paper.evidence.printed[NOMINAL]
-    begun, signed = printed[BEGUN][0], printed[SIGNED][0]
+    begun, signed = printed[BEGUN][0], printed["from x1 = 5 with d_l < 0"][0]
     assert begun.divergence_time is None
     assert measures.width_error(begun) > D
     assert (begun.V[-1] - begun.V.min()) > 0.1 * begun.V[0]  # V of (30) rises

@@ -75,10 +75,9 @@ def test_the_mended_indicator_is_that_of_the_side_that_was_read() -> None:
 
 
 @pytest.mark.parametrize(
-    ("V", "unseen"), [([0.0, 1.0, 2.0], 0.3), ([1.0, 1.0, 1.0], 0.0), (None, 9.0)]
+    ("V", "unseen"), [([0.0, 1.0, 2.0], 0.3), ([1.0, 1.0, 1.0], 0.0), ([0.0, 0.0, 0.0], 9.0)]
 )
 def test_an_error_is_unseen_where_V_is_0_and_only_there(V: Any, unseen: float) -> None:
     error = np.array([[0.1, -0.3], [5.0, 0.0], [0.0, 9.0]])
-    values = None if V is None else np.array(V)
-    run: Any = SimpleNamespace(t=np.arange(3.0), V=values, x=error, x_hat=0 * error)
+    run: Any = SimpleNamespace(V=np.array(V), x=error, x_hat=0 * error)
     assert _error_at_zero_V(run) == unseen

@@ -10,10 +10,8 @@ from undeadzone_paper.equations import FIGURES
 from undeadzone_paper.evidence import BEGUN, NOMINAL, RESTING
 from undeadzone_paper.figures import (
     RunTrio,
-    plot_paper_figure,
+    plot_pair,
     plot_theorem,
-    plot_tracking,
-    plot_V,
 )
 from undeadzone_paper.page import claims_text
 from undeadzone_paper.theorem import AS_PRINTED
@@ -23,20 +21,24 @@ from undeadzone_paper.theorem import AS_PRINTED
 def runs(paper: Paper) -> RunTrio:
     evidence = paper.evidence
     printed = evidence.printed[NOMINAL]
-    return RunTrio(printed[RESTING][1], printed[BEGUN][1], evidence.repaired[NOMINAL][1])
+    return RunTrio(printed[RESTING][1], printed[BEGUN][1], evidence.repaired["begun"][1])
 
 
 @pytest.mark.parametrize("number", FIGURES)
 def test_a_figure_of_the_paper_has_two_panels_and_none_of_V(number: int, runs: RunTrio) -> None:
-    figure = plot_paper_figure(number, runs, "r")
+    figure = plot_pair(f"figure_{number}", runs, "r")
     assert len(figure.axes) == 2
     assert not [axes for axes in figure.axes if axes.get_ylabel() == "V"]
     assert figure.get_suptitle().startswith(f"Figure {number}: ")
 
 
+def test_both_panels_begin_at_the_same_state(runs: RunTrio) -> None:
+    np.testing.assert_array_equal(runs.begun.x[0], runs.repaired.x[0])
+
+
 def test_V_and_tracking_have_figures_of_their_own(runs: RunTrio) -> None:
-    assert [axes.get_ylabel() for axes in plot_V(runs, "r").axes] == ["V", "V"]
-    printed, repaired = plot_tracking(runs, "r").axes
+    assert [axes.get_ylabel() for axes in plot_pair("V", runs, "r").axes] == ["V", "V"]
+    printed, repaired = plot_pair("tracking", runs, "r").axes
     lines = {str(line.get_label()): line for line in repaired.lines}
     early = runs.repaired.t <= 6.0
     np.testing.assert_array_equal(lines["z"].get_ydata(), runs.repaired.z[early, 0])

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -22,9 +20,8 @@ def test_an_outcome_tells_the_peak_and_the_largest_steady_amplitude(diverged: in
     if diverged is not None:
         z[diverged:] = 1e300
     estimate = Estimate(*[np.zeros((count, 0))] * len(Estimate._fields))
-    widths = estimate._replace(right=nothing, left=nothing)
-    variant: Any = None
-    found = _build_outcome(variant, Outputs(nothing, z, z, nothing, nothing, widths))
+    widths = estimate._replace(x=nothing, right=nothing, left=nothing)
+    found = _build_outcome(None, Outputs(nothing, z, z, nothing, nothing, widths))
     assert found.peak == 3.0
     assert found.leaves_zone
     assert not found.moves_widths

@@ -48,7 +48,7 @@ def test_given_what_its_proof_needs_the_theorem_fails(paper: Paper) -> None:
     assert len(selected) == 64
     assert sum(outcome.diverged_at is not None for outcome in selected) >= 10
     assert sum(outcome.worst_error <= 0.05 for outcome in selected) <= 12
-    assert sum(outcome.leaves_widths for outcome in selected) >= 10
+    assert sum(outcome.leaves_true_widths for outcome in selected) >= 10
     kind = [outcome for outcome in selected if is_kindest(outcome.variant)]
     assert len(kind) == 8
     assert max(outcome.worst_error for outcome in kind) > 0.5

@@ -52,7 +52,11 @@ def test_the_words_of_the_conditions_have_their_numbers() -> None:
 
 
 def test_every_measured_claim_names_a_measure_and_rows_that_exist() -> None:
-    for measure, printed, repaired in TABLES["measured"].values():
+    """And the zone at the input is as wide as stated."""
+    rows = TABLES["repaired"].keys() | TABLES["printed"].keys() | {""}
+    for measure, *names in TABLES["measured"].values():
         assert callable(getattr(measures, measure))
-        assert printed in TABLES["printed"]
-        assert repaired in TABLES["repaired"]
+        assert rows >= {*names}
+    width = abs(1 + 2j * np.pi) ** 2 * D
+    actuator = TABLES["conditions"]["zone at the input"]["actuator"]
+    assert actuator == {"right": pytest.approx(width), "left": pytest.approx(width)}
