@@ -312,7 +312,7 @@ def _plot_crossings(found_log: Identified, columns: dict[str, Floats]) -> Figure
         "duration": "duration [s]",
     }
     middle, *ends = np.quantile(columns["gap"], [0.5, 1 - WITHIN, WITHIN])
-    reach = 2 * float(np.ptp(ends))
+    reach = 2 * np.ptp(ends)
     for name, x_label in places.items():
         axes = panels[name]
         if width is not None:

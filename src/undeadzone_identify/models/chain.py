@@ -463,7 +463,7 @@ def fit_chains(
     zone_model = partial(ChainModel, starts.simulator, zone=True)
     behind = [(zone_model(lags=True), [[0.3], [0.7]]), (zone_model(taps=TAPS), taps)]
     if not data.silent_zeros:  # noise ahead of a zone makes its edges round as well
-        width = float(widths.sum())
+        width = widths.sum()
         shapes = [[1.0, 0.02 * width, 0.02], [1.0, 0.1 * width, 0.4]]
         behind.append((zone_model(lags=True, shaped=True), shapes))
     for model, ends in behind:
@@ -568,7 +568,7 @@ def scan_input(
     starts = list[ScannedStart]()
     for numbers in element.scanned:
         v = element.passes(data.u[:, 0], np.array(numbers))
-        scale = float(v.std())
+        scale = v.std()
         if not 1e-6 < scale < math.inf:
             continue
         passed = data._replace(u=(v / scale)[:, None], climbs=None)

@@ -214,7 +214,7 @@ def fit_play_and_zone(earlier_fits: Sequence[PlayFit | ZoneFit]) -> PlayFit | No
             halves = (0.3, 0.1, 0.5)
         else:
             simulator = earlier.model.simulator
-            halves = (0.8 * float(earlier.model.levels(earlier.theta).mean()),) * 3
+            halves = (0.8 * earlier.model.levels(earlier.theta).mean(),) * 3
         model = PlayModel(simulator, zone=True)
         starts = []
         for half, width in zip(halves, (0.3, 0.5, 0.1), strict=True):
@@ -371,7 +371,7 @@ class MapModel(SimulatedPlant):
         *widths, high, low = theta[self.base :]
         data = self.simulator.data
         read = self.noise_free_readings(self.output(theta), theta)
-        level = self.has_level * float((data.y - read)[data.ok].mean())  # limits included
+        level = self.has_level * (data.y - read)[data.ok].mean()  # limits included
         reached = (end for end in (-low, high) if np.count_nonzero(read == end) >= FEWEST)
         ends = " and ".join(f"{(end + level) * y_scale:.3g}" for end in reached)
         if sum(widths) > 0:

@@ -376,7 +376,7 @@ def few_sample_correction(scores: Floats, row: Floats, count: int) -> tuple[floa
     k = np.arange(1, count + 1)
     covariance = power[np.abs(k[:, None] - k)] + power[k[:, None] + k]  # of the K cosines
     # Squared samples estimate the sums of fourth powers too large by the factor of a Gaussian.
-    excess = GAUSSIAN * float(np.sum((2 * weights * squares) ** 2))
+    excess = GAUSSIAN * np.sum((2 * weights * squares) ** 2)
     # Satterthwaite: (trace C)^2 / trace C^2 degrees of freedom.
     degrees = (np.trace(covariance) ** 2 - excess) / max(
         float(np.sum(covariance**2)) - excess, 1e-300

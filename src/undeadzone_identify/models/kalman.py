@@ -279,7 +279,7 @@ class KalmanObjective:
         """Return value, score, and outer products of the scores, for the free parameters."""
         values, slopes = self.densities_and_scores(p)
         hessian = slopes.T @ slopes + 1e-9 * np.eye(self.free.size)
-        return float(values.sum()), slopes.sum(axis=0), hessian
+        return values.sum(), slopes.sum(axis=0), hessian
 
     def start_from_samples(self, fit: ZoneFit, share: float) -> Floats:
         """Return a start point (P) from a fit of single samples.

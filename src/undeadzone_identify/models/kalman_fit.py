@@ -41,7 +41,7 @@ class KalmanFit(NamedTuple):
     @property
     def bic(self) -> float:
         """Return the BIC, -2 L + P ln N."""
-        count = int(self.objective.data.ok.sum())
+        count = self.objective.data.ok.sum()
         return -2 * self.value + self.objective.free.size * math.log(count)
 
     @property

@@ -109,7 +109,7 @@ class ZoneObjective:
         """Return the log likelihood with the prior of x(0); -inf if theta is inadmissible."""
         if not (self.is_admissible(theta) and np.abs(self.simulator.simulate_z(theta)).max() < FAR):
             return -math.inf
-        total = float(self.z_and_terms(theta)[1].value.sum()) - self._initial_state_penalty(theta)
+        total = self.z_and_terms(theta)[1].value.sum() - self._initial_state_penalty(theta)
         return total if math.isfinite(total) else -math.inf
 
     def _initial_state_penalty(self, theta: Floats) -> float:
@@ -161,7 +161,7 @@ class ZoneObjective:
         hessian[log_s, log_s] = 2 * outside_count + by_inside
         x0 = np.r_[self.layout.x0]
         hessian[x0, x0] += self.x0_weight
-        value = float(values.sum()) - self._initial_state_penalty(theta)
+        value = values.sum() - self._initial_state_penalty(theta)
         free = self.free
         return value, scores.sum(axis=0)[free], hessian[np.ix_(free, free)]
 

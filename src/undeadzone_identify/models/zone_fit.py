@@ -78,7 +78,7 @@ class ZoneFit(NamedTuple):
         References:
             C. Varin, P. Vidoni (2005), doi:10.1093/biomet/92.3.519
         """
-        numbers = float(self.objective.free.size)
+        numbers: float = self.objective.free.size
         if self.objective.kind == "ahead" and math.isfinite(self.value):
             spread = self.objective.robust_covariance(self.theta)
             numbers = max(numbers, float(np.trace(spread.V @ np.linalg.pinv(spread.naive))))
@@ -159,7 +159,7 @@ def nearest_numbers(fit: ZoneFit, simulator: PlantSimulator, a: Floats) -> Float
     linear = slice(layout.numerators.start, layout.x0.stop)  # z is linear in b and x(0)
     columns = simulator.z_gradient(theta, fit.z)[:, linear]
     theta[linear] = np.linalg.lstsq(columns, fit.z, rcond=1e-10)[0]
-    error = float(np.mean((columns @ theta[linear] - fit.z) ** 2))
+    error = np.mean((columns @ theta[linear] - fit.z) ** 2)
     theta[layout.log_s] = 0.5 * math.log(fit.disturbance_rms**2 + error)
     return theta
 
@@ -250,7 +250,7 @@ def outside_correlation(fit: ZoneFit) -> float:
     second = second[outside[second - 1]]
     if second.size < 10:
         return 0.05
-    rho = float(np.mean(e[second] * e[second - 1]) / np.mean(e[second] ** 2))
+    rho = np.mean(e[second] * e[second - 1]) / np.mean(e[second] ** 2)
     return float(np.clip(rho, -0.9, 0.99)) or 0.05
 
 
@@ -263,7 +263,7 @@ def zone_starts(objective: ZoneObjective) -> list[Floats]:
     starts = [] if by_branch is None else [by_branch]
     halves = [*SHARES]
     if objective.simulator.data.silent_zeros:
-        inside_share = float(np.mean(objective.readings.side[use] == 0))
+        inside_share = np.mean(objective.readings.side[use] == 0)
         halves.append(float(np.quantile(np.abs(linear.z), inside_share)))
     for share in halves:
         theta = linear.theta.copy()

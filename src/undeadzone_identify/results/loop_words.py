@@ -48,7 +48,7 @@ def jump_of_reading(case: Case, valve: ValveFindings) -> Interval | None:
         return None
     gain = float(simulator.dc_gain(theta)[0])
     slope = np.zeros(theta.size)
-    below = 1 + float(theta[simulator.layout.denominator].sum())
+    below = 1 + theta[simulator.layout.denominator].sum()
     slope[simulator.layout.denominator] = -gain / below
     slope[simulator.layout.numerators] = 1 / below
     V = plant.squares.robust_covariance(theta).V

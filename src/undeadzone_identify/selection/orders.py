@@ -249,7 +249,7 @@ def is_white(value: Floats, use: Flags, lags: int = LAGS) -> bool:
     if count < 3 * lags:
         return True
     squares = known_autocorrelation(value, use, lags) ** 2
-    total = count * (count + 2) * float(np.sum(squares / (count - np.arange(1, lags + 1))))
+    total = count * (count + 2) * np.sum(squares / (count - np.arange(1, lags + 1)))
     return bool(chi2.sf(total, lags) > 0.01)
 
 

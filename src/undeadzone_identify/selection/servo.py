@@ -364,7 +364,7 @@ def find_repetition(servo: ServoGap) -> str | None:
     way = max(float(np.ptp(z)), 1e-300)
     rates = np.pi * np.array(HALF_PERIODS) / way
     shares = lombscargle(z, errors, rates, normalize=True, floating_mean=True)
-    share = float(shares.max())
+    share = shares.max()
     chance = len(HALF_PERIODS) * math.exp(-0.5 * errors.size * share)  # of two columns
     if not Remainder("repetition", share, chance, errors[:0]).is_real:
         return None
@@ -390,8 +390,8 @@ def find_input_zone(servo: ServoGap) -> str | None:
     if not servo.is_integrating:
         return None
     one, log = servo.servo, servo.log.busiest_part(LONGEST)
-    level = float(one.structure.disable_absent_parts(one.theta)[RUBS].sum())
-    middle = float(one.theta[At.OFFSET])
+    level = one.structure.disable_absent_parts(one.theta)[RUBS].sum()
+    middle = one.theta[At.OFFSET]
     structure = one.structure._replace(parts=one.structure.parts - {"friction", "load"})
     theta = structure.disable_absent_parts(one.theta)
     theta[At.OFFSET] = 0.0

@@ -271,7 +271,7 @@ def ellipse_width(log: LoopLog) -> float:
         log: the loop.
     """
     u = log.u[log.ok]
-    related = float(np.corrcoef(u, log.y[log.ok])[0, 1])
+    related = np.corrcoef(u, log.y[log.ok])[0, 1]
     return math.sqrt(8 * max(1 - related**2, 0.0)) * float(u.std())
 
 

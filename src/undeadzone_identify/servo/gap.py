@@ -222,7 +222,7 @@ class ServoGap(NamedTuple):
         """
         log = self.log
         theta = self.servo.structure.disable_absent_parts(self.servo.theta)
-        rubs = float(theta[RUBS].sum())
+        rubs = theta[RUBS].sum()
         slow = math.hypot(math.exp(theta[At.SLOW]), theta[At.OFFSET])
         white = math.exp(theta[At.TORQUE])
         rms = math.hypot(rubs, slow)
@@ -369,7 +369,7 @@ def _correct_gap_bias(
     gap = float(one.theta[At.GAP])
     least = log.quantum if log.ticks else reading_noise_rms(log)
     reach = 4 * spread.error + 0.2 * least
-    middle = float(np.median(gaps))
+    middle = np.median(gaps)
     bias = float(np.mean(np.clip(gaps, middle - reach, middle + reach))) - gap
     loose = LOOSE * gap * ("load" in one.structure.parts)
     error = math.hypot(max(spread.error, float(np.std(gaps, ddof=1))), FLOOR * least, loose)
@@ -398,7 +398,7 @@ def _collect_gap_doubts(found: ServoGap, gaps: Floats) -> list[str]:
     """Collect the reasons for which the gap itself is not known."""
     gap = found.gap
     reasons = []
-    fitted = float(found.servo.theta[At.GAP]) * found.log.y_scale
+    fitted = found.servo.theta[At.GAP] * found.log.y_scale
     if gap.low <= 0:
         reasons.append(
             f"a gap between motor and encoder, if there is one, is below {gap.high:.3g} (an encoder"
@@ -431,7 +431,7 @@ def _collect_motion_doubts(found: ServoGap, spread: _GapUncertainty) -> list[str
         )
     if _slow_torque_rms(found.servo) > HIDING:
         reasons.append("slow torques are as strong as half of the input: they hide the gap")
-    fitted = float(found.servo.theta[At.GAP]) * log.y_scale
+    fitted = found.servo.theta[At.GAP] * log.y_scale
     margin = TICKS * log.quantum if log.ticks else NOISES * reading_noise_rms(log)
     error = math.hypot(spread.error * log.y_scale, crossings.median_error)
     allowed = DISAGREES * error + margin * log.y_scale + CLOSE * fitted
