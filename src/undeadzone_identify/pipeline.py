@@ -448,7 +448,7 @@ def _count_from_zone(grid: Grid, options: Options) -> Grid:
     if grid.u.shape[1] > 1 or near or u.min() * u.max() <= 0 or not is_about_zero:
         return grid
     data = longest_record_of(prepare_log(grid, options).data)
-    zero = find_input_zero(PlantSimulator(data, 2, options.integrators)) * float(data.u_scale[0])
+    zero = find_input_zero(PlantSimulator(data, 2, options.integrators)) * data.input_scale
     words = f"the input is never near 0: it counts from {zero:.6g}"
     return grid._replace(u=grid.u - zero, zero=zero, remarks=[*grid.remarks, words])
 

@@ -44,6 +44,11 @@ class ZoneFit(NamedTuple):
         return self.objective.simulator.simulate_z(self.theta)
 
     @property
+    def residual(self) -> Floats:
+        """Return the readings that the plant does not explain (N), scaled."""
+        return self.objective.unexplained_readings(self.theta)
+
+    @property
     def right(self) -> float:
         """Return d_r, scaled."""
         return float(self.theta[self.objective.layout.right])
@@ -244,7 +249,7 @@ def outside_correlation(fit: ZoneFit) -> float:
     It is 0.05 if there are fewer than 10 of them.
     """
     readings = fit.objective.readings
-    e = fit.objective.unexplained_readings(fit.theta)
+    e = fit.residual
     outside = readings.ok & (readings.side != 0)
     second = np.flatnonzero(outside & readings.before)
     second = second[outside[second - 1]]

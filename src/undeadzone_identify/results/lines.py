@@ -29,7 +29,7 @@ def rest_noise(answer: Answer) -> float:
     """
     if answer.right is None or answer.left is None or not answer.zone:
         return 0.0
-    grid, z = answer.case.grid, answer.z * answer.scale
+    grid, z = answer.case.grid, answer.output
     is_deep = (-DEEP * answer.left.value < z) & (z < DEEP * answer.right.value)
     inside = grid.y[grid.ok & is_deep]
     return NORMAL * float(np.median(np.abs(inside))) if inside.size >= FEWEST else 0.0
@@ -42,7 +42,7 @@ def command_along(answer: Answer) -> Floats:
         answer: to a log.
     """
     if answer.verdict == "play":
-        return answer.z * answer.scale
+        return answer.output
     return answer.case.grid.u[:, 0]
 
 

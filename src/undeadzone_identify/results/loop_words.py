@@ -55,9 +55,7 @@ def jump_of_reading(case: Case, valve: ValveFindings) -> Interval | None:
     unsure = 2 * math.sqrt(variance_along(V, slope)) / max(abs(gain), 1e-12)
     if unsure > UNSURE:
         return None
-    moved = valve.jump.scale_by(
-        abs(gain) * case.record_data.y_scale / float(case.record_data.u_scale[0])
-    )
+    moved = valve.jump.scale_by(abs(gain) * case.record_data.y_scale / case.record_data.input_scale)
     if not 0 < moved.value < 2 * case.record_data.y_scale:
         return None
     return Interval(moved.value, moved.low * (1 - unsure), moved.high * (1 + unsure))

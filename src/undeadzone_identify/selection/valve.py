@@ -93,7 +93,7 @@ class ValveFindings:
         self.turns = fits.log.turns
         self._case = case
         self._fits = fits
-        self._scale = fits.log.range * float(case.recorded.u_scale[0])
+        self._scale = fits.log.range * case.recorded.input_scale
         is_faulty = sum(odds.get(one, 0.0) for one in VALVE) > 0.5
         self._acting = self.fit.position(fits.log.u) if is_faulty else fits.log.u
 
