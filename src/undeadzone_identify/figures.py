@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from undeadzone.nonlinearities.sensor import jump
 from undeadzone.report import ink
 from undeadzone.report.style import create_panels, escape_formulas, finish_panel
 from undeadzone.util.text import HALF_95, label_with_unit
@@ -293,7 +294,7 @@ def _sensor_characteristic(found_log: Identified) -> tuple[Floats, Floats]:
     if jumps is None:
         return z, np.sort(mean_reading(fit)) * answer.scale  # it rises with z
     right, left = (edge.value * answer.scale for edge in jumps)
-    return z, np.where((z > right) | (z < -left), z, 0.0)
+    return z, jump(z, right, left)
 
 
 def _name_of(element: Element) -> str:

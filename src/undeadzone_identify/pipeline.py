@@ -18,6 +18,7 @@ import msgspec
 import numpy as np
 
 from undeadzone.errors import InputError
+from undeadzone.nonlinearities.sensor import offset
 from undeadzone.util.answers import Answers
 from undeadzone.util.installed import use_one_blas_thread
 from undeadzone.util.progress import notebook_progress
@@ -42,7 +43,6 @@ from undeadzone_identify.models.elements import (
 from undeadzone_identify.models.estimates import CachedMaxima, array_digest
 from undeadzone_identify.models.kalman_fit import fit_kalman
 from undeadzone_identify.models.least_squares import FittedModel
-from undeadzone_identify.models.likelihood import zone_offset
 from undeadzone_identify.models.plant import PlantSimulator, longest_record_of
 from undeadzone_identify.models.zone_fit import (
     ZoneFit,
@@ -543,7 +543,7 @@ def _raw_part(prepared: PreparedLog, one: orders.OrderFit) -> ZoneFit:
     if prepared.jumps is None:
         return fit
     data = fit.objective.data
-    shift = zone_offset(data.side, *[edge.value for edge in prepared.jumps])
+    shift = offset(data.side, *[edge.value for edge in prepared.jumps])
     whole = data._replace(y=np.where(data.ok, data.y + shift, 0.0))
     return fit._replace(objective=fit.objective.objective_along(whole))
 

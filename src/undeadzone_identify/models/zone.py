@@ -7,6 +7,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from undeadzone.nonlinearities import sensor
 from undeadzone.util.arrays import Flags, Floats, Integers
 from undeadzone_identify.models import estimates, likelihood
 from undeadzone_identify.models.plant import PlantSimulator, RecordData
@@ -183,15 +184,12 @@ class ZoneObjective:
             right += left
         return change[outside] / self.zone_noise(theta).s, ok & ~outside & (self.kind != "behind")
 
-    def branch_sides(self, theta: Floats) -> Integers:
+    def branch_sides(self, theta: Floats) -> Integers | Floats:
         """Return +1, 0, -1 (N): of the readings, or of z if noise is behind the zone."""
         if self.kind != "behind":
             return self.readings.side
         z = self.z_and_terms(theta)[0]
-        if not self.limits.zone:
-            return np.ones(z.size, int)
-        noise = self.zone_noise(theta)
-        return np.sign(likelihood.dead_zone(z, noise.right, noise.left)).astype(int)
+        return sensor.zone(z, *self.zone_noise(theta)[:2]) if self.limits.zone else np.ones(z.size)
 
     @estimates.cache_latest
     def robust_covariance(self, theta: Floats) -> estimates.EstimateCovariance:

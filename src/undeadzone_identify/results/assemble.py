@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from undeadzone.errors import InputError
-from undeadzone.nonlinearities.sensor import DIRECTIONS
+from undeadzone.nonlinearities.sensor import DIRECTIONS, deadzone, zone
 from undeadzone.util.arrays import Flags, Floats
 from undeadzone_identify.logs.grid import Grid
 from undeadzone_identify.logs.log import AT_ONCE
@@ -409,10 +409,10 @@ def _widen_by_drift(answer: Answer, intervals: DisplayedWidths) -> list[str]:
     if right is None or left is None or not math.isfinite(left.high + right.high):
         return []
     z, grid = answer.output, answer.case.grid
-    beyond = np.flatnonzero(grid.ok & ((z > right.value) | (z < -left.value)))
+    beyond = np.flatnonzero(grid.ok & (zone(z, right.value, left.value) != 0))
     if beyond.size < DRIFT_BLOCKS * LEAST_IN_BLOCK:
         return []
-    residual = grid.y - (z - np.clip(z, -left.value, right.value))
+    residual = grid.y - deadzone(z, right.value, left.value)
     means = np.array([residual[one].mean() for one in np.array_split(beyond, DRIFT_BLOCKS)])
     reach = 0.5 * float(np.abs(np.diff(means)).max())  # from the middle of a part to its end
     low, high = float(means.min()) - reach, float(means.max()) + reach

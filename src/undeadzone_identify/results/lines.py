@@ -8,6 +8,7 @@ import numpy as np
 
 from undeadzone.errors import InputError
 from undeadzone.nonlinearities.play import levels
+from undeadzone.nonlinearities.sensor import deadzone
 from undeadzone.util.arrays import Floats
 from undeadzone_identify.models.likelihood import root_mean_square
 from undeadzone_identify.results.assemble import Answer
@@ -101,7 +102,7 @@ def pass_machine(lost: Lost, command: Floats, end: int) -> Floats:
     if lost.kind == "backlash":
         gap = np.array([lost.width[end]])
         return levels(command, gap, 0 * gap, command[:1])
-    return command - np.clip(command, -lost.left[end], lost.right[end])
+    return deadzone(command, lost.right[end], lost.left[end])
 
 
 def _held_out_readings(answer: Answer, lost: Lost) -> tuple[Floats, Floats, Lost]:

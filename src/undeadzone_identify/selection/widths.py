@@ -10,7 +10,7 @@ import numpy as np
 from scipy.stats import chi2
 from scipy.stats import f as fisher
 
-from undeadzone.nonlinearities.sensor import DIRECTIONS, heaviest
+from undeadzone.nonlinearities.sensor import DIRECTIONS, heaviest, zone
 from undeadzone.util.arrays import Floats, bounds_of_runs
 from undeadzone_identify.models.estimates import Interval, maximise_likelihood
 from undeadzone_identify.models.kalman_fit import KalmanFit
@@ -291,8 +291,7 @@ def measure_excitation(
     Returns:
         Counts of samples and visits, and the share of silence.
     """
-    side = readings.side if ahead else 1 * (z > right) - 1 * (z < -left)
-    side = np.where(readings.ok, side, 0)
+    side = np.where(readings.ok, readings.side if ahead else zone(z, right, left), 0)
     silent = readings.ok & (side == 0)
     samples = (int((side > 0).sum()), int((side < 0).sum()))
     visits = (bounds_of_runs(side > 0)[0].size, bounds_of_runs(side < 0)[0].size)

@@ -27,6 +27,7 @@ from scipy.stats import chi2, kurtosis
 
 from undeadzone.compile import lanes
 from undeadzone.nonlinearities.play import apply_backlash
+from undeadzone.nonlinearities.sensor import quantise
 from undeadzone.util.arrays import Flags, Floats, Integers, shift_rows
 from undeadzone_identify.models.estimates import (
     Interval,
@@ -35,7 +36,6 @@ from undeadzone_identify.models.estimates import (
 )
 from undeadzone_identify.models.least_squares import regression_residual
 from undeadzone_identify.models.measured import level_slopes
-from undeadzone_identify.models.motion import round_to_quantum
 from undeadzone_identify.models.plant import mean_lag_products
 from undeadzone_identify.servo import predictor
 from undeadzone_identify.servo.crossings import GapCrossings, find_crossings
@@ -115,7 +115,7 @@ def _record_levels(
     """Return the log with simulated levels as read by its encoder, or with its noise."""
     if not log.ticks:
         return log._replace(y=level + math.exp(theta[At.NOISE]) * draw.standard_normal(level.size))
-    y = round_to_quantum(level, log.quantum)
+    y = quantise(level, log.quantum)
     side = change_sides(y, log.ok, log.start)
     return log._replace(y=y, side=side, boundary=y - side * log.quantum / 2)
 
@@ -243,8 +243,7 @@ class ServoGap(NamedTuple):
         z = ServoLikelihood(log).run_predictor(one.theta[None], one.structure.lag)[0][:, 2]
         half = one.theta[At.GAP] / 2
         before = shift_rows(log.y, 1, log.start)
-        readings = apply_backlash(np, z, before, half, half)
-        readings = round_to_quantum(readings, log.quantum)
+        readings = quantise(apply_backlash(np, z, before, half, half), log.quantum)
         return z, readings, np.sign(readings - before).astype(int)
 
     def normalised_errors(self, one: Servo) -> Floats:
