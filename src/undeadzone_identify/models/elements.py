@@ -25,6 +25,7 @@ from undeadzone_identify.models.likelihood import (
     mean_beyond_edges,
     unit_density,
 )
+from undeadzone_identify.models.motion import last_reading_rows
 from undeadzone_identify.models.plant import CREDIBLE, PlantSimulator, RecordData, busiest_stretches
 from undeadzone_identify.models.zone_fit import ZoneFit, fit_linear, widths_about_level
 
@@ -169,7 +170,7 @@ class PlayModel(SimulatedPlant):
         """Return the sample at which the level (N) last moved (N), at least the record's first."""
         changed = np.append(True, np.diff(level) != 0)
         changed[self.data.start] = True
-        return np.maximum.accumulate(np.where(changed, np.arange(level.size), 0))
+        return last_reading_rows(changed)
 
     def levels(self, theta: Floats) -> Floats:
         """Return c_r and c_l (2)."""

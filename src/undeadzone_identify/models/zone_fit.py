@@ -14,6 +14,7 @@ from undeadzone_identify.models.plant import (
     PlantSimulator,
     RecordData,
     busiest_stretches,
+    delay_by_each,
     longest_record_of,
     polynomial_roots,
     stabilise_poles,
@@ -332,28 +333,20 @@ def fit_arx(
     y = data.y
     for _ in range(layout.integrators):
         y = y - np.roll(y, 1)
-    past = np.column_stack([np.roll(y, i) for i in range(1, free + 1)] or [np.empty((y.size, 0))])
-    usable = valid.copy()
+    past = delay_by_each(y[:, None], free)
+    sides = np.ones(y.size) if side is None else side
+    usable = valid & (rows_since_start(data.start, y.size) >= n)
     for i in range(1, n + 1):
-        usable &= np.roll(valid, i)
-        if side is not None:
-            usable &= np.roll(side, i) == side
-    usable &= rows_since_start(data.start, y.size) >= n
-    columns = [-past, simulator.lagged]
-    if side is not None:
-        right = usable & (side > 0)
-        left = usable & (side < 0)
-        usable = right | left
-        fewest = FEW * (n + simulator.lagged.shape[1])
-        if right.sum() < fewest or left.sum() < fewest:
-            return np.zeros(free), np.zeros(simulator.lagged.shape[1]), None
-        columns += [1.0 * right[:, None], 1.0 * left[:, None]]
-    else:
-        columns.append(np.ones((y.size, 1)))
-    matrix = np.hstack(columns)[usable]
+        usable &= np.roll(valid, i) & (np.roll(sides, i) == sides)
+    ends = [usable & (sides > 0)] if side is None else [usable & (sides > 0), usable & (sides < 0)]
+    inputs = simulator.lagged.shape[1]
+    if side is not None and min(end.sum() for end in ends) < FEW * (n + inputs):
+        return np.zeros(free), np.zeros(inputs), None
+    usable = np.any(ends, axis=0)
+    matrix = np.column_stack([-past, simulator.lagged, *ends])[usable]
     solution = np.linalg.lstsq(matrix, y[usable], rcond=1e-10)[0]
-    levels = solution[-2:] if side is not None else None
-    return solution[:free], solution[free : free + simulator.lagged.shape[1]], levels
+    levels = None if side is None else solution[-2:]
+    return solution[:free], solution[free : free + inputs], levels
 
 
 def _centre_zone(objective: ZoneObjective, theta: Floats) -> Floats:

@@ -14,6 +14,7 @@ from scipy.stats import chi2
 
 from undeadzone.util.arrays import Flags, Floats, Integers, rows_since_start
 from undeadzone_identify.models import zone_fit
+from undeadzone_identify.models.estimates import variance_along
 from undeadzone_identify.models.least_squares import (
     CHANCE,
     regress_residual,
@@ -389,8 +390,7 @@ def compare_with_no_zone(fit: zone_fit.ZoneFit) -> ZoneTest:
     best = zone_fit.improve_fit(fit, begun)
     spread = best.objective.robust_covariance(best.theta)
     row = best.objective.width_weights(1.0, 1.0)
-    robust = float(row @ spread.V @ row)
-    naive = float(row @ spread.naive @ row)
+    robust, naive = (variance_along(V, row) for V in (spread.V, spread.naive))
     ratio = 2 * max(best.value - linear.value, 0.0) / max(1.0, robust / max(naive, 1e-300))
     chance = float(chi2.sf(ratio, 1))  # of the width; the level has its number in both
     return ZoneTest(chance, best)

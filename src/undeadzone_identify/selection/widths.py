@@ -12,7 +12,11 @@ from scipy.stats import f as fisher
 
 from undeadzone.nonlinearities.sensor import DIRECTIONS, heaviest, zone
 from undeadzone.util.arrays import Floats, bounds_of_runs
-from undeadzone_identify.models.estimates import Interval, maximise_likelihood
+from undeadzone_identify.models.estimates import (
+    Interval,
+    maximise_likelihood,
+    variance_along,
+)
 from undeadzone_identify.models.kalman_fit import KalmanFit
 from undeadzone_identify.models.likelihood import (
     Readings,
@@ -228,7 +232,7 @@ def widen_by_profile(fit: ZoneFit, side: str, edge: Interval, scale: float) -> I
     spread = fit.objective.robust_covariance(fit.theta)
     row = fit.objective.width_weights(*DIRECTIONS[side])
     robust, degrees = spread.variance_and_degrees(row)
-    naive = float(row @ spread.naive @ row)
+    naive = variance_along(spread.naive, row)
     drop = 0.5 * fisher.ppf(0.95, 1, degrees) * robust / max(naive, 1e-300)
     own = fit.right if side == "right" else fit.left
     reach = REACH * max(edge.half_width / scale, 1e-6)
