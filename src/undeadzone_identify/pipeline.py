@@ -410,8 +410,8 @@ def identify_output(grid: Grid, options: Options, advance: Callable[[int], None]
         if servo.is_gap_reported or is_plain:
             advance(1)
             return _identify_servo(grid, options, advance, servo)
-    case = _fit_zone_and_maps(shorten_log(grid, options.integrators), options, advance)
-    case = case._replace(servo=servo)
+    shortened = shorten_log(grid, options.integrators)
+    case = _fit_zone_and_maps(shortened, options, advance)._replace(servo=servo)
     if _acts_at_once(case):
         at_once = msgspec.structs.replace(options, delay=AT_ONCE)
         return identify_output(case.grid, at_once, advance)
@@ -469,9 +469,8 @@ def _identify_servo(
     """Return the answer for a servo behind a play, with a fit of its order. Raise InputError."""
     case = _fit_zone_and_maps(grid, to_servo_options(options, servo), advance)
     case = case._replace(options=options)
-    found = _begin_findings(case)
     named = add_servo_element if servo.is_gap_reported else without_gap
-    return Identified(to_answer(case, named(case, servo, found)))
+    return Identified(to_answer(case, named(case, servo, _begin_findings(case))))
 
 
 def _fit_zone_and_maps(grid: Grid, options: Options, advance: Callable[[int], None]) -> Case:

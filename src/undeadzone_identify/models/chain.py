@@ -506,7 +506,7 @@ def _scan_orders(
         plants: plants of rising order, those of the same records together.
         element: element of the input.
     """
-    rows = list[list[ScannedStart]]()
+    rows: list[list[ScannedStart]] = []
     for k, plant in enumerate(plants):
         tried = element
         if k and plants[k - 1].data is plant.data and rows[-1]:
@@ -563,7 +563,7 @@ def scan_input(
     """
     layout = simulator.layout
     data = simulator.data
-    starts = list[ScannedStart]()
+    starts: list[ScannedStart] = []
     for numbers in element.scanned:
         v = element.passes(data.u[:, 0], np.array(numbers))
         scale = v.std()

@@ -443,6 +443,21 @@ def cosine_coefficients(scores: Floats, count: int | None = None) -> Floats:
     return dct(scores, axis=0, norm="ortho")[1 : number + 1]
 
 
+def draw_sums(values: Floats, draws: int, wider: float = 1.0) -> Floats:
+    """Return the sums of values over logs that might have been recorded as well (draws x K).
+
+    They scatter as the cosines of the values do (I1).
+
+    Args:
+        values: of each reading (N x K).
+        draws: number of such logs.
+        wider: factor of the scatter.
+    """
+    slow = cosine_coefficients(values)  # root of the long-run covariance
+    noise = np.random.default_rng(0).standard_normal((draws, len(slow)))
+    return values.sum(axis=0) + wider * noise @ slow * math.sqrt(len(values) / len(slow))
+
+
 def sandwich_covariance(
     scores: Floats, hessian: Floats, count: int | None = None
 ) -> EstimateCovariance:

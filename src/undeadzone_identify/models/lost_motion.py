@@ -222,8 +222,7 @@ class MotionFit:
         starts = []
         for lags in self._scan_lags():
             costs = self.squares(scanned, *lags)
-            best = np.argmin(costs)
-            starts.append((costs[best], scanned[best], *lags))
+            starts.append((costs.min(), scanned[np.argmin(costs)], *lags))
         kept = sorted(starts)[:KEPT]
         ends = [self._minimise(self._refine(np.array(at), gaps), gaps is None) for _, *at in kept]
         return self.result(min(ends, key=self._cost))

@@ -9,7 +9,11 @@ import numpy as np
 
 from undeadzone.util.arrays import Flags, Floats, Integers, rows_since_start
 from undeadzone_identify.models.estimates import Maximum, best_maximum, maximise_likelihood
-from undeadzone_identify.models.likelihood import expected_reading, mean_beyond_edges
+from undeadzone_identify.models.likelihood import (
+    ZoneNoise,
+    expected_reading,
+    mean_beyond_edges,
+)
 from undeadzone_identify.models.plant import (
     PlantSimulator,
     RecordData,
@@ -50,14 +54,19 @@ class ZoneFit(NamedTuple):
         return self.objective.unexplained_readings(self.theta)
 
     @property
+    def noise(self) -> ZoneNoise:
+        """Return widths and rms of the disturbance, scaled."""
+        return self.objective.zone_noise(self.theta)
+
+    @property
     def right(self) -> float:
         """Return d_r, scaled."""
-        return float(self.theta[self.objective.layout.right])
+        return self.noise.right
 
     @property
     def left(self) -> float:
         """Return d_l, scaled."""
-        return float(self.theta[self.objective.layout.right + 1])
+        return self.noise.left
 
     @property
     def width(self) -> float:
@@ -67,7 +76,7 @@ class ZoneFit(NamedTuple):
     @property
     def disturbance_rms(self) -> float:
         """Return the rms of the disturbance of z, scaled."""
-        return math.exp(self.theta[self.objective.layout.log_s])
+        return self.noise.s
 
     @property
     def rho(self) -> float:
@@ -93,10 +102,9 @@ class ZoneFit(NamedTuple):
 
 def mean_reading(fit: ZoneFit) -> Floats:
     """Return E[y | z] (N), scaled: noise ahead of the zone makes its characteristic smooth."""
-    noise = fit.objective.zone_noise(fit.theta)
     if fit.objective.kind == "behind":
-        return expected_reading(fit.z, noise, fit.objective.limits.zone)
-    return mean_beyond_edges(fit.z, noise)
+        return expected_reading(fit.z, fit.noise, fit.objective.limits.zone)
+    return mean_beyond_edges(fit.z, fit.noise)
 
 
 def fit_zone(simulator: PlantSimulator, limits: WidthLimits) -> ZoneFit:

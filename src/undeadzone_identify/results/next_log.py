@@ -222,10 +222,8 @@ def _candidate_records(answer: Answer, account: ModelAccount) -> Iterator[tuple[
     integrates = account.model.simulator.layout.integrators > 0
     for kind, pattern in _unit_patterns(_slowest_constant(answer), size):
         for share in SIZES:
-            u = np.column_stack(
-                [_limit_pattern(column, share * pattern, integrates) for column in own.u.T]
-            )
-            turned = [np.roll(column, k * size // 2) for k, column in enumerate(u.T)]
+            columns = [_limit_pattern(one, share * pattern, integrates) for one in own.u.T]
+            turned = [np.roll(column, k * size // 2) for k, column in enumerate(columns)]
             data = own._replace(
                 u=np.column_stack(turned),
                 y=blank,

@@ -105,9 +105,8 @@ def to_observations(grid: Grid, options: Options) -> Observations | None:
         grid: the records.
         options: of the user.
     """
-    if grid.u.shape[1] != 1 or options.kind not in ("auto", "play"):
-        return None
-    if options.place != "auto" or options.right or options.left:
+    is_plain = options.kind in ("auto", "play") and options.place == "auto"
+    if grid.u.shape[1] != 1 or not is_plain or options.right or options.left:
         return None
     u = shift_rows(grid.u[:, 0], total_delay(options), grid.start)
     log = build_observations(u, grid.y, grid.ok, grid.start, grid.step)
@@ -161,9 +160,9 @@ def total_delay(options: Options, found: ServoGap | None = None) -> int:
 
 def needs_servo_test(case: Case, found: Findings) -> bool:
     """Return whether a servo must be tested: for integrators, or if a residual remains."""
+    word = found.verdict.word
     if found.element is not None or case.jump_edges is not None or case.unreached:
         return False
-    word = found.verdict.word
     if case.has_limits_as(word):
         return False
     if word in (*WITHOUT_MEMORY, "none") and _leaves_rounding_alone(case, found):
@@ -294,10 +293,9 @@ def without_gap(case: Case, servo: ServoGap, found: Findings) -> Findings:
         return _withhold_servo(servo, found, other)
     word = "none" if friction is None else "friction"
     models, odds = found.models, {word: 1.0}
-    if (
-        servo.gap_probability < UNLIKELY
-    ):  # else the gap is below the encoder's steps or noise, whatever its odds
-        odds = {word: 1 - servo.gap_probability, "play": servo.gap_probability}
+    share = servo.gap_probability
+    if share < UNLIKELY:  # else the gap is below the encoder's steps or noise, whatever its odds
+        odds = {word: 1 - share, "play": share}
     if not servo.log.ticks:  # whose densities compare with those of other models
         density = _servo_family(case, servo)["play"]
         models = (*models, {"none": case.rivals["none"], word: density._replace(name=word)})

@@ -309,7 +309,7 @@ def _comparable_families(
             rare = RARE * (word not in OWN)
             same = best._replace(value=best.value[rows], numbers=best.numbers + rare)
             family[word] = min(same, family.get(word, same), key=lambda one: one.bic)
-    others = list[Family]()
+    others: list[Family] = []
     for one in models:
         own, left = one["none"], sorted(set(one) - set(family) - set(VALVE))
         if not left:

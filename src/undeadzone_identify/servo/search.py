@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
@@ -99,11 +98,10 @@ def fit_without_gap(log: Observations) -> list[Servo]:
 
 def _best_of_structures(tops: Sequence[Servo], count: int = 1) -> list[Servo]:
     """Return the likeliest servos of each structure."""
-    found = list[Servo]()
-    counts = Counter[ServoStructure]()
+    found: list[Servo] = []
     for one in sorted(tops, key=lambda top: -top.value):
-        if math.isfinite(one.value) and counts[one.structure] < count:
-            counts[one.structure] += 1
+        same = [other for other in found if other.structure == one.structure]
+        if math.isfinite(one.value) and len(same) < count:
             found.append(one)
     return found
 
