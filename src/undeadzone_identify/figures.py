@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from undeadzone.nonlinearities.sensor import jump
 from undeadzone.report import ink
 from undeadzone.report.style import create_panels, escape_formulas, finish_panel
 from undeadzone.util.text import HALF_95, label_with_unit
@@ -108,7 +109,7 @@ def signals(axes: Axes, found_log: Identified, part: slice | None = None, of: st
     element = answer.element
     if element is None:
         _plot_zone_bands(axes, found_log)
-    axes.plot(t, (answer.z * answer.scale)[part], color=ink.ESTIMATE, label="plant's ẑ")
+    axes.plot(t, answer.output[part], color=ink.ESTIMATE, label="plant's ẑ")
     _plot_readings(axes, found_log, part)
     if element is not None and element.kind in NAMES:
         expected = (element.readings * answer.scale)[part]
@@ -264,8 +265,8 @@ def _plot_by_output(found_log: Identified) -> Figure:
         expected = element.readings
         label = f"path of {_name_of(element)}"
         part = _time_window(found_log, MOST_AT_END)
-        curve = (answer.z * answer.scale)[part], (expected * answer.scale)[part]
-    z = (answer.z * answer.scale)[ok]
+        curve = answer.output[part], (expected * answer.scale)[part]
+    z = answer.output[ok]
     _plot_dots(panels["map"], z, grid.y[ok], ink.READING, "readings")
     of_input = element is not None and element.kind not in NAMES
     if not of_input:
@@ -293,7 +294,7 @@ def _sensor_characteristic(found_log: Identified) -> tuple[Floats, Floats]:
     if jumps is None:
         return z, np.sort(mean_reading(fit)) * answer.scale  # it rises with z
     right, left = (edge.value * answer.scale for edge in jumps)
-    return z, np.where((z > right) | (z < -left), z, 0.0)
+    return z, jump(z, right, left)
 
 
 def _name_of(element: Element) -> str:
@@ -312,7 +313,7 @@ def _plot_crossings(found_log: Identified, columns: dict[str, Floats]) -> Figure
         "duration": "duration [s]",
     }
     middle, *ends = np.quantile(columns["gap"], [0.5, 1 - WITHIN, WITHIN])
-    reach = 2 * float(np.ptp(ends))
+    reach = 2 * np.ptp(ends)
     for name, x_label in places.items():
         axes = panels[name]
         if width is not None:

@@ -18,6 +18,7 @@ import msgspec
 import numpy as np
 
 from undeadzone.errors import InputError
+from undeadzone.nonlinearities.sensor import offset
 from undeadzone.util.answers import Answers
 from undeadzone.util.installed import use_one_blas_thread
 from undeadzone.util.progress import notebook_progress
@@ -42,7 +43,6 @@ from undeadzone_identify.models.elements import (
 from undeadzone_identify.models.estimates import CachedMaxima, array_digest
 from undeadzone_identify.models.kalman_fit import fit_kalman
 from undeadzone_identify.models.least_squares import FittedModel
-from undeadzone_identify.models.likelihood import zone_offset
 from undeadzone_identify.models.plant import PlantSimulator, longest_record_of
 from undeadzone_identify.models.zone_fit import (
     ZoneFit,
@@ -413,8 +413,8 @@ def identify_output(grid: Grid, options: Options, advance: Callable[[int], None]
         if servo.is_gap_reported or is_plain:
             advance(1)
             return _identify_servo(grid, options, advance, servo)
-    case = _fit_zone_and_maps(shorten_log(grid, options.integrators), options, advance)
-    case = case._replace(servo=servo)
+    shortened = shorten_log(grid, options.integrators)
+    case = _fit_zone_and_maps(shortened, options, advance)._replace(servo=servo)
     if _acts_at_once(case):
         at_once = msgspec.structs.replace(options, delay=AT_ONCE)
         return identify_output(case.grid, at_once, advance)
@@ -451,7 +451,7 @@ def _count_from_zone(grid: Grid, options: Options) -> Grid:
     if grid.u.shape[1] > 1 or near or u.min() * u.max() <= 0 or not is_about_zero:
         return grid
     data = longest_record_of(prepare_log(grid, options).data)
-    zero = find_input_zero(PlantSimulator(data, 2, options.integrators)) * float(data.u_scale[0])
+    zero = find_input_zero(PlantSimulator(data, 2, options.integrators)) * data.input_scale
     words = f"the input is never near 0: it counts from {zero:.6g}"
     return grid._replace(u=grid.u - zero, zero=zero, remarks=[*grid.remarks, words])
 
@@ -472,9 +472,8 @@ def _identify_servo(
     """Return the answer for a servo behind a play, with a fit of its order. Raise InputError."""
     case = _fit_zone_and_maps(grid, to_servo_options(options, servo), advance)
     case = case._replace(options=options)
-    found = _begin_findings(case)
     named = add_servo_element if servo.is_gap_reported else without_gap
-    return Identified(to_answer(case, named(case, servo, found)))
+    return Identified(to_answer(case, named(case, servo, _begin_findings(case))))
 
 
 def _fit_zone_and_maps(grid: Grid, options: Options, advance: Callable[[int], None]) -> Case:
@@ -546,7 +545,7 @@ def _raw_part(prepared: PreparedLog, one: orders.OrderFit) -> ZoneFit:
     if prepared.jumps is None:
         return fit
     data = fit.objective.data
-    shift = zone_offset(data.side, *[edge.value for edge in prepared.jumps])
+    shift = offset(data.side, *[edge.value for edge in prepared.jumps])
     whole = data._replace(y=np.where(data.ok, data.y + shift, 0.0))
     return fit._replace(objective=fit.objective.objective_along(whole))
 

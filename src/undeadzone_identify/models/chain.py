@@ -203,6 +203,7 @@ class ChainModel:
         shaped: bool = False,
     ) -> None:
         self.simulator = simulator
+        self.u = simulator.data.u[:, 0]
         self.element = element
         self.zone = zone
         self.lags = lags
@@ -253,8 +254,8 @@ class ChainModel:
 
     def _pass_records(self, p: Floats) -> Floats:
         """Return the input after the element with parameters p, which each record restarts (N)."""
-        u = self.simulator.data.u[:, 0]
-        return np.concatenate([self.input.passes(u[part], p) for part in self.simulator.records])
+        parts = self.simulator.records
+        return np.concatenate([self.input.passes(self.u[part], p) for part in parts])
 
     def pass_input(self, u: Floats, theta: Floats) -> Floats:
         """Return u (N) after the element of the input (N)."""
@@ -335,9 +336,8 @@ class ChainModel:
         if self.element == "play":
             return "none" if theta[self.inputs][0] < VANISHING else "input_play"
         if self.element == "rate":
-            u = self.simulator.data.u[:, 0]
-            effect = self.pass_input(u, theta) - u
-            return "none" if effect.std() < STRAIGHT * u.std() else "input_rate"
+            effect = self.pass_input(self.u, theta) - self.u
+            return "none" if effect.std() < STRAIGHT * self.u.std() else "input_rate"
         has_zone = self.zone and theta[self.edges].sum() > VANISHING * self.output(theta).std()
         if not has_zone:
             is_kinked = self.shaped and abs(math.log(theta[self.shape][0])) > STRAIGHT
@@ -366,8 +366,7 @@ class ChainModel:
         A curve is at its bound. A drive that hardly ever reaches its target acts as a relay.
         """
         if self.element == "rate":
-            u = self.simulator.data.u[:, 0]
-            return float(np.mean(self.pass_input(u, theta) == u)) < SELDOM
+            return float(np.mean(self.pass_input(self.u, theta) == self.u)) < SELDOM
         own = theta[self.inputs]
         near = np.minimum(own - self.input.low, self.input.high - own) < NEAR_BOUND
         return self.element in CURVES and bool(near.any())
@@ -388,9 +387,8 @@ class ChainModel:
 
     def _nonlinear_share(self, theta: Floats) -> float:
         """Return the rms of the input's curve about its best line, over that of the curve [1]."""
-        u = self.simulator.data.u[:, 0]
-        curve = self.pass_input(u, theta)
-        line = np.polyval(np.polyfit(u, curve, 1), u)
+        curve = self.pass_input(self.u, theta)
+        line = np.polyval(np.polyfit(self.u, curve, 1), self.u)
         return float(np.std(curve - line) / max(curve.std(), 1e-12))
 
     def in_words(self, theta: Floats, u_scale: float, y_scale: float) -> str:
@@ -463,7 +461,7 @@ def fit_chains(
     zone_model = partial(ChainModel, starts.simulator, zone=True)
     behind = [(zone_model(lags=True), [[0.3], [0.7]]), (zone_model(taps=TAPS), taps)]
     if not data.silent_zeros:  # noise ahead of a zone makes its edges round as well
-        width = float(widths.sum())
+        width = widths.sum()
         shapes = [[1.0, 0.02 * width, 0.02], [1.0, 0.1 * width, 0.4]]
         behind.append((zone_model(lags=True, shaped=True), shapes))
     for model, ends in behind:
@@ -508,7 +506,7 @@ def _scan_orders(
         plants: plants of rising order, those of the same records together.
         element: element of the input.
     """
-    rows = list[list[ScannedStart]]()
+    rows: list[list[ScannedStart]] = []
     for k, plant in enumerate(plants):
         tried = element
         if k and plants[k - 1].data is plant.data and rows[-1]:
@@ -565,10 +563,10 @@ def scan_input(
     """
     layout = simulator.layout
     data = simulator.data
-    starts = list[ScannedStart]()
+    starts: list[ScannedStart] = []
     for numbers in element.scanned:
         v = element.passes(data.u[:, 0], np.array(numbers))
-        scale = float(v.std())
+        scale = v.std()
         if not 1e-6 < scale < math.inf:
             continue
         passed = data._replace(u=(v / scale)[:, None], climbs=None)

@@ -25,6 +25,7 @@ from undeadzone_identify.models.likelihood import (
     mean_beyond_edges,
     unit_density,
 )
+from undeadzone_identify.models.motion import last_reading_rows
 from undeadzone_identify.models.plant import CREDIBLE, PlantSimulator, RecordData, busiest_stretches
 from undeadzone_identify.models.zone_fit import ZoneFit, fit_linear, widths_about_level
 
@@ -169,7 +170,7 @@ class PlayModel(SimulatedPlant):
         """Return the sample at which the level (N) last moved (N), at least the record's first."""
         changed = np.append(True, np.diff(level) != 0)
         changed[self.data.start] = True
-        return np.maximum.accumulate(np.where(changed, np.arange(level.size), 0))
+        return last_reading_rows(changed)
 
     def levels(self, theta: Floats) -> Floats:
         """Return c_r and c_l (2)."""
@@ -214,7 +215,7 @@ def fit_play_and_zone(earlier_fits: Sequence[PlayFit | ZoneFit]) -> PlayFit | No
             halves = (0.3, 0.1, 0.5)
         else:
             simulator = earlier.model.simulator
-            halves = (0.8 * float(earlier.model.levels(earlier.theta).mean()),) * 3
+            halves = (0.8 * earlier.model.levels(earlier.theta).mean(),) * 3
         model = PlayModel(simulator, zone=True)
         starts = []
         for half, width in zip(halves, (0.3, 0.5, 0.1), strict=True):
@@ -371,7 +372,7 @@ class MapModel(SimulatedPlant):
         *widths, high, low = theta[self.base :]
         data = self.simulator.data
         read = self.noise_free_readings(self.output(theta), theta)
-        level = self.has_level * float((data.y - read)[data.ok].mean())  # limits included
+        level = self.has_level * (data.y - read)[data.ok].mean()  # limits included
         reached = (end for end in (-low, high) if np.count_nonzero(read == end) >= FEWEST)
         ends = " and ".join(f"{(end + level) * y_scale:.3g}" for end in reached)
         if sum(widths) > 0:

@@ -376,7 +376,7 @@ def few_sample_correction(scores: Floats, row: Floats, count: int) -> tuple[floa
     k = np.arange(1, count + 1)
     covariance = power[np.abs(k[:, None] - k)] + power[k[:, None] + k]  # of the K cosines
     # Squared samples estimate the sums of fourth powers too large by the factor of a Gaussian.
-    excess = GAUSSIAN * float(np.sum((2 * weights * squares) ** 2))
+    excess = GAUSSIAN * np.sum((2 * weights * squares) ** 2)
     # Satterthwaite: (trace C)^2 / trace C^2 degrees of freedom.
     degrees = (np.trace(covariance) ** 2 - excess) / max(
         float(np.sum(covariance**2)) - excess, 1e-300
@@ -441,6 +441,21 @@ def cosine_coefficients(scores: Floats, count: int | None = None) -> Floats:
     size = scores.shape[0]
     number = max(8, min(int(0.4 * size ** (2 / 3)), size // 8)) if count is None else count
     return dct(scores, axis=0, norm="ortho")[1 : number + 1]
+
+
+def draw_sums(values: Floats, draws: int, wider: float = 1.0) -> Floats:
+    """Return the sums of values over logs that might have been recorded as well (draws x K).
+
+    They scatter as the cosines of the values do (I1).
+
+    Args:
+        values: of each reading (N x K).
+        draws: number of such logs.
+        wider: factor of the scatter.
+    """
+    slow = cosine_coefficients(values)  # root of the long-run covariance
+    noise = np.random.default_rng(0).standard_normal((draws, len(slow)))
+    return values.sum(axis=0) + wider * noise @ slow * math.sqrt(len(values) / len(slow))
 
 
 def sandwich_covariance(

@@ -80,10 +80,11 @@ def fit_free_load(data: Positions) -> FreeLoad | None:
     options = {"maxiter": 1200, "xatol": 1e-5, "fatol": 1e-3}
     minima = [minimize(cost, start, method="Nelder-Mead", options=options) for start in begun]
     at = min(minima, key=attrgetter("fun")).x
-    width = abs(float(at[0])) * spread
-    gain = float(at[1]) * gain
-    level = float(at[2]) * spread
-    s = math.exp(at[3]) * spread
+    size, steeper, shift, log_s, _ = at.tolist()
+    width = abs(size) * spread
+    gain = steeper * gain
+    level = shift * spread
+    s = math.exp(log_s) * spread
     w = y - gain * u - level
     value = _log_density(w, at, spread)
     side = np.sign(w) * (np.abs(w) > (1 - CLOSE) * width / 2)

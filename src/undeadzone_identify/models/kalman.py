@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.compile import lanes
-from undeadzone.numerics.gaussian import to_upper_entries
+from undeadzone.numerics.gaussian import normal_cdf, to_upper_entries
 from undeadzone.util.arrays import Floats, Integers
 from undeadzone_identify.models import estimates
 from undeadzone_identify.models.likelihood import log_unit_density
@@ -47,7 +47,7 @@ def log_normal_cdf(x: Any) -> Any:
     for k in range(DEPTH, 0, -1):
         fraction = far + k / fraction
     tail = log_unit_density(far) - ca.log(fraction)
-    return ca.if_else(x > TAIL, ca.log(0.5 * (1 + ca.erf(near / math.sqrt(2)))), tail)
+    return ca.if_else(x > TAIL, ca.log(normal_cdf(near)), tail)
 
 
 def log_interval_mass(a: Any, b: Any) -> Any:
@@ -279,7 +279,7 @@ class KalmanObjective:
         """Return value, score, and outer products of the scores, for the free parameters."""
         values, slopes = self.densities_and_scores(p)
         hessian = slopes.T @ slopes + 1e-9 * np.eye(self.free.size)
-        return float(values.sum()), slopes.sum(axis=0), hessian
+        return values.sum(), slopes.sum(axis=0), hessian
 
     def start_from_samples(self, fit: ZoneFit, share: float) -> Floats:
         """Return a start point (P) from a fit of single samples.

@@ -41,7 +41,7 @@ class KalmanFit(NamedTuple):
     @property
     def bic(self) -> float:
         """Return the BIC, -2 L + P ln N."""
-        count = int(self.objective.data.ok.sum())
+        count = self.objective.data.ok.sum()
         return -2 * self.value + self.objective.free.size * math.log(count)
 
     @property
@@ -57,7 +57,8 @@ class KalmanFit(NamedTuple):
     @property
     def left(self) -> float:
         """Return d_l, scaled."""
-        return float(self.theta[self.objective.log_q + 3 - self.objective.limits.tied])
+        place = self.objective.log_q + 3 - self.objective.limits.tied  # d_r, if they are equal
+        return float(self.theta[place])
 
     @property
     def white_rms(self) -> float:

@@ -154,7 +154,7 @@ class LeastSquares(Generic[M]):
 
     def _value_of_residual(self, e: Floats) -> float:
         """Return the log likelihood of an admissible plant with these residuals (N)."""
-        square = float(e @ e)
+        square = e @ e
         if not square < FAR:
             return -math.inf
         return -0.5 * self._count * math.log(square / self._count + 1e-30)
@@ -317,7 +317,7 @@ def regress_residual(columns: Floats, residual: Floats) -> tuple[Floats, Floats,
     # The test uses the covariance under its hypothesis, that all coefficients are 0.
     null = estimates.sandwich_covariance(columns * residual[:, None], normal, COSINES)
     count = columns.shape[1]
-    wald = float(coefficients @ np.linalg.pinv(null.V) @ coefficients)
+    wald = coefficients @ np.linalg.pinv(null.V) @ coefficients
     degrees = max(COSINES - count + 1, 1)
     statistic = wald * degrees / (COSINES * count)
     std = np.sqrt(np.maximum(np.diag(spread.V), 0.0))

@@ -13,10 +13,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.special import log_ndtr, ndtr
 
+from undeadzone.nonlinearities import sensor
 from undeadzone.util.arrays import Flags, Floats, Integers
 
 Z, RIGHT = range(2)  # columns of `DensityTerms.slopes`; those of d_l and log s follow
 LOG_ROOT = 0.5 * math.log(2 * math.pi)
+zone_offset = sensor.offset
 NARROW = 1e-5  # width of an interval below which its mass is width times density: no cancellation
 FAR = -36.0  # limit below which a tail's mass underflows, so that its logarithm is computed
 
@@ -88,16 +90,9 @@ def mean_beyond_edges(z: Floats, noise: ZoneNoise) -> Floats:
     return noise.s * (by_density + above * ndtr(above) - below * ndtr(below))
 
 
-def zone_offset(side: Integers, right: float, left: float) -> Floats:
-    """Return the offset that the zone subtracts on each branch (N): d_r right, -d_l left, 0
-    inside.
-    """
-    return right * (side > 0) - left * (side < 0)
-
-
 def zone_residual(readings: Readings, z: Floats, noise: ZoneNoise) -> Floats:
     """Return e outside the zone, y + d_r - z or y - d_l - z (N); y - z inside."""
-    return readings.y + zone_offset(readings.side, noise.right, noise.left) - z
+    return readings.y + sensor.offset(readings.side, noise.right, noise.left) - z
 
 
 def single_densities(readings: Readings, z: Floats, noise: ZoneNoise) -> DensityTerms:
@@ -127,7 +122,7 @@ def single_densities(readings: Readings, z: Floats, noise: ZoneNoise) -> Density
     return DensityTerms(value, slopes)
 
 
-def _gaussian_slopes(e: Floats, s: float, side: Integers) -> Floats:
+def _gaussian_slopes(e: Floats, s: float, side: Integers | Floats) -> Floats:
     """Return the derivatives of ln N(e; 0, 1) - ln s (n x 4).
 
     Args:
@@ -164,7 +159,7 @@ def densities_behind(
     Returns:
         Log densities and derivatives; 0 if a reading is missing.
     """
-    side = 1 * (z > noise.right) - 1 * (z < -noise.left) if zone else np.ones(z.size, int)
+    side = sensor.zone(z, noise.right, noise.left) if zone else np.ones(z.size)
     e = (readings.y - expected_reading(z, noise, zone)) / noise.s
     slopes = _gaussian_slopes(e, noise.s, side)
     value = log_unit_density(e) - math.log(noise.s)

@@ -222,8 +222,7 @@ class MotionFit:
         starts = []
         for lags in self._scan_lags():
             costs = self.squares(scanned, *lags)
-            best = int(np.argmin(costs))
-            starts.append((float(costs[best]), float(scanned[best]), *lags))
+            starts.append((costs.min(), scanned[np.argmin(costs)], *lags))
         kept = sorted(starts)[:KEPT]
         ends = [self._minimise(self._refine(np.array(at), gaps), gaps is None) for _, *at in kept]
         return self.result(min(ends, key=self._cost))
@@ -252,7 +251,7 @@ class MotionFit:
             at: gap [u], delay [s] and time constant [s] (3).
         """
         found = self.residuals(at[:1], at[1:])
-        best = int(np.argmin(_sum_squares_by_start(found)))
+        best = np.argmin(_sum_squares_by_start(found))
         e, behind = found[best]
         return e[:, 0], behind[:, 0], STARTS[best]
 
@@ -476,7 +475,7 @@ def fit_plant(data: Positions, found: LostMotion, lags: range) -> LostMotion:
         found: a fit; only its residual and the number of its parameters are replaced.
         lags: of u; negative ones are leads [samples].
     """
-    step = float(np.median(np.diff(data.t)))
+    step = np.median(np.diff(data.t))
     moved = [np.interp(data.t - k * step, data.t, data.u) for k in lags]
     columns = np.column_stack([np.ones(data.t.size), *moved])
     return found._replace(residual=regression_residual(columns, data.y), numbers=len(lags) + 2)

@@ -78,7 +78,7 @@ def measure_levels(
     intervals = {}
     least = math.inf
     widest = list(DIRECTIONS).index("width")
-    last = int(np.argmin([stage[widest][0] for stage in halves]))
+    last = np.argmin([stage[widest][0] for stage in halves])
     for k, (name, row) in enumerate(DIRECTIONS.items()):
         half, degrees = max(stage[k] for stage in halves[: last + 1])
         apart = values[-1][k] - values[0][k]

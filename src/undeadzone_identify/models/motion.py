@@ -71,8 +71,3 @@ def last_reading_rows(ok: Flags) -> Integers:
         ok: whether there is a reading (N).
     """
     return np.maximum.accumulate(np.where(ok, np.arange(ok.size), int(np.argmax(ok))))
-
-
-def round_to_quantum(y: Floats, quantum: float) -> Floats:
-    """Return readings rounded to a quantum; themselves for one of 0."""
-    return quantum * np.round(y / quantum) if quantum else y

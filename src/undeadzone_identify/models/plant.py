@@ -60,6 +60,11 @@ class RecordData(NamedTuple):
     y_scale: float
     climbs: CachedMaxima | None = None
 
+    @property
+    def input_scale(self) -> float:
+        """Return the divisor of the first input."""
+        return float(self.u_scale[0])
+
     def select_readings(self, use: Flags | None = None) -> Readings:
         """Return the readings for the likelihoods; `use` (N) flags the samples (None: all)."""
         ok = self.ok if use is None else self.ok & use

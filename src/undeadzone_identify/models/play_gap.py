@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undeadzone.nonlinearities.sensor import DIRECTIONS, heaviest
+from undeadzone.nonlinearities.sensor import DIRECTIONS, heaviest, quantise
 from undeadzone.util.arrays import Floats
 from undeadzone_identify.models.elements import PlayFit, PlayModel
 from undeadzone_identify.models.estimates import (
@@ -28,7 +28,7 @@ from undeadzone_identify.models.estimates import (
 )
 from undeadzone_identify.models.least_squares import LeastSquares
 from undeadzone_identify.models.likelihood import root_mean_square
-from undeadzone_identify.models.motion import are_exact, round_to_quantum, white_noise_rms
+from undeadzone_identify.models.motion import are_exact, white_noise_rms
 from undeadzone_identify.models.plant import (
     InputDisturbance,
     RecordData,
@@ -222,7 +222,7 @@ def _refit_simulated(
     fits = []
     residuals = []
     for w, e in zip(ahead, behind, strict=True):
-        y = round_to_quantum(model.noise_free_readings(z + w, theta) + e, quantum)
+        y = quantise(model.noise_free_readings(z + w, theta) + e, quantum)
         squares = LeastSquares(model.with_readings(y), fit.squares.past)
         fits.append(maximise_likelihood(squares, theta, STEPS, 1e-3).theta)
         residuals.append(squares.residual_rms(fits[-1]))

@@ -73,8 +73,8 @@ def profile_rounding(fit: ChainFit) -> Interval:
     held = fit.model.along(fit.squares.data)
     held.free = held.free[held.free != place]
     squares = LeastSquares(held, fit.squares.past)
-    grid = FINEST * float(fit.theta[held.edges].sum()) * GRID
-    own = float(fit.theta[place])
+    grid = FINEST * fit.theta[held.edges].sum() * GRID
+    own = fit.theta[place]
     values = {}
     for side in (grid[grid >= own], [*grid[grid < own][::-1], SHARPEST]):
         theta = fit.theta.copy()

@@ -31,7 +31,7 @@ from scipy.special import softmax
 
 from undeadzone.compile import lanes
 from undeadzone.util.arrays import Flags, Floats, Integers
-from undeadzone_identify.models.estimates import Interval, cosine_coefficients
+from undeadzone_identify.models.estimates import Interval, draw_sums
 from undeadzone_identify.models.least_squares import (
     Density,
     build_gaussian_density,
@@ -676,11 +676,7 @@ def _bagged_weights(values: Floats) -> Floats:
     Args:
         values: log densities of each reading (n x K).
     """
-    gains = values - values[:, :1]
-    slow = cosine_coefficients(gains)  # root of the long-run covariance
-    noise = np.random.default_rng(0).standard_normal((DRAWS, len(slow)))
-    drawn = gains.sum(axis=0) + SCATTER * noise @ slow * math.sqrt(len(gains) / len(slow))
-    return softmax(drawn, axis=1).mean(axis=0)
+    return softmax(draw_sums(values - values[:, :1], DRAWS, SCATTER), axis=1).mean(axis=0)
 
 
 def _weighted_range(values: Floats, weights: Floats, margin: float) -> Interval:

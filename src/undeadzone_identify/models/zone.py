@@ -7,6 +7,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from undeadzone.nonlinearities import sensor
 from undeadzone.util.arrays import Flags, Floats, Integers
 from undeadzone_identify.models import estimates, likelihood
 from undeadzone_identify.models.plant import PlantSimulator, RecordData
@@ -109,7 +110,7 @@ class ZoneObjective:
         """Return the log likelihood with the prior of x(0); -inf if theta is inadmissible."""
         if not (self.is_admissible(theta) and np.abs(self.simulator.simulate_z(theta)).max() < FAR):
             return -math.inf
-        total = float(self.z_and_terms(theta)[1].value.sum()) - self._initial_state_penalty(theta)
+        total = self.z_and_terms(theta)[1].value.sum() - self._initial_state_penalty(theta)
         return total if math.isfinite(total) else -math.inf
 
     def _initial_state_penalty(self, theta: Floats) -> float:
@@ -161,7 +162,7 @@ class ZoneObjective:
         hessian[log_s, log_s] = 2 * outside_count + by_inside
         x0 = np.r_[self.layout.x0]
         hessian[x0, x0] += self.x0_weight
-        value = float(values.sum()) - self._initial_state_penalty(theta)
+        value = values.sum() - self._initial_state_penalty(theta)
         free = self.free
         return value, scores.sum(axis=0)[free], hessian[np.ix_(free, free)]
 
@@ -183,15 +184,12 @@ class ZoneObjective:
             right += left
         return change[outside] / self.zone_noise(theta).s, ok & ~outside & (self.kind != "behind")
 
-    def branch_sides(self, theta: Floats) -> Integers:
+    def branch_sides(self, theta: Floats) -> Integers | Floats:
         """Return +1, 0, -1 (N): of the readings, or of z if noise is behind the zone."""
         if self.kind != "behind":
             return self.readings.side
         z = self.z_and_terms(theta)[0]
-        if not self.limits.zone:
-            return np.ones(z.size, int)
-        noise = self.zone_noise(theta)
-        return np.sign(likelihood.dead_zone(z, noise.right, noise.left)).astype(int)
+        return sensor.zone(z, *self.zone_noise(theta)[:2]) if self.limits.zone else np.ones(z.size)
 
     @estimates.cache_latest
     def robust_covariance(self, theta: Floats) -> estimates.EstimateCovariance:

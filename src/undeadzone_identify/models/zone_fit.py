@@ -9,11 +9,16 @@ import numpy as np
 
 from undeadzone.util.arrays import Flags, Floats, Integers, rows_since_start
 from undeadzone_identify.models.estimates import Maximum, best_maximum, maximise_likelihood
-from undeadzone_identify.models.likelihood import expected_reading, mean_beyond_edges
+from undeadzone_identify.models.likelihood import (
+    ZoneNoise,
+    expected_reading,
+    mean_beyond_edges,
+)
 from undeadzone_identify.models.plant import (
     PlantSimulator,
     RecordData,
     busiest_stretches,
+    delay_by_each,
     longest_record_of,
     polynomial_roots,
     stabilise_poles,
@@ -44,14 +49,24 @@ class ZoneFit(NamedTuple):
         return self.objective.simulator.simulate_z(self.theta)
 
     @property
+    def residual(self) -> Floats:
+        """Return the readings that the plant does not explain (N), scaled."""
+        return self.objective.unexplained_readings(self.theta)
+
+    @property
+    def noise(self) -> ZoneNoise:
+        """Return widths and rms of the disturbance, scaled."""
+        return self.objective.zone_noise(self.theta)
+
+    @property
     def right(self) -> float:
         """Return d_r, scaled."""
-        return float(self.theta[self.objective.layout.right])
+        return self.noise.right
 
     @property
     def left(self) -> float:
         """Return d_l, scaled."""
-        return float(self.theta[self.objective.layout.right + 1])
+        return self.noise.left
 
     @property
     def width(self) -> float:
@@ -61,7 +76,7 @@ class ZoneFit(NamedTuple):
     @property
     def disturbance_rms(self) -> float:
         """Return the rms of the disturbance of z, scaled."""
-        return math.exp(self.theta[self.objective.layout.log_s])
+        return self.noise.s
 
     @property
     def rho(self) -> float:
@@ -78,7 +93,7 @@ class ZoneFit(NamedTuple):
         References:
             C. Varin, P. Vidoni (2005), doi:10.1093/biomet/92.3.519
         """
-        numbers = float(self.objective.free.size)
+        numbers: float = self.objective.free.size
         if self.objective.kind == "ahead" and math.isfinite(self.value):
             spread = self.objective.robust_covariance(self.theta)
             numbers = max(numbers, float(np.trace(spread.V @ np.linalg.pinv(spread.naive))))
@@ -87,10 +102,9 @@ class ZoneFit(NamedTuple):
 
 def mean_reading(fit: ZoneFit) -> Floats:
     """Return E[y | z] (N), scaled: noise ahead of the zone makes its characteristic smooth."""
-    noise = fit.objective.zone_noise(fit.theta)
     if fit.objective.kind == "behind":
-        return expected_reading(fit.z, noise, fit.objective.limits.zone)
-    return mean_beyond_edges(fit.z, noise)
+        return expected_reading(fit.z, fit.noise, fit.objective.limits.zone)
+    return mean_beyond_edges(fit.z, fit.noise)
 
 
 def fit_zone(simulator: PlantSimulator, limits: WidthLimits) -> ZoneFit:
@@ -159,7 +173,7 @@ def nearest_numbers(fit: ZoneFit, simulator: PlantSimulator, a: Floats) -> Float
     linear = slice(layout.numerators.start, layout.x0.stop)  # z is linear in b and x(0)
     columns = simulator.z_gradient(theta, fit.z)[:, linear]
     theta[linear] = np.linalg.lstsq(columns, fit.z, rcond=1e-10)[0]
-    error = float(np.mean((columns @ theta[linear] - fit.z) ** 2))
+    error = np.mean((columns @ theta[linear] - fit.z) ** 2)
     theta[layout.log_s] = 0.5 * math.log(fit.disturbance_rms**2 + error)
     return theta
 
@@ -244,13 +258,13 @@ def outside_correlation(fit: ZoneFit) -> float:
     It is 0.05 if there are fewer than 10 of them.
     """
     readings = fit.objective.readings
-    e = fit.objective.unexplained_readings(fit.theta)
+    e = fit.residual
     outside = readings.ok & (readings.side != 0)
     second = np.flatnonzero(outside & readings.before)
     second = second[outside[second - 1]]
     if second.size < 10:
         return 0.05
-    rho = float(np.mean(e[second] * e[second - 1]) / np.mean(e[second] ** 2))
+    rho = np.mean(e[second] * e[second - 1]) / np.mean(e[second] ** 2)
     return float(np.clip(rho, -0.9, 0.99)) or 0.05
 
 
@@ -263,7 +277,7 @@ def zone_starts(objective: ZoneObjective) -> list[Floats]:
     starts = [] if by_branch is None else [by_branch]
     halves = [*SHARES]
     if objective.simulator.data.silent_zeros:
-        inside_share = float(np.mean(objective.readings.side[use] == 0))
+        inside_share = np.mean(objective.readings.side[use] == 0)
         halves.append(float(np.quantile(np.abs(linear.z), inside_share)))
     for share in halves:
         theta = linear.theta.copy()
@@ -327,28 +341,20 @@ def fit_arx(
     y = data.y
     for _ in range(layout.integrators):
         y = y - np.roll(y, 1)
-    past = np.column_stack([np.roll(y, i) for i in range(1, free + 1)] or [np.empty((y.size, 0))])
-    usable = valid.copy()
+    past = delay_by_each(y[:, None], free)
+    sides = np.ones(y.size) if side is None else side
+    usable = valid & (rows_since_start(data.start, y.size) >= n)
     for i in range(1, n + 1):
-        usable &= np.roll(valid, i)
-        if side is not None:
-            usable &= np.roll(side, i) == side
-    usable &= rows_since_start(data.start, y.size) >= n
-    columns = [-past, simulator.lagged]
-    if side is not None:
-        right = usable & (side > 0)
-        left = usable & (side < 0)
-        usable = right | left
-        fewest = FEW * (n + simulator.lagged.shape[1])
-        if right.sum() < fewest or left.sum() < fewest:
-            return np.zeros(free), np.zeros(simulator.lagged.shape[1]), None
-        columns += [1.0 * right[:, None], 1.0 * left[:, None]]
-    else:
-        columns.append(np.ones((y.size, 1)))
-    matrix = np.hstack(columns)[usable]
+        usable &= np.roll(valid, i) & (np.roll(sides, i) == sides)
+    ends = [usable & (sides > 0)] if side is None else [usable & (sides > 0), usable & (sides < 0)]
+    inputs = simulator.lagged.shape[1]
+    if side is not None and min(end.sum() for end in ends) < FEW * (n + inputs):
+        return np.zeros(free), np.zeros(inputs), None
+    usable = np.any(ends, axis=0)
+    matrix = np.column_stack([-past, simulator.lagged, *ends])[usable]
     solution = np.linalg.lstsq(matrix, y[usable], rcond=1e-10)[0]
-    levels = solution[-2:] if side is not None else None
-    return solution[:free], solution[free : free + simulator.lagged.shape[1]], levels
+    levels = None if side is None else solution[-2:]
+    return solution[:free], solution[free : free + inputs], levels
 
 
 def _centre_zone(objective: ZoneObjective, theta: Floats) -> Floats:

@@ -6,10 +6,10 @@ Certainty is withheld, the number never: a grade tells how sure it is.
 
 from __future__ import annotations
 
-import math
 from itertools import starmap
 from typing import Any, NamedTuple
 
+from undeadzone.util.arrays import to_json_value
 from undeadzone_identify.models.estimates import Interval
 from undeadzone_identify.results.formats import describe_interval, unit_suffix
 
@@ -283,9 +283,4 @@ class Account(NamedTuple):
 
 def _numbers_to_json(numbers: Numbers) -> dict[str, list[float | None]]:
     """Return numbers as [value, low, high], what is not finite as None."""
-    return {name: [*map(_finite_or_none, interval)] for name, interval in numbers.items()}
-
-
-def _finite_or_none(number: float) -> float | None:
-    """Return a number, or None where it is not finite."""
-    return float(number) if math.isfinite(number) else None
+    return {name: to_json_value([*interval]) for name, interval in numbers.items()}

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from undeadzone.errors import InputError
-from undeadzone.nonlinearities.sensor import DIRECTIONS
+from undeadzone.nonlinearities.sensor import DIRECTIONS, deadzone, zone
 from undeadzone.util.arrays import Flags, Floats
 from undeadzone_identify.logs.grid import Grid
 from undeadzone_identify.logs.log import AT_ONCE
@@ -159,6 +159,11 @@ class Answer(NamedTuple):
         return self.fit.z if self.element is None else self.element.z
 
     @property
+    def output(self) -> Floats:
+        """Return the output of the plant (N) [y]."""
+        return self.z * self.scale
+
+    @property
     def plant(self) -> tuple[PlantSimulator, Floats]:
         """Return the plant along the log and its parameters, scaled."""
         if self.element is None:
@@ -229,10 +234,9 @@ class Answer(NamedTuple):
     @property
     def z_from_rest(self) -> Floats:
         """Return the output of the plant less that at rest (N) [y]."""
-        z = self.z * self.scale
         if self.element is None or not self.element.level or self.at_rest is None:
-            return z
-        return z - float(self.gain[0]) * self.at_rest[0]
+            return self.output
+        return self.output - self.gain[0] * self.at_rest[0]
 
     @property
     def disturbance(self) -> Disturbance:
@@ -250,8 +254,7 @@ class Answer(NamedTuple):
             return Disturbance(element.disturbance_rms * scale, time, element.noise * scale, model)
         time = -step / math.log(fit.rho) if 0.05 < fit.rho < 1 else None
         if fit.objective.kind == "behind":  # the climb to s ends early at a zone without width
-            left = fit.objective.unexplained_readings(fit.theta)[fit.objective.readings.ok]
-            rms = root_mean_square(left)
+            rms = root_mean_square(fit.residual[fit.objective.readings.ok])
             return Disturbance(rms * scale, time, ahead=False)
         ahead = Disturbance(fit.disturbance_rms * scale, time)
         if not self.found.kalman:
@@ -405,11 +408,11 @@ def _widen_by_drift(answer: Answer, intervals: DisplayedWidths) -> list[str]:
     right, left, unit = intervals["right"], intervals["left"], answer.case.grid.output_unit
     if right is None or left is None or not math.isfinite(left.high + right.high):
         return []
-    z, grid = answer.z * answer.scale, answer.case.grid
-    beyond = np.flatnonzero(grid.ok & ((z > right.value) | (z < -left.value)))
+    z, grid = answer.output, answer.case.grid
+    beyond = np.flatnonzero(grid.ok & (zone(z, right.value, left.value) != 0))
     if beyond.size < DRIFT_BLOCKS * LEAST_IN_BLOCK:
         return []
-    residual = grid.y - (z - np.clip(z, -left.value, right.value))
+    residual = grid.y - deadzone(z, right.value, left.value)
     means = np.array([residual[one].mean() for one in np.array_split(beyond, DRIFT_BLOCKS)])
     reach = 0.5 * float(np.abs(np.diff(means)).max())  # from the middle of a part to its end
     low, high = float(means.min()) - reach, float(means.max()) + reach

@@ -8,6 +8,7 @@ import numpy as np
 
 from undeadzone.errors import InputError
 from undeadzone.nonlinearities.play import levels
+from undeadzone.nonlinearities.sensor import deadzone
 from undeadzone.util.arrays import Floats
 from undeadzone_identify.models.likelihood import root_mean_square
 from undeadzone_identify.results.assemble import Answer
@@ -29,7 +30,7 @@ def rest_noise(answer: Answer) -> float:
     """
     if answer.right is None or answer.left is None or not answer.zone:
         return 0.0
-    grid, z = answer.case.grid, answer.z * answer.scale
+    grid, z = answer.case.grid, answer.output
     is_deep = (-DEEP * answer.left.value < z) & (z < DEEP * answer.right.value)
     inside = grid.y[grid.ok & is_deep]
     return NORMAL * float(np.median(np.abs(inside))) if inside.size >= FEWEST else 0.0
@@ -42,7 +43,7 @@ def command_along(answer: Answer) -> Floats:
         answer: to a log.
     """
     if answer.verdict == "play":
-        return answer.z * answer.scale
+        return answer.output
     return answer.case.grid.u[:, 0]
 
 
@@ -101,7 +102,7 @@ def pass_machine(lost: Lost, command: Floats, end: int) -> Floats:
     if lost.kind == "backlash":
         gap = np.array([lost.width[end]])
         return levels(command, gap, 0 * gap, command[:1])
-    return command - np.clip(command, -lost.left[end], lost.right[end])
+    return deadzone(command, lost.right[end], lost.left[end])
 
 
 def _held_out_readings(answer: Answer, lost: Lost) -> tuple[Floats, Floats, Lost]:

@@ -48,16 +48,14 @@ def jump_of_reading(case: Case, valve: ValveFindings) -> Interval | None:
         return None
     gain = float(simulator.dc_gain(theta)[0])
     slope = np.zeros(theta.size)
-    below = 1 + float(theta[simulator.layout.denominator].sum())
+    below = 1 + theta[simulator.layout.denominator].sum()
     slope[simulator.layout.denominator] = -gain / below
     slope[simulator.layout.numerators] = 1 / below
     V = plant.squares.robust_covariance(theta).V
     unsure = 2 * math.sqrt(variance_along(V, slope)) / max(abs(gain), 1e-12)
     if unsure > UNSURE:
         return None
-    moved = valve.jump.scale_by(
-        abs(gain) * case.record_data.y_scale / float(case.record_data.u_scale[0])
-    )
+    moved = valve.jump.scale_by(abs(gain) * case.record_data.y_scale / case.record_data.input_scale)
     if not 0 < moved.value < 2 * case.record_data.y_scale:
         return None
     return Interval(moved.value, moved.low * (1 - unsure), moved.high * (1 + unsure))

@@ -84,38 +84,36 @@ class IdentifiedMotion(Spoken):
         width = self.width
         half = HALF_95 * one.gain_error
         parts = one.parts
-        numbers = dict(
-            to_json_value(
-                {
-                    "zone": False,
-                    "verdict": one.verdict,
-                    "found": self.headline(),
-                    "answer": self.account.to_json(),
-                    "reasons": one.reasons,
-                    "right": None,
-                    "left": None,
-                    "width": None if width is None else list(width),
-                    "odds": one.odds,
-                    "lost_motion": {
-                        "gap": list(one.gap),
-                        "gain": [found.gain, found.gain - half, found.gain + half],
-                        "level": found.level,
-                        "delay": found.delay,
-                        "lag": found.lag * found.structure.lags,
-                        "reversals": one.reversals,
-                        "rms": found.rms,
-                        "with_friction": one.is_goal and parts is None,
-                        "parts": None if parts is None else parts._asdict(),
-                    },
-                    "record": {
-                        "samples": int(one.log.t.size),
-                        "readings": int(one.data.t.size),
-                        "quantum": one.quantum,
-                    },
-                    "units": {"input": one.log.input_unit, "output": one.log.output_units[0]},
-                    "remarks": one.remarks,
-                }
-            )
+        numbers = to_json_value(
+            {
+                "zone": False,
+                "verdict": one.verdict,
+                "found": self.headline(),
+                "answer": self.account.to_json(),
+                "reasons": one.reasons,
+                "right": None,
+                "left": None,
+                "width": None if width is None else list(width),
+                "odds": one.odds,
+                "lost_motion": {
+                    "gap": list(one.gap),
+                    "gain": [found.gain, found.gain - half, found.gain + half],
+                    "level": found.level,
+                    "delay": found.delay,
+                    "lag": found.lag * found.structure.lags,
+                    "reversals": one.reversals,
+                    "rms": found.rms,
+                    "with_friction": one.is_goal and parts is None,
+                    "parts": None if parts is None else parts._asdict(),
+                },
+                "record": {
+                    "samples": int(one.log.t.size),
+                    "readings": int(one.data.t.size),
+                    "quantum": one.quantum,
+                },
+                "units": {"input": one.log.input_unit, "output": one.log.output_units[0]},
+                "remarks": one.remarks,
+            }
         )
         return numbers | {"lines": measure_lines(numbers, None, one.data.u)}
 

@@ -201,10 +201,10 @@ def _score_by_interval(answer: Answer, name: str, model: ModelAccount) -> Iterat
     rows = rows * scale
     information = rows.T @ rows + 1e-12 * np.eye(scale.size)
     row = row * scale
-    before = float(row @ np.linalg.solve(information, row))
+    before = row @ np.linalg.solve(information, row)
     for kind, data in _candidate_records(answer, model):
         new = model.account_along(data).information_rows(begins_at_rest=True) * scale
-        after = float(row @ np.linalg.solve(information + new.T @ new, row))
+        after = row @ np.linalg.solve(information + new.T @ new, row)
         t = grid.step * np.arange(data.y.size)
         left = math.sqrt(after / before)
         yield NextLog(t, data.u * data.u_scale, kind, name, left, heads)
@@ -217,15 +217,13 @@ def _candidate_records(answer: Answer, account: ModelAccount) -> Iterator[tuple[
     """Yield inputs within the log's limits that move z no further (name, record)."""
     own = account.model.simulator.data
     size = int(np.clip(round(SECONDS / answer.case.grid.step), FEWEST, MOST))
-    reach = FURTHER * float(np.ptp(answer.z))
+    reach = FURTHER * np.ptp(answer.z)
     blank = np.zeros(size)
     integrates = account.model.simulator.layout.integrators > 0
     for kind, pattern in _unit_patterns(_slowest_constant(answer), size):
         for share in SIZES:
-            u = np.column_stack(
-                [_limit_pattern(column, share * pattern, integrates) for column in own.u.T]
-            )
-            turned = [np.roll(column, k * size // 2) for k, column in enumerate(u.T)]
+            columns = [_limit_pattern(one, share * pattern, integrates) for one in own.u.T]
+            turned = [np.roll(column, k * size // 2) for k, column in enumerate(columns)]
             data = own._replace(
                 u=np.column_stack(turned),
                 y=blank,

@@ -360,13 +360,10 @@ class Identified(Spoken):
     def numbers(self) -> dict[str, Any]:
         """Return all numbers of the answer, as `--json` prints."""
         numbers = answer_numbers(self.answer, self.account)
-        return to_json_value(numbers | self._lines(numbers))
-
-    def _lines(self, numbers: dict[str, Any]) -> dict[str, Any]:
-        """Return the errors without and with the few lines that compensate what is named."""
-        if not self.account.is_certain:
-            return {"lines": None}
-        return {"lines": measure_lines(numbers, self.answer, command_along(self.answer))}
+        lines = None  # errors without and with the few lines that compensate what is named
+        if self.account.is_certain:
+            lines = measure_lines(numbers, self.answer, command_along(self.answer))
+        return to_json_value(numbers | {"lines": lines})
 
     def summary(self) -> dict[str, Any]:
         """Return the answer in words, as the command prints."""

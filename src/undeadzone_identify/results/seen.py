@@ -141,35 +141,31 @@ def choose_account(
             still.
         knows_the_end: whether a zone that is named is told from one of the input.
     """
-    named = fitted.effects.keys() if fitted.grade == NAMED else set()
-    is_seen = seen is not None and bool(seen.effects)
-    is_seen &= seen is not None and (seen.grade == MEASURED or fitted.grade in (OPEN, BOUNDED))
-    is_flat = named & {*FLAT} and knows_the_end() and not _contradicts(fitted, seen)
-    edges = fitted.effects.get("output loss", {}).items()
-    is_flat = is_flat and all(one.low > 0 for name, one in edges if name in EDGES)
-    if seen is not None and is_seen and not is_flat:
-        others = {key: one for key, one in fitted.effects.items() if key not in seen.effects}
-        return seen._replace(others=others | fitted.others)
-    if (
-        looks.at_rest is not None
-        and fitted.grade == INDICATED
-        and _moves_in_band(fitted, looks.at_rest)
-    ):
+    if seen is not None:
+        named = fitted.effects.keys() if fitted.grade == NAMED else set()
+        edges = fitted.effects.get("output loss", {}).items()
+        is_flat = named & {*FLAT} and knows_the_end() and not _contradicts(fitted, seen)
+        is_flat = is_flat and all(one.low > 0 for name, one in edges if name in EDGES)
+        is_better = seen.grade == MEASURED or fitted.grade in (OPEN, BOUNDED)
+        if seen.effects and is_better and not is_flat:
+            others = {key: one for key, one in fitted.effects.items() if key not in seen.effects}
+            return seen._replace(others=others | fitted.others)
+    rest = looks.at_rest
+    if rest is not None and fitted.grade == INDICATED and _moves_in_band(fitted, rest):
         fitted = fitted._replace(grade=OPEN, effects={}, others={})
     if seen is not None and fitted.grade == OPEN and seen.grade == BOUNDED:
         return seen
     still = {INPUT: looks.stillness}
-    limits = {}
-    for effect, bound in fitted.limits.items():
-        limits[effect] = max(bound, still.get(EFFECTS[effect].end, 0.0))
+    bounds = fitted.limits.items()
+    limits = {key: max(bound, still.get(EFFECTS[key].end, 0.0)) for key, bound in bounds}
     return fitted._replace(limits=limits)
 
 
-def _contradicts(fitted: Account, seen: Account | None) -> bool:
+def _contradicts(fitted: Account, seen: Account) -> bool:
     """Return whether a band of the input is wider or narrower by its fit than in a map."""
-    band = INPUT_LOSS & (seen.effects.keys() if seen is not None else set())
+    band = INPUT_LOSS & seen.effects.keys()
     own = fitted.effects.get("input loss", {}).get("width")
-    if own is None or seen is None or not band:
+    if own is None or not band:
         return False
     edges = seen.effects[band.pop()]
     if len(edges) < len(EDGES):

@@ -39,6 +39,7 @@ from undeadzone_identify.selection.alternatives import (
 )
 from undeadzone_identify.selection.decision import MEMORY, VALVE
 from undeadzone_identify.selection.lost_motion import LostMotionAnswer
+from undeadzone_identify.selection.widths import SIDES
 
 DYNAMICS = "plant and nonlinearity, fitted together"
 NO_BETTER = "a straight plant simulates held-out readings about as well"
@@ -82,7 +83,6 @@ NAMES = {  # of the classes
     "external": "An oscillation from outside",
     "tight_tuning": "The loop is tuned too tightly",
 }
-SIDES = ("right", "left")
 SIZES = ("width", "gap", "level")
 OTHERS = 2  # effects that are printed beside the first
 LOSS = "output loss"

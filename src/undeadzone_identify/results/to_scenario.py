@@ -367,13 +367,13 @@ def _disturbance_prior(answer: Answer) -> tuple[float, float] | None:
     if answer.servo is not None:
         return answer.servo.motor_disturbance
     if answer.element is not None:
-        return _element_disturbance_prior(answer.element, step, float(data.u_scale[0]))
+        return _element_disturbance_prior(answer.element, step, data.input_scale)
     if not kalman:
         return (0.0, 0.5 * step) if answer.chosen.white else None
     best = kalman[0]
     phi = best.disturbance_memory
     rms = best.driving_rms / math.sqrt(1 - phi * phi)
-    scale = float(data.u_scale[0])
+    scale = data.input_scale
     if best.model == AT_OUTPUT:
         layout, a, b, _ = answer.plant_numbers
         scale = answer.scale / math.sqrt(input_noise_gain(a, b[: layout.n], layout.n, phi))

@@ -117,6 +117,7 @@ SHORT = {
     "external": "from outside",
     "tight_tuning": "tight tuning",
 }
+GAINS = (("DC gain", ""), ("gain of the rate", " 1/s"), ("gain of the acceleration", " 1/s^2"))
 LEAST_PRINTED = 0.005  # odds that are worth a word
 
 
@@ -278,12 +279,9 @@ def _describe_plant(answer: Answer) -> str:
     unit = f"{grid.output_unit}/{grid.input_unit}"
     unit = "" if unit == "1/1" else f" {unit}"
     gains = ", ".join(f"{gain:.4g}" for gain in answer.gain)
-    kind = "DC gain"
-    integrators = answer.plant[0].layout.integrators
-    if integrators:
-        kind = "gain of the rate" if integrators == 1 else "gain of the acceleration"
-        unit += " 1/s" if integrators == 1 else " 1/s^2"
-    return f"order {answer.order} (BIC), poles {', '.join(pole_texts)} {rate}, {kind} {gains}{unit}"
+    kind, of_time = GAINS[min(answer.plant[0].layout.integrators, 2)]
+    poles = f"order {answer.order} (BIC), poles {', '.join(pole_texts)} {rate}"
+    return f"{poles}, {kind} {gains}{unit}{of_time}"
 
 
 def describe_shares(odds: dict[str, float]) -> str:

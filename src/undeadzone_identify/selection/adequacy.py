@@ -336,7 +336,7 @@ def by_last_turn(signal: Floats) -> Floats:
 
 def _late_by_rate(signal: Floats) -> Floats:
     """Return by how much limits of its rate would change a signal, and its speed (N x K)."""
-    usual = float(np.std(np.diff(signal)))
+    usual = np.std(np.diff(signal))
     speed = np.abs(np.diff(signal, prepend=signal[0]))  # a lag that differs by direction
     late = limit_rates(signal, usual * np.array(RATES)) - signal[:, None]
     return np.column_stack([late, speed])

@@ -263,13 +263,10 @@ def impossible_words(case: Case) -> Collection[str]:
     placed = PLACED.get(case.options.place)
     out = set(EXCLUDED.get(case.options.kind, ()))
     out |= set() if placed is None else set(MODELS) - {"none", placed}
-    fit = case.chosen.fit
     if not case.record_data.silent_zeros or case.jump_edges or placed is not None:
         return out
     speaks = case.record_data.ok & (case.record_data.side != 0)
-    loud = white_noise_rms(
-        fit.objective.unexplained_readings(fit.theta), speaks, case.record_data.start
-    )
+    loud = white_noise_rms(case.chosen.fit.residual, speaks, case.record_data.start)
     if loud > max(2 * case.quantum, LEAST_NOISE):  # and only a sensor's zone silences it
         out |= {"none", "friction", "input_zone", "play", "saturation", "other"}
         out |= set(CHAINED) - {"filtered_zone"}
@@ -527,7 +524,7 @@ def _measure_input_zone(
     data = fit.model.simulator.data
     measured = measure_fit(fit, misfits, lambda theta: fit.model.part_numbers(theta, "input"))
     u = data.u[:, 0]
-    scale = float(data.u_scale[0])
+    scale = data.input_scale
     passed = fit.model.pass_input(u, fit.theta)
     return _bound_unpassed(measured.scale_by(scale), scale * u, passed), measured.degrees
 
@@ -619,7 +616,7 @@ def _add_valve_element(case: Case, found: Findings, valve: ValveFindings) -> Fin
     whole = plant.delay_inputs(case.recorded, valve.late)
     linear, numbers = _extend_to_records(fit, fit.theta, whole)
     model = ChainModel(linear.simulator, "play")
-    theta = np.append(numbers, valve.stick.value / float(whole.u_scale[0]))
+    theta = np.append(numbers, valve.stick.value / whole.input_scale)
     element = _element_of_fit("input_play", fit, model, theta)
     widths = element.widths | {"width": valve.stick}
     return found._replace(element=element._replace(widths=widths), delay=valve.late)
@@ -660,7 +657,7 @@ def measure_word(
         return none | known, degrees
     measured = measure_fit(fit, misfits)
     if word in OF_INPUT:
-        widths = measured.scale_by(float(case.record_data.u_scale[0]))
+        widths = measured.scale_by(case.record_data.input_scale)
         if word == "friction":
             widths = {name: one.stretch_by(WIDER) for name, one in widths.items()}
     else:
@@ -799,7 +796,7 @@ def _in_numbers(case: Case, found: Findings) -> Findings:
         return found._replace(verdict=verdict._replace(reasons=[*verdict.reasons, *limits]))
     if one is None or not isinstance(one.model, ChainModel):
         return found
-    description = one.model.in_words(one.theta, float(data.u_scale[0]), data.y_scale)
+    description = one.model.in_words(one.theta, data.input_scale, data.y_scale)
     if one.model.is_at_bound(one.theta):
         seen = f"the best model is at the limit of its numbers: {description}. Nothing is named"
         return found._replace(verdict=build_verdict("unclear", seen, SEEN["input"]))

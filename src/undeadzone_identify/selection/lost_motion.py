@@ -394,7 +394,7 @@ def _split(answer: LostMotionAnswer) -> LostMotionAnswer:
 
 def _not_negative(one: Interval) -> Interval:
     """Return an interval cut at 0."""
-    return Interval(*(max(end, 0.0) for end in one))
+    return Interval(*np.maximum(one, 0.0).tolist())
 
 
 # --- In words

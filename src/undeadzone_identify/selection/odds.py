@@ -22,7 +22,7 @@ import numpy as np
 from scipy.special import softmax
 
 from undeadzone.util.arrays import Floats
-from undeadzone_identify.models.estimates import cosine_coefficients
+from undeadzone_identify.models.estimates import draw_sums
 from undeadzone_identify.models.least_squares import Density
 
 DRAWS = 2000
@@ -56,11 +56,7 @@ def _draw_log_odds(family: Family, least: Density) -> Floats:
     none = least if family["none"].value.size == count else family["none"]
     gains = np.column_stack([one.value - none.value for one in family.values()])
     numbers = np.array([one.numbers - none.numbers for one in family.values()])
-    slow = cosine_coefficients(gains)
-    noise = np.random.default_rng(0).standard_normal((DRAWS, len(slow)))
-    scatter = noise @ slow * math.sqrt(len(gains) / len(slow))
-    each = count / len(gains)
-    return each * (gains.sum(axis=0) + scatter) - 0.5 * numbers * math.log(count)
+    return count / len(gains) * draw_sums(gains, DRAWS) - 0.5 * numbers * math.log(count)
 
 
 def nats_behind_best(families: Sequence[Family]) -> dict[str, float]:

@@ -14,6 +14,7 @@ from scipy.stats import chi2
 
 from undeadzone.util.arrays import Flags, Floats, Integers, rows_since_start
 from undeadzone_identify.models import zone_fit
+from undeadzone_identify.models.estimates import variance_along
 from undeadzone_identify.models.least_squares import (
     CHANCE,
     regress_residual,
@@ -215,7 +216,7 @@ def score_held_out(
 
 def one_step_residuals(fit: zone_fit.ZoneFit, among: Flags) -> tuple[Floats, Flags]:
     """Return residuals e_t - rho e_(t-1) and the flags of outside samples in a row (N, N)."""
-    e = fit.objective.unexplained_readings(fit.theta)
+    e = fit.residual
     ok = fit.objective.data.ok
     speaks = ok if fit.objective.kind == "behind" else ok & (fit.objective.readings.side != 0)
     return predict_one_step(e, speaks & among, speaks, fit.objective.data.start)
@@ -249,7 +250,7 @@ def is_white(value: Floats, use: Flags, lags: int = LAGS) -> bool:
     if count < 3 * lags:
         return True
     squares = known_autocorrelation(value, use, lags) ** 2
-    total = count * (count + 2) * float(np.sum(squares / (count - np.arange(1, lags + 1))))
+    total = count * (count + 2) * np.sum(squares / (count - np.arange(1, lags + 1)))
     return bool(chi2.sf(total, lags) > 0.01)
 
 
@@ -389,8 +390,7 @@ def compare_with_no_zone(fit: zone_fit.ZoneFit) -> ZoneTest:
     best = zone_fit.improve_fit(fit, begun)
     spread = best.objective.robust_covariance(best.theta)
     row = best.objective.width_weights(1.0, 1.0)
-    robust = float(row @ spread.V @ row)
-    naive = float(row @ spread.naive @ row)
+    robust, naive = (variance_along(V, row) for V in (spread.V, spread.naive))
     ratio = 2 * max(best.value - linear.value, 0.0) / max(1.0, robust / max(naive, 1e-300))
     chance = float(chi2.sf(ratio, 1))  # of the width; the level has its number in both
     return ZoneTest(chance, best)

@@ -68,6 +68,11 @@ AT_MOTOR = (
     "an encoder on the motor's side of the gears shows a gap only through the load behind it: if"
     " the encoder is there, a gap behind it is not excluded"
 )
+WHERE_READ = (
+    "the gap is one between motor and encoder; of an encoder at the motor's side it shows only"
+    " as far as the load is felt (rho c >> q, rho the load's share of the inertia): ask where"
+    " the encoder is"
+)
 BURSTS = (
     "the residual of a motor comes in bursts, as strikes of a load make that is free in a gap, or"
     " friction that changes: no gap is not certain. Record an encoder on either side of the gears"
@@ -100,9 +105,8 @@ def to_observations(grid: Grid, options: Options) -> Observations | None:
         grid: the records.
         options: of the user.
     """
-    if grid.u.shape[1] != 1 or options.kind not in ("auto", "play"):
-        return None
-    if options.place != "auto" or options.right or options.left:
+    is_plain = options.kind in ("auto", "play") and options.place == "auto"
+    if grid.u.shape[1] != 1 or not is_plain or options.right or options.left:
         return None
     u = shift_rows(grid.u[:, 0], total_delay(options), grid.start)
     log = build_observations(u, grid.y, grid.ok, grid.start, grid.step)
@@ -151,19 +155,14 @@ def total_delay(options: Options, found: ServoGap | None = None) -> int:
     return options.recorded_delay + max(round(float(found.servo.theta[At.DELAY])), 0)
 
 
-def servo_order(servo: Servo) -> int:
-    """Return the number of poles of a servo."""
-    return (1 if servo.structure.lag else 2) + ("pole" in servo.structure.parts)
-
-
 # --- What is found
 
 
 def needs_servo_test(case: Case, found: Findings) -> bool:
     """Return whether a servo must be tested: for integrators, or if a residual remains."""
+    word = found.verdict.word
     if found.element is not None or case.jump_edges is not None or case.unreached:
         return False
-    word = found.verdict.word
     if case.has_limits_as(word):
         return False
     if word in (*WITHOUT_MEMORY, "none") and _leaves_rounding_alone(case, found):
@@ -294,10 +293,9 @@ def without_gap(case: Case, servo: ServoGap, found: Findings) -> Findings:
         return _withhold_servo(servo, found, other)
     word = "none" if friction is None else "friction"
     models, odds = found.models, {word: 1.0}
-    if (
-        servo.gap_probability < UNLIKELY
-    ):  # else the gap is below the encoder's steps or noise, whatever its odds
-        odds = {word: 1 - servo.gap_probability, "play": servo.gap_probability}
+    share = servo.gap_probability
+    if share < UNLIKELY:  # else the gap is below the encoder's steps or noise, whatever its odds
+        odds = {word: 1 - share, "play": share}
     if not servo.log.ticks:  # whose densities compare with those of other models
         density = _servo_family(case, servo)["play"]
         models = (*models, {"none": case.rivals["none"], word: density._replace(name=word)})
@@ -364,7 +362,7 @@ def find_repetition(servo: ServoGap) -> str | None:
     way = max(float(np.ptp(z)), 1e-300)
     rates = np.pi * np.array(HALF_PERIODS) / way
     shares = lombscargle(z, errors, rates, normalize=True, floating_mean=True)
-    share = float(shares.max())
+    share = shares.max()
     chance = len(HALF_PERIODS) * math.exp(-0.5 * errors.size * share)  # of two columns
     if not Remainder("repetition", share, chance, errors[:0]).is_real:
         return None
@@ -390,8 +388,8 @@ def find_input_zone(servo: ServoGap) -> str | None:
     if not servo.is_integrating:
         return None
     one, log = servo.servo, servo.log.busiest_part(LONGEST)
-    level = float(one.structure.disable_absent_parts(one.theta)[RUBS].sum())
-    middle = float(one.theta[At.OFFSET])
+    level = one.structure.disable_absent_parts(one.theta)[RUBS].sum()
+    middle = one.theta[At.OFFSET]
     structure = one.structure._replace(parts=one.structure.parts - {"friction", "load"})
     theta = structure.disable_absent_parts(one.theta)
     theta[At.OFFSET] = 0.0
@@ -440,11 +438,6 @@ def _withhold_servo(servo: ServoGap, found: Findings, *named: str) -> Findings:
     return found._replace(verdict=verdict, odds={}, plays=None)
 
 
-def gap_probabilities(servo: ServoGap) -> dict[str, float]:
-    """Return the posterior probabilities of a gap and of none [1]."""
-    return {"play": servo.gap_probability, "none": 1 - servo.gap_probability}
-
-
 def add_servo_element(case: Case, servo: ServoGap, found: Findings) -> Findings:
     """Return the findings with a servo behind a play.
 
@@ -454,12 +447,11 @@ def add_servo_element(case: Case, servo: ServoGap, found: Findings) -> Findings:
         found: so far.
     """
     word = "play" if servo.gap_probability > LIKELY else "undecided"
-    verdict = Verdict(word, [describe_servo(servo)], _servo_cautions(servo))
+    verdict = Verdict(word, [describe_servo(servo)], [WHERE_READ, *servo.trend_remarks])
     element = build_servo_element(case, servo)
     late = total_delay(case.options, servo)
-    return found._replace(
-        verdict=verdict, odds=gap_probabilities(servo), element=element, delay=late
-    )
+    odds = {"play": servo.gap_probability, "none": 1 - servo.gap_probability}
+    return found._replace(verdict=verdict, odds=odds, element=element, delay=late)
 
 
 def describe_servo(servo: ServoGap) -> str:
@@ -474,16 +466,6 @@ def describe_servo(servo: ServoGap) -> str:
         f" Median gap over {servo.crossings.gap.size} reversals:"
         f" {servo.crossings.median_gap:.4g} (+- {2 * servo.crossings.median_error:.2g})"
     )
-
-
-def _servo_cautions(servo: ServoGap) -> list[str]:
-    """Return the cautions on the gap."""
-    return [
-        "the gap is one between motor and encoder; of an encoder at the motor's side it shows only"
-        " as far as the load is felt (rho c >> q, rho the load's share of the inertia): ask where"
-        " the encoder is",
-        *servo.trend_remarks,
-    ]
 
 
 def build_servo_element(case: Case, servo: ServoGap) -> Element:
@@ -504,11 +486,12 @@ def build_servo_element(case: Case, servo: ServoGap) -> Element:
         climbs=None,
     )
     free = int(servo.is_integrating)
-    simulator = plant.PlantSimulator(own, servo_order(one), free)
+    order = len(_places_of_states(one))
+    simulator = plant.PlantSimulator(own, order, free)
     layout = simulator.layout
     count = layout.numerators.stop
     theta = np.zeros(layout.parameter_count)
-    scale = float(data.u_scale[0]) / data.y_scale
+    scale = data.input_scale / data.y_scale
     theta[:count] = to_sampled_plant(servo, one.theta, scale)
     z, readings, side = servo.predict_readings(one)
     of_log, level = servo.log.y_scale / data.y_scale, float(own.y[own.ok][0])
@@ -550,6 +533,11 @@ def _servo_widths(
     return {"right": right, "left": left, "width": width, "centre": centre}
 
 
+def _places_of_states(one: Servo) -> list[int]:
+    """Return the places of the states of a servo's plant among z, v, d and i."""
+    return [0, *[1] * (not one.structure.lag), *[3] * ("pole" in one.structure.parts)]
+
+
 def to_sampled_plant(servo: ServoGap, theta: Floats, scale: float) -> Floats:
     """Return a without its integrators and b of a servo's sampled plant, without friction.
 
@@ -560,8 +548,7 @@ def to_sampled_plant(servo: ServoGap, theta: Floats, scale: float) -> Floats:
     """
     one, log = servo.servo, servo.log
     A, B, _ = discretise_servo(theta[None], log.step, one.structure.lag)
-    places = [0] if one.structure.lag else [0, 1]
-    places += [3] if "pole" in one.structure.parts else []
+    places = _places_of_states(one)
     F, b = A[0][np.ix_(places, places)], B[0, places, 0]
     numerator, whole = ss2tf(F, b[:, None], np.eye(1, b.size), np.zeros((1, 1)))
     if servo.is_integrating:

@@ -93,7 +93,7 @@ class ValveFindings:
         self.turns = fits.log.turns
         self._case = case
         self._fits = fits
-        self._scale = fits.log.range * float(case.recorded.u_scale[0])
+        self._scale = fits.log.range * case.recorded.input_scale
         is_faulty = sum(odds.get(one, 0.0) for one in VALVE) > 0.5
         self._acting = self.fit.position(fits.log.u) if is_faulty else fits.log.u
 
@@ -271,7 +271,7 @@ def ellipse_width(log: LoopLog) -> float:
         log: the loop.
     """
     u = log.u[log.ok]
-    related = float(np.corrcoef(u, log.y[log.ok])[0, 1])
+    related = np.corrcoef(u, log.y[log.ok])[0, 1]
     return math.sqrt(8 * max(1 - related**2, 0.0)) * float(u.std())
 
 
@@ -309,7 +309,7 @@ def _comparable_families(
             rare = RARE * (word not in OWN)
             same = best._replace(value=best.value[rows], numbers=best.numbers + rare)
             family[word] = min(same, family.get(word, same), key=lambda one: one.bic)
-    others = list[Family]()
+    others: list[Family] = []
     for one in models:
         own, left = one["none"], sorted(set(one) - set(family) - set(VALVE))
         if not left:

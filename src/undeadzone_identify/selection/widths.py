@@ -10,9 +10,13 @@ import numpy as np
 from scipy.stats import chi2
 from scipy.stats import f as fisher
 
-from undeadzone.nonlinearities.sensor import DIRECTIONS, heaviest
+from undeadzone.nonlinearities.sensor import DIRECTIONS, heaviest, zone
 from undeadzone.util.arrays import Floats, bounds_of_runs
-from undeadzone_identify.models.estimates import Interval, maximise_likelihood
+from undeadzone_identify.models.estimates import (
+    Interval,
+    maximise_likelihood,
+    variance_along,
+)
 from undeadzone_identify.models.kalman_fit import KalmanFit
 from undeadzone_identify.models.likelihood import (
     Readings,
@@ -163,9 +167,9 @@ def lower_width_bound(fit: ZoneFit, side: str) -> float:
     z = fit.z
     readings = fit.objective.readings
     reach = float(z.max() if side == "right" else -z.min())
-    noise = fit.objective.zone_noise(fit.theta)
-    drop = 0.5 * float(chi2.ppf(0.95, 1))
-    base = float(single_densities(readings, z, noise).value.sum())
+    noise = fit.noise
+    drop = 0.5 * chi2.ppf(0.95, 1)
+    base = single_densities(readings, z, noise).value.sum()
 
     def above_drop(width: float) -> float:
         """Return by how much the log likelihood is above where it has fallen by that much."""
@@ -195,7 +199,7 @@ def profile_likelihood(fit: ZoneFit, side: str, values: Floats) -> Floats:
     """
     objective = fit.objective
     place = objective.layout.right + (side == "left")
-    centre = int(np.argmin(np.abs(values - fit.theta[place])))
+    centre = np.argmin(np.abs(values - fit.theta[place]))
     sides = SIDES if objective.limits.tied else (side,)
     out = np.full(values.size, -np.inf)
     for direction in (range(centre, values.size), range(centre - 1, -1, -1)):
@@ -228,8 +232,8 @@ def widen_by_profile(fit: ZoneFit, side: str, edge: Interval, scale: float) -> I
     spread = fit.objective.robust_covariance(fit.theta)
     row = fit.objective.width_weights(*DIRECTIONS[side])
     robust, degrees = spread.variance_and_degrees(row)
-    naive = float(row @ spread.naive @ row)
-    drop = 0.5 * float(fisher.ppf(0.95, 1, degrees)) * robust / max(naive, 1e-300)
+    naive = variance_along(spread.naive, row)
+    drop = 0.5 * fisher.ppf(0.95, 1, degrees) * robust / max(naive, 1e-300)
     own = fit.right if side == "right" else fit.left
     reach = REACH * max(edge.half_width / scale, 1e-6)
     ends = []
@@ -252,7 +256,7 @@ def _profile_crossing(values: Floats, fallen: Floats, drop: float) -> float:
     beyond = np.flatnonzero(fallen > drop)
     if not beyond.size:
         return math.inf
-    k = int(beyond[0])
+    k = beyond[0]
     if k == 0 or not math.isfinite(fallen[k]):
         return float(values[k])
     return float(np.interp(drop, fallen[k - 1 : k + 1], values[k - 1 : k + 1]))
@@ -291,8 +295,7 @@ def measure_excitation(
     Returns:
         Counts of samples and visits, and the share of silence.
     """
-    side = readings.side if ahead else 1 * (z > right) - 1 * (z < -left)
-    side = np.where(readings.ok, side, 0)
+    side = np.where(readings.ok, readings.side if ahead else zone(z, right, left), 0)
     silent = readings.ok & (side == 0)
     samples = (int((side > 0).sum()), int((side < 0).sum()))
     visits = (bounds_of_runs(side > 0)[0].size, bounds_of_runs(side < 0)[0].size)

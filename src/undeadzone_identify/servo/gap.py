@@ -27,6 +27,7 @@ from scipy.stats import chi2, kurtosis
 
 from undeadzone.compile import lanes
 from undeadzone.nonlinearities.play import apply_backlash
+from undeadzone.nonlinearities.sensor import quantise
 from undeadzone.util.arrays import Flags, Floats, Integers, shift_rows
 from undeadzone_identify.models.estimates import (
     Interval,
@@ -35,7 +36,6 @@ from undeadzone_identify.models.estimates import (
 )
 from undeadzone_identify.models.least_squares import regression_residual
 from undeadzone_identify.models.measured import level_slopes
-from undeadzone_identify.models.motion import round_to_quantum
 from undeadzone_identify.models.plant import mean_lag_products
 from undeadzone_identify.servo import predictor
 from undeadzone_identify.servo.crossings import GapCrossings, find_crossings
@@ -115,7 +115,7 @@ def _record_levels(
     """Return the log with simulated levels as read by its encoder, or with its noise."""
     if not log.ticks:
         return log._replace(y=level + math.exp(theta[At.NOISE]) * draw.standard_normal(level.size))
-    y = round_to_quantum(level, log.quantum)
+    y = quantise(level, log.quantum)
     side = change_sides(y, log.ok, log.start)
     return log._replace(y=y, side=side, boundary=y - side * log.quantum / 2)
 
@@ -222,7 +222,7 @@ class ServoGap(NamedTuple):
         """
         log = self.log
         theta = self.servo.structure.disable_absent_parts(self.servo.theta)
-        rubs = float(theta[RUBS].sum())
+        rubs = theta[RUBS].sum()
         slow = math.hypot(math.exp(theta[At.SLOW]), theta[At.OFFSET])
         white = math.exp(theta[At.TORQUE])
         rms = math.hypot(rubs, slow)
@@ -243,8 +243,7 @@ class ServoGap(NamedTuple):
         z = ServoLikelihood(log).run_predictor(one.theta[None], one.structure.lag)[0][:, 2]
         half = one.theta[At.GAP] / 2
         before = shift_rows(log.y, 1, log.start)
-        readings = apply_backlash(np, z, before, half, half)
-        readings = round_to_quantum(readings, log.quantum)
+        readings = quantise(apply_backlash(np, z, before, half, half), log.quantum)
         return z, readings, np.sign(readings - before).astype(int)
 
     def normalised_errors(self, one: Servo) -> Floats:
@@ -369,7 +368,7 @@ def _correct_gap_bias(
     gap = float(one.theta[At.GAP])
     least = log.quantum if log.ticks else reading_noise_rms(log)
     reach = 4 * spread.error + 0.2 * least
-    middle = float(np.median(gaps))
+    middle = np.median(gaps)
     bias = float(np.mean(np.clip(gaps, middle - reach, middle + reach))) - gap
     loose = LOOSE * gap * ("load" in one.structure.parts)
     error = math.hypot(max(spread.error, float(np.std(gaps, ddof=1))), FLOOR * least, loose)
@@ -398,7 +397,7 @@ def _collect_gap_doubts(found: ServoGap, gaps: Floats) -> list[str]:
     """Collect the reasons for which the gap itself is not known."""
     gap = found.gap
     reasons = []
-    fitted = float(found.servo.theta[At.GAP]) * found.log.y_scale
+    fitted = found.servo.theta[At.GAP] * found.log.y_scale
     if gap.low <= 0:
         reasons.append(
             f"a gap between motor and encoder, if there is one, is below {gap.high:.3g} (an encoder"
@@ -431,7 +430,7 @@ def _collect_motion_doubts(found: ServoGap, spread: _GapUncertainty) -> list[str
         )
     if _slow_torque_rms(found.servo) > HIDING:
         reasons.append("slow torques are as strong as half of the input: they hide the gap")
-    fitted = float(found.servo.theta[At.GAP]) * log.y_scale
+    fitted = found.servo.theta[At.GAP] * log.y_scale
     margin = TICKS * log.quantum if log.ticks else NOISES * reading_noise_rms(log)
     error = math.hypot(spread.error * log.y_scale, crossings.median_error)
     allowed = DISAGREES * error + margin * log.y_scale + CLOSE * fitted

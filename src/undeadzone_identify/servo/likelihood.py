@@ -79,7 +79,7 @@ def discretise_servo(
     A[:, 6:, 6:] = -A[:, :3, :3].transpose(0, 2, 1)
     A[each, row, 6 + row] = g**2 * np.exp(2 * theta[:, At.TORQUE]) * step
     A[:, 2, 8] = np.exp(2 * theta[:, At.SLOW]) * 2 / SLOW_TIME
-    fastest = float(np.max(p + np.sqrt(k) + rate + 1 / SLOW_TIME))
+    fastest = np.max(p + np.sqrt(k) + rate + 1 / SLOW_TIME)
     halvings = max(0, math.ceil(math.log2(fastest * step / COARSEST)))
     E = term = np.tile(np.eye(9), (len(theta), 1, 1))
     for m in range(1, TERMS + 1):

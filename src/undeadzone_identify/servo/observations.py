@@ -6,7 +6,7 @@ Does the input answer to the readings? A loop shows in the change of u at a tick
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -51,7 +51,7 @@ def tick_loop_p_value(u: Floats, y: Floats) -> float:
     if np.std(before) < LEAST * np.std(target):
         return 1.0
     after = regression_residual(np.column_stack([known, now]), target)
-    share = 1 - float(after @ after) / float(before @ before)
+    share: Any = 1 - (after @ after) / (before @ before)
     degrees = target.size - known.shape[1] - OWN
     ratio = share / max(1 - share, 1e-12) * degrees / OWN
     return float(fisher.sf(ratio, OWN, degrees)) if share > SHARE else 1.0
@@ -160,7 +160,7 @@ class Observations(NamedTuple):
             most *= 2
         if self.u.size <= most:
             return self
-        first = int(np.argmax(turned[most:] - turned[:-most]))
+        first = np.argmax(turned[most:] - turned[:-most])
         part = slice(first, first + most)
         inside = self.start[(self.start > first) & (self.start < first + most)] - first
         signals = ("u", "y", "ok", "side", "boundary")

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
@@ -99,11 +98,10 @@ def fit_without_gap(log: Observations) -> list[Servo]:
 
 def _best_of_structures(tops: Sequence[Servo], count: int = 1) -> list[Servo]:
     """Return the likeliest servos of each structure."""
-    found = list[Servo]()
-    counts = Counter[ServoStructure]()
+    found: list[Servo] = []
     for one in sorted(tops, key=lambda top: -top.value):
-        if math.isfinite(one.value) and counts[one.structure] < count:
-            counts[one.structure] += 1
+        same = [other for other in found if other.structure == one.structure]
+        if math.isfinite(one.value) and len(same) < count:
             found.append(one)
     return found
 
@@ -150,7 +148,7 @@ def _initial_servo(
     z = _frictionless_output(log, theta, structure.lag)
     wide = max(5, log.u.size // WINDOWS)
     moved = np.column_stack([np.diff(z[::wide]), np.ones(z[::wide].size - 1)])
-    gain = float(np.linalg.lstsq(moved, np.diff(log.y[::wide]), rcond=None)[0][0])
+    gain = np.linalg.lstsq(moved, np.diff(log.y[::wide]), rcond=None)[0][0]
     theta[At.GAIN] = gain if abs(gain) > 1e-9 else 1.0
     theta[At.FRICTION] = friction
     return Servo(structure, theta)
@@ -239,7 +237,7 @@ def exchange_gap_and_friction(one: Servo) -> list[Servo]:
     """
     if one.structure.lag or "spring" not in one.structure.parts:
         return []
-    gap, friction = float(one.theta[At.GAP]), float(one.theta[At.FRICTION])
+    gap, friction = one.theta[At.GAP], one.theta[At.FRICTION]
     to_level = math.exp(one.theta[At.SPRING]) / (2 * abs(float(one.theta[At.GAIN])) + 1e-300)
     found = []
     for share in EXCHANGED:
