@@ -219,7 +219,7 @@ def _describe_rival(rival: uz.Run | None) -> dict[str, str]:
     if rival is None:
         return {}
     if rival.divergence_time is not None:
-        return {"compared": f"{rival.name} diverges at {rival.divergence_time:g} s"}
+        return {"compared": f"{rival.observer_name} diverges at {rival.divergence_time:g} s"}
     tip = "" if rival.rms_tip is None else f", tip {rival.rms_tip:.4g} m"
     rms = append_unit(f"{rival.rms_tracking:.4g}", rival.info.units.output)
-    return {"compared": f"{rival.name}: rms z - r {rms}{tip}"}
+    return {"compared": f"{rival.observer_name}: rms z - r {rms}{tip}"}

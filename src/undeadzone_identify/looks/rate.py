@@ -23,7 +23,10 @@ SIZES = (2, 4, 8, 16, 32)  # samples of a window
 
 
 class Fit(NamedTuple):
-    """Fit of two edges: criterion, edges with their intervals (2 x 3), coefficients (2 x k)."""
+    """Fit of two edges: criterion, edges with their intervals (2 x 3), coefficients (2 x k).
+
+    These are rates at the distance of the command's range from an edge, and of a jump.
+    """
 
     criterion: float
     both_edges: Floats
@@ -74,7 +77,7 @@ def fit_edges(asked: Floats, rate: Floats, jumps: bool, passes: int = PASSES) ->
         columns = []
         for way, grid in zip((-1, 1), grids, strict=True):
             beyond = np.maximum(way * (asked[..., None] - grid), 0)
-            shapes = [beyond.mean(axis=1), (beyond > 0).mean(axis=1)][:numbers]
+            shapes = [beyond.mean(axis=1) / np.ptp(mean), (beyond > 0).mean(axis=1)][:numbers]
             columns.append(np.stack(shapes, axis=-1).reshape(rate.size, -1))
         both = np.hstack(columns)
         k = np.arange(PLACES * numbers).reshape(PLACES, numbers)
@@ -136,7 +139,8 @@ def _map_of(asked: Floats, rate: Floats) -> RestMap:
     end = "low end" if np.mean(rate) > 0 else "high end"
     flat = FlatPart("band" if all(met) else end, 0.0, *met)
     x, first = np.unique(mean, return_index=True)
-    at_ends = c[:, 0] * [lower[0] - x[0], x[-1] - upper[0]] + (c[:, 1] if jumps else 0)
+    ends = np.array([lower[0] - x[0], x[-1] - upper[0]]) / np.ptp(x)
+    at_ends = c[:, 0] * ends + (c[:, 1] if jumps else 0)
     return RestMap(
         rows=Rows(mean, rate, np.zeros(rate.size), "rate"),
         x=x,

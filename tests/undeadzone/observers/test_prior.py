@@ -142,7 +142,9 @@ def test_identify_gives_the_middle_in_python_and_in_json() -> None:
     found = identified()
     assert found.verdict == "dead_zone"
     assert found.centre.value == pytest.approx(CENTRE, abs=0.01)
-    assert found.centre.value == (found.right.value - found.left.value) / 2
+    assert found.centre.value == pytest.approx(
+        (found.right.value - found.left.value) / 2, rel=1e-12
+    )
     assert json.loads(json.dumps(found.numbers()))["centre"] == list(found.centre)
 
 

@@ -292,7 +292,7 @@ def test_files_keep_tips_and_csv_leaves_poses_out(both: tuple[Run, Run], tmp_pat
         again = Run.load(run.save(tmp_path / name))
         for part in ("tip", "tip_hat", "tip_r"):
             np.testing.assert_array_equal(getattr(again, part), getattr(run, part))
-        assert (again.info.joints, again.name) == (["q1", "q2"], "extended")
+        assert (again.info.joints, again.observer_name) == (["q1", "q2"], "extended")
         assert (again.poses is None) == (name == "run.csv")
     np.testing.assert_array_equal(Run.load(tmp_path / "run.npz").poses, run.poses)
 

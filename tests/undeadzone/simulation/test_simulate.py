@@ -261,7 +261,7 @@ def test_two_observers_are_compared_on_one_scenario() -> None:
     steps: list[int] = []
     first, second = compare(scenario, progress=steps.append)
     alone = simulate(msgspec.structs.replace(scenario, observer=naive))
-    assert (first.name, second.name) == ("certified", "luenberger")
+    assert (first.observer_name, second.observer_name) == ("certified", "luenberger")
     assert (first.info.method, second.info.method) == ("certified", "luenberger")
     assert np.array_equal(first.x, simulate(scenario).x)
     assert np.array_equal(second.x, alone.x)

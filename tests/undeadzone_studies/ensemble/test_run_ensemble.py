@@ -121,7 +121,7 @@ def table(batch: Batch, rows: Floats | None = None) -> dict[str, Floats]:
 def finals(batch: Batch, steps: int) -> Floats:
     """The states of all runs after so many steps, as the ensemble computes them."""
     runs = batch.layout.runs
-    own = batch.binding.to_lanes(batch.binding.draw_columns(0, runs, runs))
+    own = batch.binding.numbers.to_lanes(batch.binding.draw_columns(0, runs, runs))
     short = batch._replace(exogenous=batch.exogenous[:steps])
     return short.execute_kernel(batch.kernel, np.arange(runs), own)[1]
 
@@ -174,7 +174,7 @@ def test_the_virtual_machine_agrees_with_the_same_numbers(name: str) -> None:
         ones = {"noise": np.ones(2), "noise_before": np.ones(2)}  # scaled in the loop
         problem = problem._replace(sensor=msgspec.structs.replace(problem.sensor, **ones))
     for k in (0, 7, 149):
-        state, params = batch.binding.pack_run(batch.binding.draw_columns(k, 1, RUNS)[0])
+        state, params = batch.binding.numbers.pack_lane(batch.binding.draw_columns(k, 1, RUNS)[0])
         inputs = exogenous(problem, run=k, seed=batch.binding.seed)
         expected = interpret.run_interpreted(batch.loop.step, state, inputs, params)[1]
         assert distance(last[k, : state.size, None], expected[:, None]) < 1e-12
