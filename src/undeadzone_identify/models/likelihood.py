@@ -109,9 +109,9 @@ def single_densities(readings: Readings, z: Floats, noise: ZoneNoise) -> Density
     value = np.zeros(z.size)
     slopes = np.zeros((z.size, 4))
     outside = np.flatnonzero(readings.ok & (readings.side != 0))
-    e = zone_residual(readings, z, noise)[outside] / noise.s  # y + offset - z
-    value[outside] = log_unit_density(e) - math.log(noise.s)
-    slopes[outside] = _gaussian_slopes(e, noise.s, readings.side[outside])
+    e = zone_residual(readings, z, noise)[outside]  # y + offset - z
+    value[outside] = log_unit_density(e / noise.s) - math.log(noise.s)
+    slopes[outside] = _gaussian_slopes(e / noise.s, e / noise.s**2, readings.side[outside])
     inside = np.flatnonzero(readings.ok & (readings.side == 0))
     a = (noise.right - z[inside]) / noise.s
     b = (-noise.left - z[inside]) / noise.s
@@ -122,15 +122,14 @@ def single_densities(readings: Readings, z: Floats, noise: ZoneNoise) -> Density
     return DensityTerms(value, slopes)
 
 
-def _gaussian_slopes(e: Floats, s: float, side: Integers | Floats) -> Floats:
+def _gaussian_slopes(e: Floats, by_z: Floats, side: Integers | Floats) -> Floats:
     """Return the derivatives of ln N(e; 0, 1) - ln s (n x 4).
 
     Args:
-        e: residuals of samples outside the zone, over s (n).
-        s: their rms.
+        e: residuals of samples outside the zone, over their rms s (n).
+        by_z: e / s (n).
         side: +1 right, -1 left, 0 inside, where e does not depend on z (n).
     """
-    by_z = e / s
     return np.column_stack([by_z * (side != 0), -by_z * (side > 0), by_z * (side < 0), e**2 - 1])
 
 
@@ -161,7 +160,7 @@ def densities_behind(
     """
     side = sensor.zone(z, noise.right, noise.left) if zone else np.ones(z.size)
     e = (readings.y - expected_reading(z, noise, zone)) / noise.s
-    slopes = _gaussian_slopes(e, noise.s, side)
+    slopes = _gaussian_slopes(e, e / noise.s, side)
     value = log_unit_density(e) - math.log(noise.s)
     return DensityTerms(value * readings.ok, slopes * readings.ok[:, None])
 
