@@ -105,7 +105,7 @@ class Layout(NamedTuple):
     @property
     def has_current(self) -> bool:
         """Return whether the second input is the current or torque of a servo that has a goal."""
-        return [kind_of(*title) for title in self.input_titles] == ["goal", "torque"]
+        return list(itertools.starmap(kind_of, self.input_titles)) == ["goal", "torque"]
 
     @property
     def driving(self) -> list[int]:
@@ -235,7 +235,7 @@ class _Header(NamedTuple):
     @property
     def kinds(self) -> list[str]:
         """Return what each column may hold, by its name and unit (K)."""
-        return [kind_of(*title) for title in self.titles]
+        return list(itertools.starmap(kind_of, self.titles))
 
     def layout(self, roles: Mapping[str, list[int]], after: Mapping[str, list[int]]) -> Layout:
         """Return a layout, once no column is used twice and the unit of time is known.

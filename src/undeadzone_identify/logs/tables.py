@@ -55,7 +55,7 @@ def read_long_table(path: Path) -> Arrays | None:
     that has most values, as they last were.
     """
     text = Text(str(path))
-    blocks = (text.feed(*block) for block in blocks_of(path, LARGEST_TABLE))
+    blocks = itertools.starmap(text.feed, blocks_of(path, LARGEST_TABLE))
     lines = list(filter(is_content, itertools.chain.from_iterable(blocks)))
     titles, columns = _columns_of_lines(lines)
     numbers = [numbers_of_texts(x, functools.partial(parse_cell, mark=".")) for x in columns]
