@@ -138,7 +138,7 @@ def parse_columns(text: str | None) -> dict[str, str]:
     """
     chosen: dict[str, str] = {}
     for part in filter(None, (text or "").split(",")):
-        key, equals, name = (piece.strip() for piece in part.partition("="))
+        key, equals, name = map(str.strip, part.partition("="))
         if not equals or not name or not re.fullmatch(r"[tr]|[yu](\[\d+\])?", key):
             raise InputError(
                 "columns: expected t=NAME, y=NAME, u=NAME, r=NAME or y[0]=NAME, with commas, "

@@ -176,7 +176,7 @@ class Ensemble:
             bar = np.partition(size, -count)[-count]
         runs = np.flatnonzero(size >= bar)
         worst_first = np.lexsort((runs, -size[runs]))
-        return list(map(int, runs[worst_first][:count]))
+        return runs[worst_first][:count].tolist()
 
     def typical(self, metric: str = MAIN) -> int | None:
         """Return the number of the run with the median metric.
