@@ -207,7 +207,7 @@ def _unreached_behind_gap(schedule: Schedule, n: int, i: int) -> list[str]:
 
 def _single_contact_reason(schedule: Schedule, visited: np.ndarray, i: int) -> list[str]:
     """Describe that output i is read in a single contact beyond its edges."""
-    right, left = visited[2 * i : 2 * i + 2].any(axis=1)
+    right, left = map(np.any, visited[2 * i : 2 * i + 2])
     if right == left:
         return []
     seen, other = ("right", "left") if right else ("left", "right")
