@@ -205,7 +205,7 @@ def _parse_method_names(methods: str) -> list[str]:
 
     Raises BadParameter if it is empty.
     """
-    names = [name.strip() for name in methods.split(",")]
+    names = list(map(str.strip, methods.split(",")))
     named = [name for name in names if name]
     if not named:
         raise click.BadParameter(

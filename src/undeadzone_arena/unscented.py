@@ -108,7 +108,7 @@ def gain_by_points(
         The expected y, its variance, and the gain K (N).
     """
     spread = sigma_points(belief, w)
-    read = [h(point) for point in spread]
+    read = list(map(h, spread))
     expected = points_mean(read, w)
     off = [value - expected for value in read]
     S = points_covariance(off, off, w) + R

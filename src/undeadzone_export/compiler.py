@@ -152,7 +152,7 @@ def stack_bytes(folder: Path, prefix: str) -> int | None:
 
     def deepest(name: str) -> int:
         """Return the stack of a function and of those that it calls."""
-        below = [deepest(other) for other in calls[name] & calls.keys()]
+        below = list(map(deepest, calls[name] & calls.keys()))
         return frames.get(name, 0) + max(below, default=0)
 
     steps = [f"{prefix}_{name}" for name in ("step", "estimate", "advance")]

@@ -277,7 +277,7 @@ def write_lost(lost: Lost, out: Path, name: str | None, force: bool) -> dict[str
         "files": sorted({*texts, MANIFEST}),
     }
     written = write_folder(texts | {MANIFEST: manifest_text(dict(report))}, out, force)
-    return report | {"written": [str(path) for path in written]}
+    return report | {"written": list(map(str, written))}
 
 
 def snippet_texts(lost: Lost, name: str) -> dict[str, str]:
@@ -490,7 +490,7 @@ def _edges(found: dict[str, Any]) -> tuple[Triple, Triple, Triple]:
 
 def _triple(values: Any) -> Triple:
     """Return (value, low, high). Raises ValueError if one of them is no finite number."""
-    value, low, high = (float(number) for number in values)
+    value, low, high = map(float, values)
     if not all(map(math.isfinite, (value, low, high))):
         raise ValueError
     return value, low, high

@@ -392,7 +392,7 @@ def _presence_names(order: list[Node], step: ExportedStep) -> dict[Node, str]:
     for node in order:
         if node.op != "and":
             continue
-        compared = {_input_in_comparison(arg) for arg in node.args}
+        compared = set(map(_input_in_comparison, node.args))
         text = compared.pop()
         if not compared and text in inputs:
             names[node] = f"has_{inputs[text]}"

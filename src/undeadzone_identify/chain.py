@@ -166,7 +166,7 @@ def run_snippet_chain(lost: Lost, signal: Floats, folder: Path) -> FirmwareChain
         call = ctypes.CDLL(str(compile_library([main], Path(scratch) / "axis.so"))).call
         call.restype = ctypes.c_float
         call.argtypes = [ctypes.c_float]
-        compiled = np.array([call(float(one)) for one in signal])
+        compiled = np.array(list(map(call, signal.tolist())))
     without, reached = (pass_machine(lost, one, 0) for one in (signal, compiled))
     errors = [float(np.abs(one - signal)[1:].max()) for one in (without, reached)]
     texts = [append_unit(f"{one:.3g}", lost.unit) for one in errors]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
+from itertools import starmap
 from typing import Any, Final, NamedTuple
 
 from undeadzone.results.run import Run
@@ -46,7 +47,7 @@ class Paper(NamedTuple):
     @property
     def count_variants(self) -> list[VariantCount]:
         """Count the variants by plant and start."""
-        return [VariantCount(*row) for row in count_outcomes(self.variants, 2, ZONE_FLAGS)]
+        return list(starmap(VariantCount, count_outcomes(self.variants, 2, ZONE_FLAGS)))
 
     def summary(self) -> dict[str, Any]:
         """Return all numbers, ready for JSON.

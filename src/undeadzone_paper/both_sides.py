@@ -269,7 +269,7 @@ def motion_at_truth(scenario: Scenario, s: ErrorSignals) -> float:
     model = problem.plant
     observer = require_graph(problem.observer)
     x = ca.SX.sym("x", 2)
-    u, y, side = (ca.SX.sym(name) for name in ("u", "y", "side"))
+    u, y, side = map(ca.SX.sym, ("u", "y", "side"))
     widths = np.array([D])
     state = observer.init(observer.params)._replace(x=x, right=widths, left=widths)
     moved, _ = observer.step(observer.params, state, u, Reading(y, side))

@@ -71,7 +71,7 @@ def trace_diagram(scenario: Scenario) -> Diagram:
     _, s = tree.create_symbols(observer.init(observer.params), "s")
     following, estimate = observer.step(observer.params, s, u, Reading(y, side))
     symbols = {name: ca.SX.sym(name, *getattr(estimate, name).shape) for name in HATS}
-    estimated = {HATS[name]: symbol for name, symbol in symbols.items()}
+    estimated = dict(zip(HATS.values(), symbols.values(), strict=True))
     sizes = {"r": len(problem.tracked), "x_ref": plant.n, "u_ff": plant.m}
     targets = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
     _, memory = tree.create_symbols(law.init(law.params), "c")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import starmap
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -61,7 +62,7 @@ def compute_facts() -> list[Fact]:
     """
     plants = {name: linear_matrices(reading.plant) for name, reading in READINGS.items()}
     one = plants["omega_n = 1"]
-    groups = [_pole_facts(name, linear) for name, linear in plants.items()]
+    groups = list(starmap(_pole_facts, plants.items()))
     groups += [_riccati_facts(one), _certificate_facts(one)]
     for amplitude in AMPLITUDES:
         groups += _response_facts(amplitude)

@@ -167,7 +167,7 @@ def write_audit_page(
 def _outcome_table(paper: Paper) -> Html:
     """Return a table of the example's numbers as printed and as repaired."""
     summary = paper.summary()
-    columns = [summary[name] for name in _PAGE["columns"]]
+    columns = itemgetter(*_PAGE["columns"])(summary)
     rows = [
         (words, *(column.get(key) for column in columns)) for key, words in _PAGE["rows"].items()
     ]

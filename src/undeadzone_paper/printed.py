@@ -8,7 +8,7 @@ and start. The loop's graph is built once. Plant, gains and signs are its run-ti
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from itertools import product
+from itertools import product, starmap
 from operator import attrgetter
 from typing import Any, Final, NamedTuple
 
@@ -166,8 +166,8 @@ def run_all(
         build: builds the scenario of a variant
         progress: called with the number of steps just done
     """
-    runs = run_family([build(variant) for variant in variants], progress)
-    return [_build_outcome(*pair) for pair in zip(variants, runs, strict=True)]
+    runs = run_family(list(map(build, variants)), progress)
+    return list(starmap(_build_outcome, zip(variants, runs, strict=True)))
 
 
 def example_of_variant(variant: Variant) -> Scenario:
@@ -252,7 +252,7 @@ def count_outcomes(
 def count_flags(outcomes: Iterable[Outcome], flags: tuple[str, ...]) -> list[int]:
     """Count the outcomes with each of some flags."""
     get_flags = attrgetter(*flags)
-    return np.sum([get_flags(outcome) for outcome in outcomes], axis=0).tolist()
+    return np.sum(list(map(get_flags, outcomes)), axis=0).tolist()
 
 
 def _build_outcome(variant: Any, signal: Outputs) -> Outcome:

@@ -9,7 +9,7 @@ and signs are its run-time parameters.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from itertools import product
+from itertools import product, starmap
 from math import prod
 from typing import Final, NamedTuple
 
@@ -61,7 +61,7 @@ DEFINITION: Final = (
 CHOICES: Final = (PLANTS, GAINS, (False, True), (-1.0, 1.0), (NEAR_REST, STARTED), (D, UNEQUAL))
 """Choices of a variant beside the law and its knowledge of d - d^, in the order of its fields."""
 
-READINGS_OF_THEOREM: Final = prod(len(choice) for choice in CHOICES)
+READINGS_OF_THEOREM: Final = prod(map(len, CHOICES))
 
 
 class TheoremVariant(NamedTuple):
@@ -137,7 +137,7 @@ def run_theorem(progress: Callable[[int], None] | None = None) -> list[Outcome]:
 
 def count_theorem(outcomes: Iterable[Outcome]) -> list[TheoremCount]:
     """Count the outcomes per knowledge of d - d^, law and plant, in their order."""
-    return [TheoremCount(*row) for row in count_outcomes(outcomes, 3, ERROR_FLAGS)]
+    return list(starmap(TheoremCount, count_outcomes(outcomes, 3, ERROR_FLAGS)))
 
 
 def select_outcomes(

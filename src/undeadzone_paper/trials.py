@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
+from itertools import chain
 from typing import Any, Final, NamedTuple, TypeAlias
 
 import casadi as ca
@@ -277,7 +278,7 @@ def _width_claims(e: Evidence) -> Numbers:
         if m.worst_value(m.reading_error, runs) <= EQUAL
     }
     beforehand = max(abs(width.value - D) for width in e.identified)
-    unaware = [run for (run,) in e.printed["unaware"].values()]
+    unaware = list(chain(*e.printed["unaware"].values()))
     inside, grazing, outside, *_ = e.repaired["amplitudes"]
     right, left = grazing.d_hat[-1]
     run = e.printed[NOMINAL][RESTING][0]
@@ -358,19 +359,21 @@ def _theorem_claims(e: Evidence) -> Numbers:
             {
                 **dict(zip(("diverge", "right", "leave"), counts, strict=True)),
                 "survive": sum(outcome.variant.width == D for outcome in survivors),
-                "other_diverge": sum(outcome.diverges for outcome in others),
+                "other_diverge": count_flags(others, ERROR_FLAGS)[0],
                 "kindest": max(
                     outcome.width_error for outcome in survivors if is_kindest(outcome.variant)
                 ),
             },
         ),
         "theorem-known": _single(
-            _change_of_input(*[PrintedLaw(L=L_PRINTED, widths=d) for d in (D, D + 1.0)]),
+            _change_of_input(
+                PrintedLaw(L=L_PRINTED, widths=D), PrintedLaw(L=L_PRINTED, widths=D + 1.0)
+            ),
             _change_of_input(*[example_as_repaired(5.0).controller] * 2),
         ),
         "theorem-bounded": ClaimNumbers(
             {
-                case: sum(outcome.diverges for outcome in group) / len(group)
+                case: count_flags(group, ERROR_FLAGS)[0] / len(group)
                 for case, group in printed.items()
             },
             _any_diverges(e.repaired["both times"]),
@@ -384,8 +387,10 @@ def _change_of_input(law: Any, other: Any) -> float:
     one = np.ones(1)
     estimate = Estimate(np.array([2.0, 0.0]), 2 * one, one, one, 2 * one, one)
     target = Target(0 * one, np.zeros(2), 0 * one)
-    built = [options.build(model) for options in (law, other)]
-    inputs = [each.step(each.params, each.init(each.params), estimate, target)[1] for each in built]
+    inputs = []
+    for each in (law.build(model), other.build(model)):
+        _, u = each.step(each.params, each.init(each.params), estimate, target)
+        inputs.append(u)
     return m.largest_absolute(np.subtract(*inputs))
 
 

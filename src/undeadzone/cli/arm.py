@@ -58,7 +58,7 @@ def arm(
     from undeadzone.plants.robots.survey import survey_urdf
 
     folder = None if output.out is None else require_writable(output.out)
-    names = None if joints is None else [name.strip() for name in joints.split(",")]
+    names = None if joints is None else list(map(str.strip, joints.split(",")))
     found = survey_urdf(robot, names, tip, None if at is None else _parse_numbers(at))
     written = [] if folder is None else [_write_scenario(found, robot, folder, gears, force)]
     weak = _list_weak_joints(found)

@@ -6,6 +6,7 @@ Every bound is rounded outwards. Functions take intervals of any shape and act e
 from __future__ import annotations
 
 import itertools
+import operator
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import NamedTuple
@@ -95,7 +96,7 @@ def multiply_intervals(a: Interval, b: Interval) -> Interval:
 
     0 times infinity is not a number, but then another end is 0, or both infinities are.
     """
-    products = [one * other for one, other in itertools.product(a, b)]
+    products = list(itertools.starmap(operator.mul, itertools.product(a, b)))
     ends = _round_outward(np.fmin.reduce(products), np.fmax.reduce(products))
     return _set_zero_where(_is_zero(a) | _is_zero(b), ends)
 

@@ -466,7 +466,7 @@ def build_graphs(
         shape: sizes for which it is compiled.
         w, p: known values of these inputs.
     """
-    columns = [ca.SX.sym(name, size) for name, size in zip("swp", shape.sizes, strict=True)]
+    columns = list(itertools.starmap(ca.SX.sym, zip("swp", shape.sizes, strict=True)))
     inputs = [columns[0], _substitute_known(columns[1], w), _substitute_known(columns[2], p)]
     following, out, *flag = (ca.densify(ca.SX(value)) for value in step(*inputs))
     usual = _build_graph(columns, [following, out[list(shape.record)], *flag])

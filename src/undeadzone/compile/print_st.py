@@ -138,7 +138,7 @@ def _st_statement(name: str, node: Node, expressions: Expressions) -> list[str]:
         return [line]
     indents = (INDENT, 2 * INDENT, INDENT, 2 * INDENT, INDENT)
     pairs = zip(heads, indents, strict=True)
-    return list(itertools.chain(*[wrap_statement(head, indent) for head, indent in pairs]))
+    return list(itertools.chain(*itertools.starmap(wrap_statement, pairs)))
 
 
 ST: Final = Grammar(

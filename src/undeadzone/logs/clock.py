@@ -135,8 +135,8 @@ class Clock:
             yield Piece(False, samples.regular._replace(t=t))
             return
         samples = samples.select_rows(np.isfinite(samples.t))
-        ends = [count - self._first.size for count in TESTS]
-        inner = [end for end in ends if 0 < end < len(samples.t)]
+        ends = np.subtract([*TESTS], self._first.size)
+        inner = ends[(ends > 0) & (ends < len(samples.t))]
         for part in np.split(np.arange(len(samples.t)), inner):
             yield from self._judge_times(samples.select_rows(part), last=False)
             self._test(samples.t[part])

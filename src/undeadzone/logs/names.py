@@ -105,7 +105,7 @@ class Layout(NamedTuple):
     @property
     def has_current(self) -> bool:
         """Return whether the second input is the current or torque of a servo that has a goal."""
-        return [kind_of(*title) for title in self.input_titles] == ["goal", "torque"]
+        return list(itertools.starmap(kind_of, self.input_titles)) == ["goal", "torque"]
 
     @property
     def driving(self) -> list[int]:
@@ -138,7 +138,7 @@ def parse_columns(text: str | None) -> dict[str, str]:
     """
     chosen: dict[str, str] = {}
     for part in filter(None, (text or "").split(",")):
-        key, equals, name = (piece.strip() for piece in part.partition("="))
+        key, equals, name = map(str.strip, part.partition("="))
         if not equals or not name or not re.fullmatch(r"[tr]|[yu](\[\d+\])?", key):
             raise InputError(
                 "columns: expected t=NAME, y=NAME, u=NAME, r=NAME or y[0]=NAME, with commas, "
@@ -235,7 +235,7 @@ class _Header(NamedTuple):
     @property
     def kinds(self) -> list[str]:
         """Return what each column may hold, by its name and unit (K)."""
-        return [kind_of(*title) for title in self.titles]
+        return list(itertools.starmap(kind_of, self.titles))
 
     def layout(self, roles: Mapping[str, list[int]], after: Mapping[str, list[int]]) -> Layout:
         """Return a layout, once no column is used twice and the unit of time is known.

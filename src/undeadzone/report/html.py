@@ -9,6 +9,7 @@ import base64
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from html import escape
+from itertools import starmap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -184,7 +185,7 @@ def feedback_html(listens: Sequence[float | None]) -> Html | None:
 
 def _table_row(cells: Sequence[Any], numeric: Sequence[bool]) -> Html:
     """Return a row of a table (numeric: flags of the columns with numbers alone)."""
-    styles = [_cell_style(*each) for each in zip(cells, numeric, strict=True)]
+    styles = list(starmap(_cell_style, zip(cells, numeric, strict=True)))
     parts = [build_tag("td", cell, style) for cell, style in zip(cells, styles, strict=True)]
     return build_tag("tr", join_html(parts))
 

@@ -83,7 +83,7 @@ def similar(address: str, names: Iterable[str], otherwise: str) -> str:
         names: those that there are.
         otherwise: words ahead of all their keys.
     """
-    keys = sorted({stem(name) for name in names})
+    keys = sorted(set(map(stem, names)))
     return suggest_name(stem(address), keys, otherwise)
 
 

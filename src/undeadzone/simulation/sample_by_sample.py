@@ -144,4 +144,4 @@ def numeric_along(
         state = observer.predict(state, last_input)
         if progress is not None and (k + 1) % CHUNK == 0:
             progress(CHUNK)
-    return Estimate(*[np.stack(field) for field in zip(*rows, strict=True)]), sides
+    return Estimate(*map(np.stack, zip(*rows, strict=True))), sides

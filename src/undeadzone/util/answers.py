@@ -125,7 +125,7 @@ class MemoryAnswers:
             questions: values that JSON knows.
             compute: takes the numbers of those to be answered, gives (number, answer).
         """
-        texts = [json.dumps(question) for question in questions]
+        texts = list(map(json.dumps, questions))
         missing = [k for k, text in enumerate(texts) if text not in self._known]
         for k, answer in compute(missing) if missing else ():
             self._save(texts[k], answer)

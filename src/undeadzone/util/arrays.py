@@ -80,7 +80,7 @@ def parse_matlab_matrix(text: str) -> list[list[float]]:
     try:
         if not (body.startswith("[") and body.endswith("]")):
             raise ValueError  # no brackets
-        return [[float(entry) for entry in row.replace(",", " ").split()] for row in rows]
+        return [list(map(float, row.replace(",", " ").split())) for row in rows]
     except ValueError:
         raise ValueError(f"expected numbers, found {text!r:.60}") from None
 
@@ -261,7 +261,7 @@ def to_json_value(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: to_json_value(child) for key, child in value.items()}
     if isinstance(value, list | tuple):
-        return [to_json_value(child) for child in value]
+        return list(map(to_json_value, value))
     if isinstance(value, float) and not np.isfinite(value):
         return None
     return value

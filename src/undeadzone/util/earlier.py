@@ -115,7 +115,7 @@ def _has_nonzero(value: Any) -> bool:
 def _halve_numbers(value: Any) -> Any:
     """Return half of a number, or of each entry in nested lists. Values of other types stay."""
     if isinstance(value, list):
-        return [_halve_numbers(each) for each in value]
+        return list(map(_halve_numbers, value))
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     return value / 2 if is_number else value
 

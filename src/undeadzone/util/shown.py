@@ -12,6 +12,7 @@ import os
 import textwrap
 from collections.abc import Mapping, Sequence
 from html import escape
+from itertools import starmap
 from typing import TYPE_CHECKING, Any, TypeAlias, cast
 
 from undeadzone.errors import InputError
@@ -48,7 +49,7 @@ def blocks_to_html(blocks: Sequence[Block]) -> str:
 
 def source_to_html(words: str) -> str:
     """Return a text with its lines kept, such as a scenario, as HTML for a notebook."""
-    lines = [_escape_html(line) for line in words.split("\n")]
+    lines = list(map(_escape_html, words.split("\n")))
     return f'<pre style="line-height:1.35">{chr(10).join(lines)}</pre>'
 
 
@@ -113,7 +114,7 @@ def _align_lines(pairs: Pairs, width: int | None) -> list[str]:
 
 def _align_columns(rows: Rows, width: int | None) -> list[str]:
     """Return lines of aligned columns, or a line for each cell if the table is too wide."""
-    table = [[escape_controls(cell) for cell in row] for row in rows]
+    table = [list(map(escape_controls, row)) for row in rows]
     widths = [max(map(len, column)) for column in zip(*table, strict=True)]
     if width is not None and sum(widths) + 2 * len(widths) - 2 > width:
         return _list_records(table, width)
@@ -146,7 +147,7 @@ def _block_to_html(block: Block) -> str:
     if isinstance(block, str):
         return f"<p>{_escape_html(block)}</p>"
     if isinstance(block, Mapping):
-        rows = [_pair_to_html(name, value) for name, value in block.items()]
+        rows = list(starmap(_pair_to_html, block.items()))
         return f"<table>{''.join(rows)}</table>"
     head = "".join(f"<th>{_escape_html(cell)}</th>" for cell in block[0])
     body = "".join(f"<tr>{''.join(map(_cell_to_html, row))}</tr>" for row in block[1:])

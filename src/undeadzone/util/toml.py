@@ -67,5 +67,5 @@ def _drop_none(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: _drop_none(entry) for key, entry in value.items() if entry is not None}
     if isinstance(value, list | tuple):
-        return [_drop_none(entry) for entry in value]
+        return list(map(_drop_none, value))
     return value

@@ -129,7 +129,7 @@ class Contest(NamedTuple):
                     "scenarios": titles,
                     "seeds": list(self.seeds),
                     "rules": dict(RULES),
-                    "leaderboard": [msgspec.structs.asdict(row) for row in self.rows],
+                    "leaderboard": list(map(msgspec.structs.asdict, self.rows)),
                     "results": self._flat_results(),
                 }
             )

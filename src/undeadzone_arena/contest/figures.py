@@ -97,7 +97,7 @@ def plot_regret_map(
         )
     axes.set_xticks(
         range(len(scenarios)),
-        [escape_formulas(title) for title in scenarios],
+        list(map(escape_formulas, scenarios)),
         rotation=60,
         ha="right",
         rotation_mode="anchor",

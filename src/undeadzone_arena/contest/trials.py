@@ -207,7 +207,7 @@ def resolve_names(
         return methods_for_scenarios(grounds.values())
     if isinstance(methods, Mapping):
         return list(methods)
-    return [require_method(name) for name in methods]
+    return list(map(require_method, methods))
 
 
 def process_count(jobs: int, processes: int | None) -> int:

@@ -69,7 +69,7 @@ class SuperTwisting(Options, frozen=True, kw_only=True, tag="super_twisting"):
         L = self._linear_gain(model)
         flow = model.continuous
         chains = output_chains(flow.A, flow.C)
-        orders = [len(rows) for rows in chains.rows]
+        orders = list(map(len, chains.rows))
         if max(orders) > len(LEVANT):
             raise StructureError(
                 f"observer.method: 'super_twisting' has gains for up to {len(LEVANT)} derivatives "

@@ -390,7 +390,7 @@ def _best_rate(cost: Callable[[float], float], limit: float) -> float:
     from scipy.optimize import minimize_scalar
 
     grid = limit * np.geomspace(0.02, 0.98, 8)
-    values = [cost(rate) for rate in grid]
+    values = list(map(cost, grid))
     k = int(np.argmin(values))
     if not np.isfinite(values[k]):
         return float(grid[k])

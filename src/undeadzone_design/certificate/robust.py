@@ -89,7 +89,7 @@ def l2_gain(
         return Gain(np.inf, np.inf, error_dynamics.identity_storage(errors), NO_PROOF)
     V = original_storage(errors, scaling, solution)
     V = V._replace(P=size**2 * V.P, W=size**2 * V.W)
-    gains = [float(gain) for gain in np.sqrt(solution.q[groups:]) * sizes * size]
+    gains = (np.sqrt(solution.q[groups:]) * sizes * size).tolist()
     disturbance = 0.0 if E is None else gains[0]
     noisy = 0.0 if noise is None else gains[-1]
     return Gain(disturbance, noisy, V, check_inequality(family(solution.q), solution.P))

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import partial
+from itertools import starmap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -112,7 +113,7 @@ def gains_page(
     """
     pictures = html.encode_pictures(images, CAPTIONS)
     # The first picture is the front of a design, else the proof.
-    leads = [pictures.pop(name) for name in list(pictures)[:1]]
+    leads = list(map(pictures.pop, list(pictures)[:1]))
     sections = [html.build_section("The answer", _answer_table(of), *leads)]
     if of.gains is None:
         sections.append(
@@ -173,7 +174,7 @@ def _problem_section(of: Assessment, design: Design | None) -> html.Html:
     model = of.problem.model
     unit = scenario.units.output
     counts = ((model.n, "state"), (model.m, "input"), (model.p, "output"))
-    sizes = ", ".join(count_noun(number, noun) for number, noun in counts)
+    sizes = ", ".join(starmap(count_noun, counts))
     poles = np.linalg.eigvals(of.problem.flow.linear.A) + 0.0
     simulation = scenario.simulation
     rows: list[tuple[str, Any]] = [
@@ -300,7 +301,7 @@ def _certificate_rows(proof: Certificate) -> list[tuple[str, Any]]:
     """Return the numbers by which a certificate was checked."""
     inequality = proof.dynamics.inequality(proof.W)
     matrices = inequality.lmi_matrices(proof.P)
-    values = np.concatenate([np.linalg.eigvalsh(M) for M in matrices])
+    values = np.concatenate(list(map(np.linalg.eigvalsh, matrices)))
     step = "" if proof.dynamics.Ts is None else " − Ts γ/2"
     at_infinity = proof.frequency is None or np.isinf(proof.frequency)
     return [

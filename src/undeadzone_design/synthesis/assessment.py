@@ -328,4 +328,4 @@ def find_determined_states(problem: Problem, schedule: Schedule) -> list[bool]:
     hidden = unobservable_changes(
         model.linear, schedule.branch_visits(model.n), schedule.Ts, bias, jump
     )
-    return [hidden.is_state_known(i) for i in range(model.n)]
+    return list(map(hidden.is_state_known, range(model.n)))

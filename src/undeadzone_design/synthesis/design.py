@@ -105,7 +105,7 @@ def design(
         best=_to_point(result.best),
         present=None if before is None else _to_point(before),
         identifiable=assess_identifiability(problem, task.whole, None),
-        front=[_to_point(candidate) for candidate in result.front],
+        front=list(map(_to_point, result.front)),
         schema=SCHEMA,
     )
 

@@ -351,7 +351,7 @@ def _collect_front(task: Task, points: Floats) -> list[Candidate]:
     task = add_frequencies(task, np.array([w for w in worst if w is not None and np.isfinite(w)]))
     candidates = [score_point(task, point) for point in points]
     candidates.sort(key=lambda one: -one.rate)
-    keep = is_undominated(np.array([_to_objectives(one) for one in candidates]))
+    keep = is_undominated(np.array(list(map(_to_objectives, candidates))))
     return [one for one, undominated in zip(candidates, keep, strict=True) if undominated]
 
 

@@ -55,20 +55,20 @@ def read_long_table(path: Path) -> Arrays | None:
     that has most values, as they last were.
     """
     text = Text(str(path))
-    blocks = (text.feed(*block) for block in blocks_of(path, LARGEST_TABLE))
+    blocks = itertools.starmap(text.feed, blocks_of(path, LARGEST_TABLE))
     lines = list(filter(is_content, itertools.chain.from_iterable(blocks)))
     titles, columns = _columns_of_lines(lines)
     numbers = [numbers_of_texts(x, functools.partial(parse_cell, mark=".")) for x in columns]
     stamped = [stamps_of(x[:FIRST]) is not None for x in columns]
     is_time = [stamped[k] or time_rank(split_unit(titles[k])) >= 0 for k in range(len(columns))]
     full = [bool(np.isfinite(x).mean() > MOST_NUMBERS) for x in numbers]
-    times = [k for k, one in enumerate(is_time) if one]
+    times = np.flatnonzero(is_time).tolist()
     values = [k for k, one in enumerate(full) if one and k not in times]
     names = [k for k, one in enumerate(full) if not one and k not in times]
     if not times or len(values) != 1 or len(names) != 1:
         return None
     name = np.array(columns[names[0]])
-    stamps = [" ".join(parts) for parts in zip(*(columns[k] for k in times), strict=True)]
+    stamps = list(map(" ".join, zip(*(columns[k] for k in times), strict=True)))
     t = numbers_of_texts(stamps, functools.partial(parse_cell, mark="."))
     known = np.isfinite(t) & np.isfinite(numbers[values[0]])
     different, of, counts = np.unique(name[known], return_inverse=True, return_counts=True)

@@ -88,7 +88,7 @@ def measure_lines(
 
 def _apply(lines: Any, values: Floats) -> Floats:
     """Return what the lines make of values, one after the other (N)."""
-    return np.array([lines(one) for one in values.tolist()])
+    return np.array(list(map(lines, values.tolist())))
 
 
 def pass_machine(lost: Lost, command: Floats, end: int) -> Floats:

@@ -125,7 +125,7 @@ def _zone_fields(answers: Sequence[Answer]) -> dict[str, str]:
     if first.verdict == "input_play":
         return fields | {"actuator": _gap_of_actuator(first)}
     place = "actuator" if first.verdict == "input_zone" else "sensor"
-    fields[place] = _width_lines([_require_edges(answer) for answer in answers])
+    fields[place] = _width_lines(list(map(_require_edges, answers)))
     fields[f"told_{place}"] = _prior_range_lines(answers)
     if first.verdict == "input_zone" and first.at_rest is not None:
         ends = describe_ends(first.case.grid.zero or 0.0, *reversed(_require_edges(first)))

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from enum import IntEnum
+from itertools import starmap
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -253,7 +254,7 @@ class ServoLikelihood:
         point.
         """
         moves = [step_sizes(*one)[0] for one in zip(points, free, strict=True)]
-        rows = [perturb_each(*one) for one in zip(points, free, moves, strict=True)]
+        rows = list(starmap(perturb_each, zip(points, free, moves, strict=True)))
         counts = list(map(len, rows))
         seen, _ = self._run_kernel(self.kernel(), np.concatenate(rows), np.repeat(lag, counts))
         found = []

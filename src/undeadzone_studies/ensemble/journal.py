@@ -51,7 +51,7 @@ class Store(NamedTuple):
     @property
     def missing_blocks(self) -> list[int]:
         """Return the blocks that the store does not contain yet."""
-        return [int(block) for block in np.flatnonzero(~self.done)]
+        return np.flatnonzero(~self.done).tolist()
 
     @property
     def runs_done(self) -> int:

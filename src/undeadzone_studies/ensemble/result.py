@@ -176,7 +176,7 @@ class Ensemble:
             bar = np.partition(size, -count)[-count]
         runs = np.flatnonzero(size >= bar)
         worst_first = np.lexsort((runs, -size[runs]))
-        return [int(run) for run in runs[worst_first][:count]]
+        return runs[worst_first][:count].tolist()
 
     def typical(self, metric: str = MAIN) -> int | None:
         """Return the number of the run with the median metric.
@@ -266,7 +266,7 @@ class Ensemble:
             "metrics": {name: describe(self.sample(name)) for name in names},
             "sensitivities": self.sensitivities(),
             "typical": self.typical(),
-            "worst": [self.row(run) for run in self.worst()],
+            "worst": list(map(self.row, self.worst())),
         }
         return to_json_value(summary)
 

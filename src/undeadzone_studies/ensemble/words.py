@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import starmap
 from typing import Any, Final, NamedTuple
 
 from undeadzone.results.run import ERRORS, LAST
@@ -56,7 +57,7 @@ def describe_ensemble(info: Info, summary: dict[str, Any], diverged: int) -> lis
     if summary["sensitivities"]:
         entries = list(summary["sensitivities"].items())[:LISTED]
         heads = ("what decides rms z - r", "rank correlation", "share of the variance")
-        blocks.append([heads, *(_sensitivity_row(name, entry) for name, entry in entries)])
+        blocks.append([heads, *starmap(_sensitivity_row, entries)])
     return blocks
 
 

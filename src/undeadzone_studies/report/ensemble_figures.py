@@ -282,7 +282,7 @@ def _name_rows(axes: Axes, names: list[str]) -> None:
 
 def _draw_ranks(axes: Axes, partial: list[dict[str, float]]) -> None:
     """Draw bars of partial rank correlations."""
-    _draw_bars(axes, 0.0, 0.62, partial, color=[_rank_colour(index) for index in partial])
+    _draw_bars(axes, 0.0, 0.62, partial, color=list(map(_rank_colour, partial)))
     axes.axvline(0.0, color=ink.TRUTH, linewidth=0.8)
     axes.set_xlim(-1.05, 1.05)
 

@@ -158,7 +158,7 @@ def rank_correlations(X: Floats, y: Floats) -> tuple[Floats, Floats]:
     The partial one correlates the residuals of both after regression on the ranks of the other
     entries.
     """
-    ranks = np.column_stack([mean_ranks(column) for column in (*X.T, y)])
+    ranks = np.column_stack(list(map(mean_ranks, (*X.T, y))))
     ranks -= ranks.mean(axis=0)
     size = np.sqrt((ranks**2).sum(axis=0))
     size = np.where(size > 0, size, 1.0)

@@ -7,6 +7,7 @@ observer that computes in Python is run one by one.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import starmap
 from typing import Any, NamedTuple
 
 import msgspec
@@ -196,7 +197,7 @@ class OneByOne(NamedTuple):
         self, candidates: Sequence[Problem], threads: int | None = None
     ) -> Floats:
         """Return the metrics (candidates x runs x columns) of candidates (threads: not used)."""
-        return np.stack([self._simulate_candidate(candidate) for candidate in candidates])
+        return np.stack(list(map(self._simulate_candidate, candidates)))
 
     def _simulate_candidate(self, candidate: Problem) -> Floats:
         """Return the metrics (runs x columns) of one candidate."""
@@ -337,9 +338,7 @@ class Objective(NamedTuple):
     def candidate_costs(self, candidates: Sequence[Problems]) -> Floats:
         """Return the costs of candidates."""
         of_each = zip(*candidates, strict=True)
-        return self.mean_scores(
-            [self.candidate_losses(k, problems) for k, problems in enumerate(of_each)]
-        )
+        return self.mean_scores(list(starmap(self.candidate_losses, enumerate(of_each))))
 
     def candidate_losses(self, index: int, candidates: Sequence[Problem]) -> Floats:
         """Return the losses of each candidate in each run of a scenario (candidates x

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+from itertools import starmap
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -294,7 +295,7 @@ def validate_best(
     pairs = [list(map(resolve_scenario, pair)) for pair in before_and_after]
     lost_as_is = [on.candidate_losses(k, pair[:1]) for k, pair in enumerate(pairs)]
     others = on.redraw_test_runs(on.what.held_out, seed + 1)
-    lost = [others.candidate_losses(k, pair) for k, pair in enumerate(pairs)]
+    lost = list(starmap(others.candidate_losses, enumerate(pairs)))
     return Tuned(
         scenarios=scenarios,
         what=on.what,

@@ -132,10 +132,10 @@ def tune(
 def _describe_search(on: Objective, seed: int) -> dict[str, Any]:
     """Return all data that the cost of a candidate depends on, without the budget."""
     return {
-        "scenarios": [toml.to_toml(scenario) for scenario in on.scenarios],
-        "files": [digests(scenario) for scenario in on.scenarios],
+        "scenarios": list(map(toml.to_toml, on.scenarios)),
+        "files": list(map(digests, on.scenarios)),
         "tune": msgspec.to_builtins(msgspec.structs.replace(on.what, budget=0, held_out=0)),
-        "frames": [list(frame) for frame in on.frames],
+        "frames": list(map(list, on.frames)),
         "seed": seed,
     }
 

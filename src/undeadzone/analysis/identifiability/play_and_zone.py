@@ -66,7 +66,7 @@ def separate_contacts(schedule: Schedule) -> Schedule:
     """
     assert schedule.contacts is not None
     sides = np.stack([schedule.sides * (schedule.contacts == m) for m in (1.0, -1.0)], axis=2)
-    low, mean, high = (np.repeat(part, 2) for part in schedule[5:8])
+    low, mean, high = np.repeat(schedule[5:8], 2, axis=1)
     return schedule._replace(
         sides=sides.reshape(len(sides), -1),
         low=low,
@@ -207,7 +207,7 @@ def _unreached_behind_gap(schedule: Schedule, n: int, i: int) -> list[str]:
 
 def _single_contact_reason(schedule: Schedule, visited: np.ndarray, i: int) -> list[str]:
     """Describe that output i is read in a single contact beyond its edges."""
-    right, left = (bool(each.any()) for each in visited[2 * i : 2 * i + 2])
+    right, left = map(np.any, visited[2 * i : 2 * i + 2])
     if right == left:
         return []
     seen, other = ("right", "left") if right else ("left", "right")

@@ -103,7 +103,7 @@ def _sensor_actuator_reasons(
     centres = [width.centre for width in (*outputs, *inputs)]
     if all(centres):
         return ()
-    silent = [bool((modes[:, i] == 0).any()) for i in range(modes.shape[1])] if len(modes) else []
+    silent = (modes == 0).any(axis=0).tolist() if len(modes) else []
     if not all(silent) or not silent:
         return (
             "the inverse never lets the actuator fall silent while the output is read, so a shift "

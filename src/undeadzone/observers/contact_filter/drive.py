@@ -475,7 +475,7 @@ def gear_torques(
             mean += share * tau
             square += share * (tau**2 + (q.impact * stopping) ** 2)
         moments.append((chance, mean, ca.fmax(square - mean**2, 0.0)))
-    return GearTorques(*(ca.vertcat(*column) for column in zip(*moments, strict=True)))
+    return GearTorques(*itertools.starmap(ca.vertcat, zip(*moments, strict=True)))
 
 
 def update_group_numbers(

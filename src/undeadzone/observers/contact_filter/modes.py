@@ -449,7 +449,7 @@ def predict_modes(drive: Drive, q: Numbers, posterior: Posterior, u: Any) -> tup
         u: torque of the motors (N) [N m].
     """
     contacts = drive.layout.contact_combinations
-    modes = [Mode(*pair) for pair in zip(posterior.chances, posterior.beliefs, strict=True)]
+    modes = list(itertools.starmap(Mode, zip(posterior.chances, posterior.beliefs, strict=True)))
     leaving = [
         _leaving_probabilities(drive, q, contact, mode, u)
         for contact, mode in zip(contacts, modes, strict=True)

@@ -12,6 +12,7 @@ Three rules, by the properties of the sensor:
 from __future__ import annotations
 
 from functools import partial
+from itertools import starmap
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -176,7 +177,7 @@ def detect_branches(sensor: Zone, q: Motion, s: State, y: Any) -> tuple[Any, Any
         if not sensor.noise[i]:
             rule = branch_by_tick if sensor.quantum[i] else branch_by_change
         parts.append(rule(q, s, y, i))
-    moving, edge, rms = (ca.vertcat(*column) for column in zip(*parts, strict=True))
+    moving, edge, rms = starmap(ca.vertcat, zip(*parts, strict=True))
     return ca.if_else(s.known, moving, 0.0), edge, rms
 
 

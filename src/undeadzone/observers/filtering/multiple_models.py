@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
+from itertools import starmap
 from typing import Any, NamedTuple, TypeVar
 
 import casadi as ca
@@ -166,7 +167,7 @@ def _split_leaves(shapes: Sequence[ca.Sparsity], column: Any) -> Iterator[Any]:
     """Return the leaves of which a column holds the numbers."""
     ends = np.cumsum([0, *(shape.nnz() for shape in shapes)]).tolist()
     parts = zip(shapes, ca.vertsplit(column, ends), strict=True)
-    return (ca.SX(shape, part) for shape, part in parts)
+    return starmap(ca.SX, parts)
 
 
 def _places_of_equals(columns: Sequence[Any]) -> list[int]:
