@@ -281,7 +281,9 @@ def test_the_sensitivity_of_a_loop_is_that_of_its_controller_and_plant() -> None
     at = 2 * np.pi / 20.0 * np.linspace(0.85, 1.15, 13)
     controller = freqz(numerator, np.convolve([1.0, -1.0], [1.0, -filtered]), at)[1]
     expected = (1 / np.abs(1 + 0.4 * controller)).max()
-    assert LoopFits.sensitivity(loop, np.zeros(300), np.empty((300, 0))) == pytest.approx(expected, rel=1e-6)
+    assert LoopFits.sensitivity(loop, np.zeros(300), np.empty((300, 0))) == pytest.approx(
+        expected, rel=1e-6
+    )
 
 
 def test_a_valve_is_worth_what_it_foretells_of_held_out_readings(
