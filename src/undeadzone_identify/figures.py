@@ -109,7 +109,7 @@ def signals(axes: Axes, found_log: Identified, part: slice | None = None, of: st
     element = answer.element
     if element is None:
         _plot_zone_bands(axes, found_log)
-    axes.plot(t, answer.output[part], color=ink.ESTIMATE, label="plant's ẑ")
+    axes.plot(t, answer.hidden_output[part], color=ink.ESTIMATE, label="plant's ẑ")
     _plot_readings(axes, found_log, part)
     if element is not None and element.kind in NAMES:
         expected = (element.readings * answer.scale)[part]
@@ -265,8 +265,8 @@ def _plot_by_output(found_log: Identified) -> Figure:
         expected = element.readings
         label = f"path of {_name_of(element)}"
         part = _time_window(found_log, MOST_AT_END)
-        curve = answer.output[part], (expected * answer.scale)[part]
-    z = answer.output[ok]
+        curve = answer.hidden_output[part], (expected * answer.scale)[part]
+    z = answer.hidden_output[ok]
     _plot_dots(panels["map"], z, grid.y[ok], ink.READING, "readings")
     of_input = element is not None and element.kind not in NAMES
     if not of_input:

@@ -211,7 +211,7 @@ class ZoneObjective:
         approximate = approximate + 1e-12 * np.eye(self.free.size)
         if self.kind == "behind":
             return approximate
-        steps = 1e-2 / np.sqrt(np.diag(approximate))
+        steps = 1e-2 * (1 / np.sqrt(np.diag(approximate)))
         _, *points = estimates.perturb_each(theta, self.free, steps)
         if self.limits.tied:
             for point in points:

@@ -49,24 +49,24 @@ class ZoneFit(NamedTuple):
         return self.objective.simulator.simulate_z(self.theta)
 
     @property
-    def residual(self) -> Floats:
+    def unexplained(self) -> Floats:
         """Return the readings that the plant does not explain (N), scaled."""
         return self.objective.unexplained_readings(self.theta)
 
     @property
-    def noise(self) -> ZoneNoise:
+    def zone_noise(self) -> ZoneNoise:
         """Return widths and rms of the disturbance, scaled."""
         return self.objective.zone_noise(self.theta)
 
     @property
     def right(self) -> float:
         """Return d_r, scaled."""
-        return self.noise.right
+        return self.zone_noise.right
 
     @property
     def left(self) -> float:
         """Return d_l, scaled."""
-        return self.noise.left
+        return self.zone_noise.left
 
     @property
     def width(self) -> float:
@@ -76,7 +76,7 @@ class ZoneFit(NamedTuple):
     @property
     def disturbance_rms(self) -> float:
         """Return the rms of the disturbance of z, scaled."""
-        return self.noise.s
+        return self.zone_noise.s
 
     @property
     def rho(self) -> float:
@@ -103,8 +103,8 @@ class ZoneFit(NamedTuple):
 def mean_reading(fit: ZoneFit) -> Floats:
     """Return E[y | z] (N), scaled: noise ahead of the zone makes its characteristic smooth."""
     if fit.objective.kind == "behind":
-        return expected_reading(fit.z, fit.noise, fit.objective.limits.zone)
-    return mean_beyond_edges(fit.z, fit.noise)
+        return expected_reading(fit.z, fit.zone_noise, fit.objective.limits.zone)
+    return mean_beyond_edges(fit.z, fit.zone_noise)
 
 
 def fit_zone(simulator: PlantSimulator, limits: WidthLimits) -> ZoneFit:
@@ -258,7 +258,7 @@ def outside_correlation(fit: ZoneFit) -> float:
     It is 0.05 if there are fewer than 10 of them.
     """
     readings = fit.objective.readings
-    e = fit.residual
+    e = fit.unexplained
     outside = readings.ok & (readings.side != 0)
     second = np.flatnonzero(outside & readings.before)
     second = second[outside[second - 1]]

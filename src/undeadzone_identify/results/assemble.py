@@ -159,7 +159,7 @@ class Answer(NamedTuple):
         return self.fit.z if self.element is None else self.element.z
 
     @property
-    def output(self) -> Floats:
+    def hidden_output(self) -> Floats:
         """Return the output of the plant (N) [y]."""
         return self.z * self.scale
 
@@ -235,8 +235,8 @@ class Answer(NamedTuple):
     def z_from_rest(self) -> Floats:
         """Return the output of the plant less that at rest (N) [y]."""
         if self.element is None or not self.element.level or self.at_rest is None:
-            return self.output
-        return self.output - self.gain[0] * self.at_rest[0]
+            return self.hidden_output
+        return self.hidden_output - self.gain[0] * self.at_rest[0]
 
     @property
     def disturbance(self) -> Disturbance:
@@ -254,7 +254,7 @@ class Answer(NamedTuple):
             return Disturbance(element.disturbance_rms * scale, time, element.noise * scale, model)
         time = -step / math.log(fit.rho) if 0.05 < fit.rho < 1 else None
         if fit.objective.kind == "behind":  # the climb to s ends early at a zone without width
-            rms = root_mean_square(fit.residual[fit.objective.readings.ok])
+            rms = root_mean_square(fit.unexplained[fit.objective.readings.ok])
             return Disturbance(rms * scale, time, ahead=False)
         ahead = Disturbance(fit.disturbance_rms * scale, time)
         if not self.found.kalman:
@@ -408,7 +408,7 @@ def _widen_by_drift(answer: Answer, intervals: DisplayedWidths) -> list[str]:
     right, left, unit = intervals["right"], intervals["left"], answer.case.grid.output_unit
     if right is None or left is None or not math.isfinite(left.high + right.high):
         return []
-    z, grid = answer.output, answer.case.grid
+    z, grid = answer.hidden_output, answer.case.grid
     beyond = np.flatnonzero(grid.ok & (zone(z, right.value, left.value) != 0))
     if beyond.size < DRIFT_BLOCKS * LEAST_IN_BLOCK:
         return []

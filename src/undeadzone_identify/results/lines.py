@@ -30,7 +30,7 @@ def rest_noise(answer: Answer) -> float:
     """
     if answer.right is None or answer.left is None or not answer.zone:
         return 0.0
-    grid, z = answer.case.grid, answer.output
+    grid, z = answer.case.grid, answer.hidden_output
     is_deep = (-DEEP * answer.left.value < z) & (z < DEEP * answer.right.value)
     inside = grid.y[grid.ok & is_deep]
     return NORMAL * float(np.median(np.abs(inside))) if inside.size >= FEWEST else 0.0
@@ -43,7 +43,7 @@ def command_along(answer: Answer) -> Floats:
         answer: to a log.
     """
     if answer.verdict == "play":
-        return answer.output
+        return answer.hidden_output
     return answer.case.grid.u[:, 0]
 
 

@@ -266,7 +266,7 @@ def impossible_words(case: Case) -> Collection[str]:
     if not case.record_data.silent_zeros or case.jump_edges or placed is not None:
         return out
     speaks = case.record_data.ok & (case.record_data.side != 0)
-    loud = white_noise_rms(case.chosen.fit.residual, speaks, case.record_data.start)
+    loud = white_noise_rms(case.chosen.fit.unexplained, speaks, case.record_data.start)
     if loud > max(2 * case.quantum, LEAST_NOISE):  # and only a sensor's zone silences it
         out |= {"none", "friction", "input_zone", "play", "saturation", "other"}
         out |= set(CHAINED) - {"filtered_zone"}

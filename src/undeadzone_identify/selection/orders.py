@@ -216,7 +216,7 @@ def score_held_out(
 
 def one_step_residuals(fit: zone_fit.ZoneFit, among: Flags) -> tuple[Floats, Flags]:
     """Return residuals e_t - rho e_(t-1) and the flags of outside samples in a row (N, N)."""
-    e = fit.residual
+    e = fit.unexplained
     ok = fit.objective.data.ok
     speaks = ok if fit.objective.kind == "behind" else ok & (fit.objective.readings.side != 0)
     return predict_one_step(e, speaks & among, speaks, fit.objective.data.start)

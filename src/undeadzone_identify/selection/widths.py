@@ -167,7 +167,7 @@ def lower_width_bound(fit: ZoneFit, side: str) -> float:
     z = fit.z
     readings = fit.objective.readings
     reach = float(z.max() if side == "right" else -z.min())
-    noise = fit.noise
+    noise = fit.zone_noise
     drop = 0.5 * chi2.ppf(0.95, 1)
     base = single_densities(readings, z, noise).value.sum()
 
