@@ -90,7 +90,7 @@ def test_nothing_is_proposed_where_nothing_helps() -> None:
 def test_a_run_under_comparison_tells_its_errors(changes: dict[str, float], words: str) -> None:
     units = SimpleNamespace(units=SimpleNamespace(output="mm"))
     rival: Any = SimpleNamespace(
-        name="plain", divergence_time=None, rms_tip=None, rms_tracking=0.5, info=units
+        observer_name="plain", divergence_time=None, rms_tip=None, rms_tracking=0.5, info=units
     )
     vars(rival).update(changes)
     assert _describe_rival(rival) == {"compared": words}
