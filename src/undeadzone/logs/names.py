@@ -532,6 +532,7 @@ class _Header(NamedTuple):
 
 def _scaled(values: Floats) -> Floats:
     """Return columns (N x K) about their means with rms 1, the few values beyond the rest cut."""
+    values = np.where(np.isfinite(values).any(axis=0), values, 0.0)
     x = np.nan_to_num(values - np.nanmean(values, axis=0))
     ends = np.quantile(x, USED, axis=0)
     x = np.where(np.ptp(ends, axis=0) > 0, np.clip(x, *ends), x)
