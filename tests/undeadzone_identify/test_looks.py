@@ -7,11 +7,13 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from benchmarks.identify.logs.doors import KINDS
 
 from records import holds
 from undeadzone.util.arrays import Floats
 from undeadzone_identify.looks import edges as edges_module
 from undeadzone_identify.looks import map as maps
+from undeadzone_identify.looks import rate, rows
 from undeadzone_identify.looks.map import Edge, FlatPart, RestMap, map_at_rest
 from undeadzone_identify.looks.rate import map_of_rate
 from undeadzone_identify.looks.rows import noise_of, rows_at_rest, turns
@@ -272,6 +274,55 @@ def test_an_integrating_reading_has_a_map_of_its_rate() -> None:
     (part,) = rest.flats
     assert edges_of(part)[0].interval.low <= -30 <= edges_of(part)[0].interval.high
     assert edges_of(part)[1].interval.low <= 40 <= edges_of(part)[1].interval.high
+
+
+@pytest.mark.parametrize(
+    ("kind", "module", "name", "look", "factor"),
+    [
+        ("drive, ramps", rows, "STEP", map_at_rest, 0.5),
+        ("drive, ramps", rows, "STEP", map_at_rest, 1.5),  # of half the range are these steps
+        ("steering valve", rate, "WINDOWS", map_of_rate, 0.5),
+        ("steering valve", rate, "WINDOWS", map_of_rate, 2.0),
+        ("steering valve", rate, "EXPLAINED", map_of_rate, 0.5),
+    ],
+)
+def test_steps_of_a_sweep_and_commands_in_motion_leave_the_edges(
+    kind: str,
+    module: ModuleType,
+    name: str,
+    look: Callable[..., RestMap | None],
+    factor: float,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(module, name, type(getattr(module, name))(factor * getattr(module, name)))
+    door = KINDS[kind](np.random.default_rng(9074))
+    rest = look(*door.columns.values())
+    assert rest is not None
+    (part,) = rest.flats
+    lower = door.numbers.get("lower", -door.numbers.get("left", 0.0))
+    upper = door.numbers.get("upper", door.numbers.get("right"))
+    for edge, truth in zip(edges_of(part), (lower, upper), strict=True):
+        assert holds(edge.interval, truth)
+        assert edge.interval.value == pytest.approx(truth, rel=0.03)
+
+
+@pytest.mark.parametrize("size", [3000, 30_000])
+def test_rates_without_a_band_have_none(size: int) -> None:
+    rng = np.random.default_rng(6)
+    u = rng.uniform(-100, 100, size // 20).repeat(20)
+    for power in (1, 3):
+        y = 0.02 * np.cumsum(np.append(0, 100 * (u / 100) ** power)[:-1])
+        rest = map_of_rate(0.02 * np.arange(size), u, y + 0.02 * rng.standard_normal(size))
+        assert rest is not None
+        assert rest.flats == ()
+
+
+def test_a_reading_that_answers_to_the_end_is_left_out_to_the_end() -> None:
+    u = np.append(np.linspace(0, 5, 400), np.zeros(30))
+    y = np.append(np.linspace(0, 5, 400), 5 * 0.9 ** np.arange(1, 31))
+    rest = rows_at_rest(None, u, y)
+    assert rest is not None
+    assert rest.u.size <= 401
 
 
 def test_logs_without_rest_have_no_map() -> None:

@@ -338,11 +338,12 @@ def _is_flat(levels: Levels, inside: Flags, fits: list[Side], residual: Floats) 
     slope = min(abs(side.slope) + abs(side.step) / width for side in fits)
     hidden = slope * width if n > 1 else abs(float(v[inside][0] - fits[0].ahead))
     free = near.sum() - 2 - len(fits)
-    rounded = find_quantum(v) / np.sqrt(12)
-    noise = max(float(np.sqrt(np.sum(residual[near] ** 2) / free)), rounded, KNOWN)
+    quantum = find_quantum(v)
+    left = float(np.sqrt(np.sum(residual[near] ** 2) / free))
+    noise = max(left, quantum / np.sqrt(12), KNOWN)
     leans = n > 2 and abs(np.polyfit(x[inside], v[inside], 1, w=w[inside])[0]) > FLAT * slope
     explains = min(side.share for side in fits) > EXPLAINED
-    is_exact = n > 2 and np.ptp(v[inside]) == 0 and hidden > HIDES * find_quantum(v)
+    is_exact = n > 2 and np.ptp(v[inside]) == 0 and hidden > HIDES * quantum
     if leans or not (explains or is_exact) or hidden < max(HIDES * noise, LEAST):
         return False
     if is_exact:  # no curve rests, and rounding hides less

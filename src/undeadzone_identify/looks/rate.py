@@ -20,6 +20,7 @@ from undeadzone_identify.models.estimates import Interval
 
 EXPLAINED = 0.8  # of the variance of rates, by the command
 SIZES = (2, 4, 8, 16, 32)  # samples of a window
+WINDOWS = 2000  # of a fit, at least, spread over a longer log
 
 
 class Fit(NamedTuple):
@@ -50,6 +51,7 @@ def map_of_rate(t: Floats | None, u: Floats, y: Floats) -> RestMap | None:
     for size in SIZES:
         for lag in (-1, 0, 1, size // 2, size, 2 * size):
             starts = np.arange(max(lag, 0), y.size - size + min(lag, 0), size)
+            starts = starts[:: max(starts.size // WINDOWS, 1)]
             if starts.size < 4 * LEVELS or not np.all(t[starts + size] > t[starts]):
                 continue
             some = np.lib.stride_tricks.sliding_window_view(u, size)[starts - lag]

@@ -162,8 +162,9 @@ def _follow_steps(u: Floats, y: Floats) -> tuple[Floats, Flags]:
     a sweep's readings, in rows.
     """
     follows, lags = np.zeros(u.size, bool), [0.0]
-    for k in np.flatnonzero(np.abs(np.diff(u)) > STEP * np.ptp(u)).tolist():
-        change = np.diff(y[k:])
+    steps = np.flatnonzero(np.abs(np.diff(u)) > STEP * np.ptp(u)).tolist()
+    for k, end in itertools.pairwise([*steps, u.size - 1]):
+        change = np.append(np.diff(y[k : end + 1]), 0.0)
         answer = y[k : k + 1 + 2 * int(np.argmin(change * change[0] > 0))]
         follows[k + 1 : k + answer.size] = True
         lags.append(float(np.sum(answer - answer[-1])) / (answer[0] - answer[-1] or np.inf))
