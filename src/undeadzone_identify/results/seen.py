@@ -100,7 +100,7 @@ def _effect_of_part(part: FlatPart) -> tuple[str, Numbers]:
         return "input threshold", numbers
     if len(numbers) == len(EDGES):
         low, high = numbers["lower"], numbers["upper"]
-        ends = high.low - low.high, high.high - low.low
+        ends = max(high.low - low.high, 0.0), high.high - low.low
         numbers["width"] = Interval(high.value - low.value, *ends)
     return "loss", numbers
 
