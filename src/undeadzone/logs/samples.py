@@ -587,7 +587,7 @@ def usual_step(intervals: Floats) -> float | None:
     if not intervals.size:
         return None
     usual = np.quantile(intervals, 0.5, method="lower")
-    return float(np.mean(intervals[np.abs(intervals - usual) <= usual / 4]))
+    return float(np.mean(intervals[np.abs(intervals - usual) <= JITTER * usual]))
 
 
 def require_step(usual: float | None, step: float, tolerance: float, source: str) -> None:
