@@ -389,7 +389,8 @@ def _correct_crossing_bias(
 ) -> GapCrossings:
     """Return the crossings less the bias of the crossings of simulated logs."""
     medians = [find_crossings(log, one).median_gap for log in logs[:LOOKED]]
-    shift = float(np.nanmedian(medians)) - float(one.theta[At.GAP]) * logs[0].y_scale
+    known = [gap for gap in medians if math.isfinite(gap)] or [math.nan]
+    shift = float(np.median(known)) - float(one.theta[At.GAP]) * logs[0].y_scale
     return crossings._replace(gap=crossings.gap - shift) if math.isfinite(shift) else crossings
 
 
