@@ -64,6 +64,12 @@ SHAPES: dict[str, tuple[Shape, str, tuple[float | None, float | None] | None]] =
     "soft limit": (lambda u: np.tanh(2 * u), "curve", None),
     "parabola": (lambda u: (u - 0.1) ** 2, "fold", None),
     "fold": (lambda u: -np.abs(u - 0.3), "fold", None),
+    "stairs": (lambda u: np.round(8 * u) / 8, "ripple", None),
+    "band beside a step": (
+        lambda u: zone(u, 0.3, 0.2) - np.clip(u - 0.7, 0, 0.05),
+        "band",
+        (-0.3, 0.2),
+    ),
     "ripple": (lambda u: u + 0.03 * np.sin(20 * np.pi * u), "ripple", None),
 }
 

@@ -68,7 +68,7 @@ _TABLE: Final = tuple(
         (r"^(command|cmd)$", "goal", 18.0),
         (r"^(reading|measured|measurement|istwert|mesure)$", "", -18.0),
         (
-            r"battery|supply|counter\b|mass\b|\bsnr\b|delta|\bdt\b|^stat(e|us) \d|moving|\bpin\b"
+            r"\bbatt|\bvbat|supply|counter\b|mass\b|\bsnr\b|delta|\bdt\b|^stat(e|us) \d|moving|\bpin\b"
             r"|\bbus\b|\bvcc\b|\berror\b|\bwanted time\b|\bindex\b|\bid\b|^(n|no|nr)$",
             "aside",
             0.0,
@@ -119,7 +119,7 @@ _TABLE: Final = tuple(
         ),
         (
             r"accel|beschl|thrust|flow|level|pressure|\bpres\b|\btemp|durchfl|druck|stand\b|niveau|débit|pression|"
-            r"volume|power|leistung|weight|gewicht|poids",
+            r"volume|weight|gewicht|poids",
             "",
             -8.0,
         ),

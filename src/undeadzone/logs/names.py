@@ -307,12 +307,13 @@ class _Header(NamedTuple):
         """Return the column of the reference; an empty list without one."""
         if "r" in self.chosen:
             return [self.column_of_name("r")]
-        kinds = self.kinds
+        kinds, moves = self.kinds, self.moves()
         has_goal = "goal" in [kinds[k] for k in used]  # beside which another is another's
         goals = [
             k
             for k, title in enumerate(self.titles)
             if kinds[k] in ("sp", "goal")
+            and moves[k]
             and k not in used
             and (rank_of(title) == REFERENCE or not has_goal)
         ]
@@ -330,7 +331,8 @@ class _Header(NamedTuple):
             runs = np.maximum(np.mean(change >= 0, axis=0), np.mean(change <= 0, axis=0)) > 0.9
             best = best[runs] if runs.any() else best[:1][ranks[best[:1]] < VAGUE]
             unknown = [k for k, one in enumerate(self.titles) if not (rank_of(one) or one.unit)]
-            if not best.size and len(self.titles) > 2:
+            is_table = len(self.values) < TABLE and not self.titles[0].name.isdigit()
+            if not best.size and self.moves().sum() > 2 and not is_table:
                 best = np.array([k for k in unknown if is_regular_time(self.values[:, k])], int)
         if best.size > 1 and not self.is_open:
             many = f"several columns are named {self.titles[best[0]].name!r}"
@@ -355,7 +357,7 @@ class _Header(NamedTuple):
             counts = np.array(list(map(increases_evenly, self.values.T))) & (ranks == 0)
             aside = np.array(self.kinds) == "aside"
             x = np.nan_to_num(self.values)
-            for out in (np.ptp(x, axis=0) == 0, counts, aside):
+            for out in (~self.moves(), counts, aside):
                 fewer = free & (~out | (np.abs(ranks) >= EXACT))
                 free = fewer if fewer.sum() + len(y + u) > 1 else free
             flags = ((x == x.min(axis=0)) | (x == x.max(axis=0))).all(axis=0) & (len(x) > 2 * PAST)
@@ -388,6 +390,12 @@ class _Header(NamedTuple):
             if scores.max() > -np.inf
         }
         return y or self.group("y", j, p), u or self.group("u", i, m), pair
+
+    def moves(self) -> Flags:
+        """Return which columns are not constant, as far as their values are known (K)."""
+        if self.values is None:
+            return np.ones(len(self.titles), bool)
+        return np.asarray(np.nanmax(self.values, axis=0) > np.nanmin(self.values, axis=0))
 
     def ranks(self, given: list[int]) -> Floats:
         """Return the rank of each column (K), by its name and by the names of its neighbours."""
@@ -474,9 +482,7 @@ class _Header(NamedTuple):
         kinds = self.kinds
         if [kinds[k] for k in u + y[:1]] != ["goal", "position"]:
             return []
-        moves = [True] * len(kinds)
-        if self.values is not None:
-            moves = np.ptp(np.nan_to_num(self.values), axis=0) != 0
+        moves = self.moves()
         same = [k for k, kind in enumerate(kinds) if kind == "torque" and moves[k] and k not in y]
         near = self.likeness()[:, y[0]]
         return sorted(same, key=lambda k: near[k])[-1:]

@@ -7,6 +7,7 @@ one is an answer too: the largest dead band that it could hide.
 
 from __future__ import annotations
 
+from itertools import compress
 from typing import NamedTuple
 
 import numpy as np
@@ -43,7 +44,7 @@ APART = 0.05  # of the range: the largest noise of a candidate, and a leap from 
 UNSURE = 0.5  # of the commands' range, from which an edge is none
 FOLDED = 0.03  # of the range, by which a reading must come back
 TURN = 0.3  # of the commands' range, from which the way back is a sweep of its own
-STAIRS = 2  # bands, from which they are steps of the reading and no effect
+STAIR = 0.5  # of the widest band, from which another one is a step of the same stair
 RARELY = 0.2  # of the rows between both thresholds, at which the state may change
 
 
@@ -239,8 +240,11 @@ def _flat_parts(levels: Levels, legs: list[Levels]) -> list[FlatPart]:
             low, high = part.ends
             if all(high < one.ends[0] or low > one.ends[1] for one in parts):
                 parts.append(part)
-    is_stairs = sum(part.kind == "band" for part in parts) >= STAIRS
-    return [] if is_stairs else sorted(parts, key=lambda part: part.ends)
+    widths = np.array([np.ptp(part.ends) if part.kind == "band" else np.inf for part in parts])
+    counts = widths >= STAIR * widths[np.isfinite(widths)].max(initial=0.0)
+    if np.isfinite(widths[counts]).sum() > 1:  # steps of the reading, and no effect
+        return []
+    return sorted(compress(parts, counts), key=lambda part: part.ends)
 
 
 def _hysteresis(u: Floats, y: Floats) -> list[FlatPart]:
