@@ -68,7 +68,7 @@ _TABLE: Final = tuple(
         (r"^(command|cmd)$", "goal", 18.0),
         (r"^(reading|measured|measurement|istwert|mesure)$", "", -18.0),
         (
-            r"\bbatt|\bvbat|supply|counter\b|mass\b|\bsnr\b|delta|\bdt\b|^stat(e|us) \d|moving|\bpin\b"
+            r"\bbatt|\bvbat|supply|counter\b|star mass\b|\bcalculated\b|\bsnr\b|delta|\bdt\b|^stat(e|us) \d|moving|\bpin\b"
             r"|\bbus\b|\bvcc\b|\berror\b|\bwanted time\b|\bindex\b|\bid\b|^(n|no|nr)$",
             "aside",
             0.0,
@@ -90,7 +90,7 @@ _TABLE: Final = tuple(
         ),
         (
             r"torque|\btau|\bcurrent\b(?! (pos|angle|speed|vel|temp|val))|effort|moment\b|strom\b"
-            r"|courant|couple\b|\bamps?\b|ampere|\biq\b",
+            r"|courant|couple\b|\bamps?\b|ampere|\biq\b|\bq axis\b",
             "torque",
             8.0,
         ),
@@ -109,6 +109,7 @@ _TABLE: Final = tuple(
         (r"^q( \d+)?$", "position", 0.0),  # a joint's coordinate, or a flow that is set
         (r"^[flpt]c?v \d", "drive", 14.0),  # tags of ISA-5.1: valves, and transmitters
         (r"^[flpt]i?t \d", "", -12.0),
+        (r"^t \d+$", "", -8.0),  # temperatures
         (r"^dec( raw|$)", "position", -9.0),
         (r"^ra( raw|$)", "position", -8.5),
         (

@@ -44,11 +44,14 @@ USED: Final = (0.005, 0.995)  # quantiles of a column beyond which values are cu
 SINCE_2001: Final = 1e9  # [s] since 1970
 UNEVEN: Final = 0.005  # share of the steps of a clock that are longer or shorter by one
 PAST: Final = 16  # the part of a log that counts as the past of a sample: at least one of these
+LONGER: Final = (8, 32)  # samples whose means show what the noise of single ones hides
+BLOCKS: Final = 32 * PAST  # such means, at least
 RIDGE: Final = 1e-6  # of a mean square
 USUAL: Final = {"y": ("y", "output", "measured"), "u": ("u", "input", "command")}
 INDEXED: Final = re.compile(r"(?s)^(.*?)[\[_(]?(\d*)[\])]?$")
 _PLAIN: Final = re.compile(r"[\w .\[\]()/%°#:+*-]+")  # names that an option may hold as they are
-DIGITS: Final = (*"0123456789", "]", ")")  # how names with an index end
+DIGIT: Final = "0123456789"
+DIGITS: Final = (*DIGIT, "]", ")")  # how names with an index end
 _PRINTED_NAMES: Final = 12  # names in a message
 
 
@@ -307,14 +310,14 @@ class _Header(NamedTuple):
         """Return the column of the reference; an empty list without one."""
         if "r" in self.chosen:
             return [self.column_of_name("r")]
-        kinds, moves = self.kinds, self.moves()
+        kinds = self.kinds
+        is_text = [] if self.values is None else np.flatnonzero(~self.values.any(axis=0))
         has_goal = "goal" in [kinds[k] for k in used]  # beside which another is another's
         goals = [
             k
             for k, title in enumerate(self.titles)
             if kinds[k] in ("sp", "goal")
-            and moves[k]
-            and k not in used
+            and k not in (*used, *is_text)
             and (rank_of(title) == REFERENCE or not has_goal)
         ]
         near = self.likeness()[:, y]
@@ -330,9 +333,13 @@ class _Header(NamedTuple):
             change = np.diff(self.values[:, best], axis=0)
             runs = np.maximum(np.mean(change >= 0, axis=0), np.mean(change <= 0, axis=0)) > 0.9
             best = best[runs] if runs.any() else best[:1][ranks[best[:1]] < VAGUE]
-            unknown = [k for k, one in enumerate(self.titles) if not (rank_of(one) or one.unit)]
-            is_table = len(self.values) < TABLE and not self.titles[0].name.isdigit()
-            if not best.size and self.moves().sum() > 2 and not is_table:
+            is_log = len(self.values) >= TABLE  # in a table a name that is no time's is a command
+            unknown = [
+                k
+                for k, one in enumerate(self.titles)
+                if not (rank_of(one) or one.unit) and (is_log or not one.name.strip(DIGIT))
+            ]
+            if not best.size and self.moves().sum() > 2:
                 best = np.array([k for k in unknown if is_regular_time(self.values[:, k])], int)
         if best.size > 1 and not self.is_open:
             many = f"several columns are named {self.titles[best[0]].name!r}"
@@ -435,11 +442,13 @@ class _Header(NamedTuple):
         derived: Flags = np.asarray(fits > COPY)
         if len(x) >= (2 * PAST if has_times else TABLE):
             at_all, gains = _explained(x)
+            longer = [means for size in LONGER if len(means := _means(x, size)) >= BLOCKS]
+            every = np.array([gains, *(_explained(means)[1] for means in longer)])
             sums = np.abs(_scaled(x[1:]).T @ _scaled(np.diff(self.values, axis=0))) / len(x)
             adds: Flags = np.asarray(sums > SUM)
             derived |= adds | adds.T | np.any(adds, axis=0, keepdims=True).T
             shown = np.maximum.reduce([shown, at_all, at_all.T / 2, gains])  # slopes show what adds
-            fits = shown * (1 + gains) * (1 - gains.max(axis=0)[:, None])
+            fits = shown * (1 + gains) * (1 - every.max(axis=(0, 1))[:, None])
         fits = np.where(derived, 0.0, fits * (1 + np.subtract.outer(even, even)))
         return shown, fits + FIRST * np.triu(np.ones_like(fits))
 
@@ -545,6 +554,12 @@ def _scaled(values: Floats) -> Floats:
     spread = x.std(axis=0)
     moves = spread > (1 - COPY) * np.nanmax(np.abs(values), axis=0)
     return np.where(moves, x, 0.0) / np.where(moves, spread, 1.0)
+
+
+def _means(x: Floats, size: int) -> Floats:
+    """Return columns as means over so many samples, each with rms 1."""
+    count = len(x) // size
+    return _scaled(x[: count * size].reshape(count, size, -1).mean(axis=1))
 
 
 def _explained(x: Floats) -> tuple[Floats, Floats]:
