@@ -37,6 +37,7 @@ FLAT = (  # effects of a name that a flat part of the map shows as well
     "friction",
 )
 EDGES = {"left": "lower", "right": "upper"}
+LOSS = "output loss"
 UNMET = Interval(math.inf, math.inf, math.inf)  # an edge that no fit has
 INPUT_LOSS = {"loss", "input threshold"}  # effects of a map that shows a band of the input
 
@@ -143,9 +144,12 @@ def choose_account(
     """
     if seen is not None:
         named = fitted.effects.keys() if fitted.grade == NAMED else set()
-        edges = fitted.effects.get("output loss", {}).items()
+        edges = {
+            EDGES[key]: one for key, one in fitted.effects.get(LOSS, {}).items() if key in EDGES
+        }
         is_flat = named & {*FLAT} and knows_the_end() and not _contradicts(fitted, seen)
-        is_flat = is_flat and all(one.low > 0 for name, one in edges if name in EDGES)
+        is_flat = is_flat and all(one.low > 0 for one in edges.values())
+        is_flat = is_flat and edges.keys() <= seen.first_numbers.keys()  # it shows no others
         is_better = seen.grade == MEASURED or fitted.grade in (OPEN, BOUNDED)
         if seen.effects and is_better and not is_flat:
             others = {key: one for key, one in fitted.effects.items() if key not in seen.effects}
