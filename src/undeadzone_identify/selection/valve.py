@@ -27,7 +27,7 @@ from undeadzone_identify.models.least_squares import (
 )
 from undeadzone_identify.models.likelihood import root_mean_square
 from undeadzone_identify.models.plant import PlantSimulator, RecordData, select_samples
-from undeadzone_identify.models.valve import ORDERS, LoopFits, LoopLog, fit_loop
+from undeadzone_identify.models.valve import ORDERS, LoopFits, LoopLog, combine_sizes, fit_loop
 from undeadzone_identify.models.zone_fit import fit_linear
 from undeadzone_identify.selection.decision import (
     LIKELY,
@@ -55,6 +55,7 @@ OWN = ("none", "external", "input_play", "stiction")  # words of the models of a
 RARE = 3  # numbers that a cause costs besides which is rare in a control loop
 FEW_TURNS = 3  # of the input, below which nothing can be said of its valve
 REGULAR = 1.0  # Thornhill's r, above which an oscillation is regular
+LEAST_SHAPE = 0.02  # of the ellipse, in the range of u
 SHAPE, USUAL = 3.0, 0.3  # logarithm of odds by the ellipse's width, and where it tells nothing
 TIGHT = 2.0  # |sensitivity| at the period, above which a loop is tuned too tightly
 LEAST_POLE = 1e-6  # of a sampled plant: a pole below it is 0
@@ -100,7 +101,9 @@ class ValveFindings:
     @cached_property
     def _intervals(self) -> list[Interval]:
         """Return S and J [u]."""
-        return [one.scale_by(self._scale) for one in self._fits.intervals(self.fit)]
+        both = combine_sizes([self._fits.weigh_sizes()], max(self.shape, LEAST_SHAPE))
+        stick, jump = (one.scale_by(self._scale) for one in both)
+        return [stick, jump if self.fit.word == "stiction" else jump.scale_by(0.0)]
 
     @property
     def stick(self) -> Interval:
@@ -271,8 +274,8 @@ def ellipse_width(log: LoopLog) -> float:
         log: the loop.
     """
     u = log.u[log.ok]
-    related = np.corrcoef(u, log.y[log.ok])[0, 1]
-    return math.sqrt(8 * max(1 - related**2, 0.0)) * float(u.std())
+    across = float(np.mean((u - u.mean()) * log.y[log.ok]))
+    return math.sqrt(8 * max(float(u.var()) - across**2, 0.0))
 
 
 def _probabilities_of_loop(
