@@ -27,7 +27,7 @@ import casadi as ca
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.signal import correlate, freqz, lfilter
-from scipy.special import softmax
+from scipy.special import expit, softmax
 
 from undeadzone.compile import lanes
 from undeadzone.util.arrays import Flags, Floats, Integers
@@ -613,7 +613,7 @@ class LoopFits(NamedTuple):
         """Return pairs of S and J with their weights by the readings [range of u].
 
         The models of a valve are Kano's and He's, each with every pair, since S and J may compensate
-        each other.
+        each other. All pairs have the same weight where no valve foretells the readings.
         """
         least = max(FINEST, 0.5 * self.log.step)
         pairs = itertools.product(np.geomspace(least, max(WIDEST, 2 * least), SIZES), SLIPS)
@@ -626,7 +626,10 @@ class LoopFits(NamedTuple):
         ]).T  # fmt: skip
         variance = np.maximum(np.mean(errors**2, axis=0), 1e-20)
         weights = _bagged_weights(-0.5 * errors**2 / variance - 0.5 * np.log(variance))
-        return Sizes(stick, ratio, (1 - ASIDE) * weights.reshape(2, -1).sum(axis=0) + ASIDE / stick.size)
+        gain = self.densities["none"].bic - self.likeliest.density.bic
+        seen = (1 - ASIDE) * float(expit(gain / 2))
+        weights = weights.reshape(2, -1).sum(axis=0)
+        return Sizes(stick, ratio, seen * weights + (1 - seen) / stick.size)
 
     def sensitivity(self, v: Floats, oscillation: Floats) -> float:
         """Return the peak of the sensitivity |1 / (1 + C G)| near the oscillation's frequency [1].

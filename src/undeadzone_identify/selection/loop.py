@@ -133,7 +133,8 @@ def find_loop_cause(logs: list[Log]) -> LoopFindings:
     """
     steps = [find_sample_time(log) for log in logs]
     resample = None if all(regular for _, regular in steps) else float(np.median(steps, axis=0)[0])
-    grid = to_grid(logs, resample)
+    told = [log._replace(remarks=()) for log in logs[1:]]
+    grid = to_grid([logs[0], *told], resample)
     y, exception = _undo_exceptions(grid.y, grid.ok)
     grid = grid._replace(y=y)
     ends = np.append(grid.start[1:], grid.t.size)
