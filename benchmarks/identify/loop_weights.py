@@ -107,12 +107,18 @@ def table() -> str:
     lines = [f"# Written by `python -m benchmarks loop_weights` from {len(rows)} loops: {of}."]
     lines += [f"{key} = {json.dumps(rounded(value))}" for key, value in texts.items()]
     WRITTEN.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    shown = head("loops", "records", "valves", "AUC, all", "AUC, ellipse", "sticks > 0.9", "false > 0.9")
+    shown = head(
+        "loops", "records", "valves", "AUC, all", "AUC, ellipse", "sticks > 0.9", "false > 0.9"
+    )
     for name, part in (("records", is_record), ("generated", ~is_record)):
         if part.any():
             so, own = causes[part] == 0, odds[part]
             areas = (area_under_curve(s, so) for s in (own, x[part, 0]))
-            cells = *(f"{area:.3f}" for area in areas), str((own[so] > 0.9).sum()), str((own[~so] > 0.9).sum())
+            cells = (
+                *(f"{area:.3f}" for area in areas),
+                str((own[so] > 0.9).sum()),
+                str((own[~so] > 0.9).sum()),
+            )
             shown.append(row(name, str(part.sum()), str(len({*valve[part]})), *cells))
     about = (
         "Each loop is judged by weights of other valves: the records valve by valve, generated loops"

@@ -36,9 +36,7 @@ if TYPE_CHECKING:
     from undeadzone_identify.results.next_log import NextLog
     from undeadzone_identify.results.result import Identified, IdentifiedOutputs
 
-    Answers = (
-        Identified | IdentifiedOutputs | IdentifiedMotion | IdentifiedAtRest | IdentifiedLoop
-    )
+    Answers = Identified | IdentifiedOutputs | IdentifiedMotion | IdentifiedAtRest | IdentifiedLoop
 
 
 KINDS = click.Choice(["auto", "deadzone", "jump", "play", "backlash"])
@@ -161,7 +159,11 @@ def identify(
     with progress("identifying", None) as advance:
         names = list(map(str, logs))
         answer = identified(names, progress=advance, keep=keep, resume=resume, **options)
-        motion = answer if isinstance(answer, IdentifiedMotion | IdentifiedAtRest | IdentifiedLoop) else None
+        motion = (
+            answer
+            if isinstance(answer, IdentifiedMotion | IdentifiedAtRest | IdentifiedLoop)
+            else None
+        )
         written: list[Path] = [] if folder is None else [answer.save(folder / "identify.json")]
         reason = None
         if motion is None and answer.verdict in (*WRITTEN, "dead_zone", "jump"):

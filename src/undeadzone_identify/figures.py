@@ -37,7 +37,8 @@ NAMES = {"play": "the play", "both": "play and dead zone", "two_zones": "the dea
 
 
 def build_figures(
-    found_log: Identified | IdentifiedMotion | IdentifiedAtRest | IdentifiedLoop, further: NextLog | None = None
+    found_log: Identified | IdentifiedMotion | IdentifiedAtRest | IdentifiedLoop,
+    further: NextLog | None = None,
 ) -> dict[str, Figure]:
     """Build the figures that apply to an answer.
 

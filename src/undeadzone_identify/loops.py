@@ -59,7 +59,9 @@ def loops(source: Path, workers: int, resume: bool, output: Output) -> int:
             """Yield number and row of each loop that has no answer yet."""
             pending = {k: asked[k] for k in missing}
             one_by_one = ((k, ask_loop(*pending[k])) for k in missing)
-            for result in one_by_one if workers == 1 else iterate_results(workers, ask_loop, pending):
+            for result in (
+                one_by_one if workers == 1 else iterate_results(workers, ask_loop, pending)
+            ):
                 advance(1)
                 yield result
 

@@ -27,7 +27,7 @@ ROLES = {  # of the last word of a tag, or of its first
 _ROLE = "|".join(ROLES)
 TAGGED = re.compile(rf"(?i)(?:(.*?)(?:[\W_]|(?<=\d))({_ROLE})(?:\.CV)?|({_ROLE})[\W_](.+))")
 ENDINGS = (".csv", ".txt", ".tsv", ".parquet")
-DAY = re.compile(r"[-_. ]?\d[\d_.\-T]*$")  # of a file's name, behind the name of its valve
+DAY = re.compile(r"[-_. ]\d[\d_.\-T]*$")  # of a file's name, behind the name of its valve
 
 
 def find_loops(source: Path) -> dict[str, list[Log | Path]]:
@@ -81,7 +81,9 @@ def read_loops(path: Path) -> dict[str, Log]:
     logs = {}
     for tag, roles in loops.items():
         own = {key: arrays[name] for key, name in roles.items()}
-        logs[tag] = _build_log(f"{path}, {tag}", times, own, [Title(tag, ""), split_unit(roles["y"])])
+        logs[tag] = _build_log(
+            f"{path}, {tag}", times, own, [Title(tag, ""), split_unit(roles["y"])]
+        )
     return logs
 
 

@@ -702,7 +702,9 @@ def combine_sizes(records: Sequence[Sizes], expected: float) -> tuple[Interval, 
         away = (values[:, None, None] - np.log(one.stick)) / spreads[:, None]
         total += np.log(np.exp(-0.5 * away**2) @ one.weight / spreads + 1e-300)
     stick = np.exp(_quantiles(values, softmax(total).sum(axis=1)))
-    near = [one.weight * np.exp(-0.5 * (np.log(one.stick / stick[0]) / NEAR) ** 2) for one in records]
+    near = [
+        one.weight * np.exp(-0.5 * (np.log(one.stick / stick[0]) / NEAR) ** 2) for one in records
+    ]
     ratios = np.concatenate([one.ratio for one in records])
     jump = stick[0] * _quantiles(ratios, np.concatenate(near) / np.sum(near))
     return Interval(*stick.tolist()), Interval(*jump.tolist())

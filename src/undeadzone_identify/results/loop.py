@@ -177,7 +177,9 @@ class IdentifiedLoop(Spoken):
         samples = sum(log.t.size for log in self.logs)
         lines: dict[str, Any] = {"record": f"{samples} samples, {len(found.swings)} parts"}
         lines |= self.account.summary()
-        odds = (f"{CAUSES.get(word, word)} {100 * share:.0f} %" for word, share in found.odds.items())
+        odds = (
+            f"{CAUSES.get(word, word)} {100 * share:.0f} %" for word, share in found.odds.items()
+        )
         lines["odds"] = ", ".join(odds)
         lines["if it sticks"] = self.size_in_words
         lines["loop"] = self.swing_in_words

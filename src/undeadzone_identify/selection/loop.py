@@ -288,6 +288,3 @@ def compare_half_waves(x: Floats, period: float) -> Floats:
         squares = wave @ wave - (shapes @ wave) ** 2 / (shapes**2).sum(axis=1)
         left += [squares[0], squares[1], squares[2:].min()]
     return np.log(left[0] + 1e-9) - np.log(left[1:] + 1e-9)
-
-
-
