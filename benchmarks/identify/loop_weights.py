@@ -1,9 +1,9 @@
-"""Fit the weights of `selection/loop.toml` to loops of known cause, and judge them valve by valve.
+"""Fit the weights of `selection/loop.toml` to loops of known cause, judged valve by valve.
 
-LOOPS_RECORDS: a folder of records whose names begin with S_ where the valve sticks and with N_ where
-it does not, or hold _S_ or _N_, with the tag behind; LOOPS_FITTED: how many generated loops besides
-(300), of seeds from 20000. Records of one valve stay together, and count as one. A record that is
-fitted is judged by the weights of all other valves.
+LOOPS_RECORDS: a folder of records whose names begin with S_ where the valve sticks and with N_
+where it does not, or hold _S_ or _N_, with the tag behind; LOOPS_FITTED: how many generated loops
+besides (300), of seeds from 20000. Records of one valve stay together, and count as one. A record
+that is fitted is judged by the weights of all other valves.
 """
 
 from __future__ import annotations
@@ -121,8 +121,8 @@ def table() -> str:
             )
             shown.append(row(name, str(part.sum()), str(len({*valve[part]})), *cells))
     about = (
-        "Each loop is judged by weights of other valves: the records valve by valve, generated loops"
-        f" in ten parts. Ridge {RIDGE:g}; a valve of the records counts {OF_RECORDS:g} times."
+        "Each loop is judged by weights of other valves: the records valve by valve, generated"
+        f" loops in ten parts. Ridge {RIDGE:g}; a valve of the records counts {OF_RECORDS:g} times."
     )
     return "\n".join(["## Weights of loops", "", about, "", *shown, ""])
 

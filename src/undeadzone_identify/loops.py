@@ -28,8 +28,8 @@ HEAD = ("loop", "cause", "odds", "S [% of OP]", "J [% of OP]", "cost", "travel a
 def loops(source: Path, workers: int, resume: bool, output: Output) -> int:
     """Rank the control loops of a plant by what their swing costs, with the cause of each.
 
-    FOLDER holds a CSV file for each record, named by the valve and a date or number: FIC101_0612.csv.
-    TABLE has columns or tags such as FIC101.PV, FIC101.OP, FIC101.SP (MV, SV, CV, OUT.CV as well), a
+    FOLDER holds a CSV file for each record, named by the valve and a date: FIC101_0612.csv. TABLE
+    has columns or tags such as FIC101.PV, FIC101.OP, FIC101.SP (MV, SV, CV, OUT.CV as well), a
     column each or a line a value.
 
     Prints a line a loop: cause, odds, S and J with 95 % intervals, rms of PV - SP, travel of the

@@ -31,7 +31,8 @@ CAPTIONS = {
 
 # Lines that stand on the first screen; the others say how it was decided.
 FIRST = re.compile(
-    r"found|pays|remedy|not decided|at most|doubt|record next|input|shape|odds|plant|if it sticks|cost|note"
+    r"found|pays|remedy|not decided|at most|doubt|record next|input|shape|odds|plant|if it sticks"
+    r"|cost|note"
 )
 
 OF_ELEMENT = {  # in place of these

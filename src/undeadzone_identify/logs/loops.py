@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import re
 from collections import defaultdict
@@ -106,10 +107,8 @@ def _read_arrays(path: Path) -> Arrays:
     """Return the columns of a table by name, a long one by its signals."""
     if path.suffix.lower() == ".parquet":
         return read_parquet(path)
-    lines = itertools.chain.from_iterable(
-        itertools.starmap(Text(str(path)).feed, blocks_of(path, LARGEST_TABLE))
-    )
-    lines = list(filter(is_content, lines))
+    blocks = itertools.starmap(Text(str(path)).feed, blocks_of(path, LARGEST_TABLE))
+    lines = list(filter(is_content, itertools.chain.from_iterable(blocks)))
     if not lines:
         return {}
     dialect = dialect_of(lines[:FIRST])
@@ -120,9 +119,8 @@ def _read_arrays(path: Path) -> Arrays:
     titles, columns = _columns_of_lines(lines)
     arrays = {}
     for title, cells in zip(titles, columns, strict=True):
-        stamps = stamps_of(cells[:FIRST]) is not None
-        mark = "." if stamps else dialect.mark
-        arrays[title] = numbers_of_texts(cells, lambda cell, mark=mark: parse_cell(cell, mark))
+        mark = dialect.mark if stamps_of(cells[:FIRST]) is None else "."
+        arrays[title] = numbers_of_texts(cells, functools.partial(parse_cell, mark=mark))
     return arrays
 
 

@@ -70,7 +70,6 @@ DRAWS = 500  # draws of the log likelihoods
 CHUNK = 12  # positions that are regressed at once: their regressors fit into the cache
 COARSELY = 2000  # readings that a coarse grid predicts: more tell its points apart no better
 TURN = 0.25  # least reversal of u that counts [range of u]
-BESIDE = (0.1, 0.16, 0.25, 0.4, 0.63, 1.0)  # widths of plays that are regressors beside u [range]
 
 
 def valve_positions(u: Floats, stick: Floats, jump: Floats, account: str) -> Floats:
@@ -588,32 +587,11 @@ class LoopFits(NamedTuple):
         ranked = sorted(self.valves, key=lambda fit: -fit.density.bic)  # the last of a class stays
         return self.densities | {fit.word: fit.density for fit in ranked}
 
-    def chance_of_play(self) -> float:
-        """Return the p value of a play: of its position as a regressor beside u itself [1].
-
-        It is a likelihood ratio test of the play that explains most, with Bonferroni's correction
-        for the number of plays.
-        """
-        u = self.log.u
-        lags = self.structure.lags
-        beside = self.regression.with_position(u, lags)
-        plays = np.array(BESIDE)
-        positions = valve_positions(u, plays, 0 * plays, KANO)
-        squares = [beside._target]
-        for v in positions.T:
-            late = np.column_stack([np.roll(v, lags[0]), np.roll(v, lags[-1])])
-            squares.append(beside.prediction_errors_beside(late))
-        without, *sums = np.sum(np.square(squares), axis=1).tolist()
-        # Two regressors a play: chi squared of 2 degrees exceeds x by chance exp(-x / 2), which is
-        # the likelihood ratio itself.
-        ratio = min(sums) / without
-        return float(min(plays.size * ratio ** (0.5 * self.regression.rows.size), 1.0))
-
     def weigh_sizes(self) -> Sizes:
         """Return pairs of S and J with their weights by the readings [range of u].
 
-        The models of a valve are Kano's and He's, each with every pair, since S and J may compensate
-        each other. All pairs have the same weight where no valve foretells the readings.
+        The models of a valve are Kano's and He's, each with every pair, since S and J may
+        compensate each other. All pairs have the same weight where no valve foretells the readings.
         """
         least = max(FINEST, 0.5 * self.log.step)
         pairs = itertools.product(np.geomspace(least, max(WIDEST, 2 * least), SIZES), SLIPS)

@@ -75,7 +75,7 @@ class IdentifiedLoop(Spoken):
     def unit(self) -> str:
         """Return the unit of OP: % where it has none and lies within 0 to 100."""
         first = self.logs[0]
-        is_share = -5 <= first.u.min() and 5 < first.u.max() <= 105
+        is_share = first.u.min() >= -5 and 5 < first.u.max() <= 105
         return "%" if first.input_unit == "1" and is_share else first.input_unit
 
     @functools.cached_property

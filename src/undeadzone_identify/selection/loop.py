@@ -6,6 +6,7 @@ fits the weights to loops of known cause and writes `loop_weights.toml`.
 
 from __future__ import annotations
 
+import itertools
 import math
 import tomllib
 from functools import cache
@@ -16,19 +17,13 @@ import numpy as np
 from scipy.special import log_softmax
 
 from undeadzone.errors import InputError
+from undeadzone.logs.kinds import kind_of
 from undeadzone.util.arrays import Flags, Floats
 from undeadzone_identify.logs.grid import Grid, find_sample_time, to_grid
 from undeadzone_identify.logs.log import Log
 from undeadzone_identify.models.estimates import Interval
 from undeadzone_identify.models.likelihood import root_mean_square
 from undeadzone_identify.models.valve import LoopLog, Sizes, combine_sizes, fit_loop
-from undeadzone_identify.selection.valve import (
-    LEAST,
-    LEAST_SHAPE,
-    MOST,
-    ellipse_width,
-    is_named_loop,
-)
 
 NAMED = 0.9  # odds from which a cause is named
 CAUSES = ("sticks", "tight_tuning", "external", "none")
@@ -44,6 +39,8 @@ FEATURES = {  # what is measured of a record, with the ends beyond which it coun
 PEAKS = (0.15, 0.3, 0.5, 0.7, 0.85)  # of triangles, in a half period
 ALIKE = 0.5  # correlation of the evidence of two records of a valve
 PER_VALVE = 3.0  # odds that one valve of known cause supports: 20 to 1 for six or seven
+LEAST, MOST = 200, 8000  # samples of a part that is asked
+LEAST_SHAPE = 0.02  # width of the ellipse, in the range of OP
 PARTS = 12  # of a valve's records that are asked, each of at most MOST samples
 REPEATED, FLOOR = 0.5, 0.25  # share of held readings, and of the usual change, of stored exceptions
 LEVELS, END, LOUD = 20, 0.2, 0.8  # levels of OP, its share at an end, the noise's share of PV
@@ -112,6 +109,15 @@ class LoopFindings(NamedTuple):
         return float(np.median([one.features[list(FEATURES).index(name)] for one in self.swings]))
 
 
+def is_named_loop(grid: Grid | Log) -> bool:
+    """Return whether the input has the name of a controller's output.
+
+    Args:
+        grid: the log.
+    """
+    return kind_of(grid.inputs[0], grid.input_unit) == "op"
+
+
 def is_loop(log: Log) -> bool:
     """Return whether a log has the names of a control loop: OP, and PV or SP.
 
@@ -162,7 +168,7 @@ def find_loop_cause(logs: list[Log]) -> LoopFindings:
 
 def _is_usable(grid: Grid, part: slice) -> bool:
     """Return whether a part is long enough, and OP moves in it."""
-    return int(grid.ok[part].sum()) >= LEAST and np.ptp(grid.u[part, 0]) > 0
+    return int(grid.ok[part].sum()) >= LEAST and bool(np.ptp(grid.u[part, 0]) > 0)
 
 
 def _name_cause(odds: dict[str, float], swings: tuple[Swing, ...], exception: float) -> str:
@@ -242,7 +248,8 @@ def _measure_swing(grid: Grid, part: slice) -> Swing:
         compare_half_waves(log.y, log.period)[0],
         compare_half_waves(log.u, log.period)[1],
     ]
-    error = y[ok] - (np.mean(y[ok]) if r is None else np.nan_to_num(r[ok], nan=np.mean(y[ok])))
+    middle = float(np.mean(y[ok]))
+    error = y[ok] - (middle if r is None else np.nan_to_num(r[ok], nan=middle))
     rms = root_mean_square(error)
     size = root_mean_square(y[ok] if r is None else np.nan_to_num(r))
     sizes = fits.weigh_sizes()
@@ -250,7 +257,7 @@ def _measure_swing(grid: Grid, part: slice) -> Swing:
     noise = root_mean_square(np.diff(log.y[ok])) / math.sqrt(2)
     return Swing(
         float(grid.t[part][0]),
-        np.clip(features, *zip(*FEATURES.values(), strict=True)),
+        np.clip(features, *np.transpose([*FEATURES.values()])),
         sizes._replace(stick=sizes.stick * log.range),
         max(shape, LEAST_SHAPE) * log.range,
         none - np.array([sticks, plays]),
@@ -261,6 +268,19 @@ def _measure_swing(grid: Grid, part: slice) -> Swing:
         bool(np.unique(u).size > LEVELS and at_end > END),
         bool(noise > LOUD or 1 < np.unique(y[ok]).size < LEVELS / 2),
     )
+
+
+def ellipse_width(log: LoopLog) -> float:
+    """Return how wide an ellipse PV over OP is, in the direction of OP, in the range of OP [1].
+
+    A valve that does not follow leaves PV where it was while OP moves.
+
+    Args:
+        log: the loop.
+    """
+    u = log.u[log.ok]
+    across = float(np.mean((u - u.mean()) * log.y[log.ok]))
+    return math.sqrt(8 * max(float(u.var()) - across**2, 0.0))
 
 
 def compare_half_waves(x: Floats, period: float) -> Floats:
@@ -279,12 +299,12 @@ def compare_half_waves(x: Floats, period: float) -> Floats:
     x = x - trend
     left = np.zeros(3)
     crossings = np.flatnonzero(np.diff(np.signbit(x)))
-    for begin, end in zip(crossings[:-1], crossings[1:], strict=True):
+    for begin, end in itertools.pairwise(crossings):
         wave, place = x[begin + 1 : end + 1], (np.arange(end - begin) + 0.5) / (end - begin)
         if end - begin < max(4, period / 10):
             continue
-        shapes = [np.minimum(place / peak, (1 - place) / (1 - peak)) for peak in PEAKS]
-        shapes = np.array([np.sin(np.pi * place), np.ones(place.size), *shapes])
+        bent = [np.minimum(place / peak, (1 - place) / (1 - peak)) for peak in PEAKS]
+        shapes = np.array([np.sin(np.pi * place), np.ones(place.size), *bent])
         squares = wave @ wave - (shapes @ wave) ** 2 / (shapes**2).sum(axis=1)
         left += [squares[0], squares[1], squares[2:].min()]
     return np.log(left[0] + 1e-9) - np.log(left[1:] + 1e-9)
