@@ -248,6 +248,7 @@ def _build_firmware(
         run_firmware_chain,
         run_snippet_chain,
     )
+    from undeadzone_identify.results.loop import IdentifiedLoop
     from undeadzone_identify.results.lost_motion import IdentifiedMotion
     from undeadzone_identify.results.result import Identified
 
@@ -259,7 +260,7 @@ def _build_firmware(
         if (
             lost_motion is None
             or lost_motion.kind != "backlash"
-            or not isinstance(answer, IdentifiedMotion | Identified)
+            or not isinstance(answer, IdentifiedMotion | Identified | IdentifiedLoop)
         ):
             reason = "impossible: it takes a scenario or a certain gap"
             return FirmwareChain({"firmware": reason}, {}, [], False)

@@ -28,7 +28,7 @@ BY = "evidence of the loop"
 GOOD = 1.6  # |sensitivity| of a loop that is tuned well
 WORDS = {  # name and effect of a cause
     "stiction": ("The valve sticks", "stick"),
-    "input_play": ("The valve has play", "stick"),
+    "input_play": ("Backlash ahead of the plant", "input reversal"),
     "tight_tuning": ("The loop is tuned too tightly", "tuning"),
     "external": ("An oscillation from outside", "outside"),
     "limits": ("OP rests at its limit", "limit"),
@@ -95,7 +95,8 @@ class IdentifiedLoop(Spoken):
         if found.word == "undecided":
             effect = WORDS.get(top, ("", "stick"))[1]
         numbers = {
-            "stick": sizes if found.word == "stiction" else {"S": found.stick},
+            "stick": sizes,
+            "input reversal": {"gap": found.stick},
             "outside": _exact(period=found.median("period")),
             "tuning": _exact(
                 sensitivity=math.exp(found.feature("sensitivity")), **{"divide by": self.divisor}
@@ -109,7 +110,7 @@ class IdentifiedLoop(Spoken):
             return Account(grade, there, BY, units, None, others, doubts, limits=limits)
         if not effect:
             return Account(BOUNDED, {}, BY, units, limits=limits, name=name)
-        rest = {} if effect == "stick" else limits
+        rest = {} if found.word in VALVE else limits
         grade = NAMED if numbers else OPEN
         return Account(grade, {effect: numbers}, BY, units, limits=rest, name=name)
 
