@@ -69,7 +69,7 @@ def test_a_valve_that_sticks_is_named_and_gets_no_lines(
 ) -> None:
     """A dead band of its integral part ended the cycle of 1 of 6 such loops: it is not offered."""
     monkeypatch.chdir(tmp_path)
-    write_loop(make(25, "stiction", SIZE), Path("loop.csv"))
+    write_loop(make(1, "stiction", SIZE), Path("loop.csv"))
     printed = invoke("identify", "loop.csv", "--no-figures", "--out", "o")
     numbers = json.loads(Path("o/identify.json").read_text())
     assert numbers["verdict"] == "stiction"

@@ -136,7 +136,7 @@ def test_a_loop_is_named_by_its_cause(named: tuple[ValveLoop, Any]) -> None:
 
 
 def test_its_words_say_what_to_do(named: tuple[ValveLoop, Any]) -> None:
-    loop, found = named
+    found = named[1]
     remedy, number = {
         "stiction": ("see to packing, positioner", "J"),
         "input_play": ("add the gap after each reversal", "gap"),

@@ -20,6 +20,7 @@ from undeadzone_identify.results.account import (
     Numbers,
 )
 from undeadzone_identify.results.formats import describe_interval, unit_suffix
+from undeadzone_identify.results.lines import measure_lines
 from undeadzone_identify.results.result import Spoken
 from undeadzone_identify.selection.decision import VALVE
 from undeadzone_identify.selection.loop import LoopFindings
@@ -162,7 +163,9 @@ class IdentifiedLoop(Spoken):
             "units": {"input": self.unit, "output": first.output_units[0]},
             "remarks": [*found.remarks],
         }
-        return to_json_value(numbers)
+        certain = self.account.is_certain
+        lines = measure_lines(numbers, None, first.u[:, 0]) if certain else None
+        return to_json_value(numbers | {"lines": lines})
 
     @property
     def size_in_words(self) -> str:
