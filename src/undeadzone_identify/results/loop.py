@@ -179,7 +179,8 @@ class IdentifiedLoop(Spoken):
         found, first = self.found, self.logs[0]
         unit, reading = unit_suffix(self.unit), unit_suffix(first.output_units[0])
         samples = sum(log.t.size for log in self.logs)
-        lines: dict[str, Any] = {"record": f"{samples} samples, {len(found.swings)} parts"}
+        count = len(found.swings)
+        lines: dict[str, Any] = {"record": f"{samples} samples in {count} part{'s' * (count > 1)}"}
         lines |= self.account.summary()
         odds = (
             f"{CAUSES.get(word, word)} {100 * share:.0f} %" for word, share in found.odds.items()
