@@ -99,7 +99,8 @@ def table() -> str:
         f" {areas[1]:.3f}. False names above {NAMED:g}: {false}. Of {len(faulty)} valves that"
         f" stick or play {named} are named. Whether named or not, S lies in its interval in"
         f" {held['S']}, J in {held['J']}; S is off by {np.median(errors):.3f} of S in the median,"
-        f" half the interval is {np.median(halves):.2f} of S, its ends a factor {np.median(over):.1f} apart."
+        f" half the interval is {np.median(halves):.2f} of S, its ends a factor"
+        f" {np.median(over):.1f} apart."
         f" CPU s a loop: {np.mean([one['seconds'] for one in every]):.2f}.",
     ]
     about = (

@@ -22,7 +22,7 @@ HEAD = ("loop", "cause", "odds", "S [% of OP]", "J [% of OP]", "cost", "travel a
 
 @click.command(epilog="Example: undeadzone loops plant --out ranked")
 @click.argument("source", type=READ, metavar="FOLDER|TABLE")
-@value_option("--workers", "N", "Ask N loops at once.", type=click.IntRange(1), default=1)
+@value_option("--workers", "N", "Judge N loops at once.", type=click.IntRange(1), default=1)
 @flag_option("--resume", "Go on from what an interrupted command left in DIR.")
 @add_output_options
 def loops(source: Path, workers: int, resume: bool, output: Output) -> int:
@@ -49,18 +49,16 @@ def loops(source: Path, workers: int, resume: bool, output: Output) -> int:
     folder = output.choose_folder(f"{source.stem}-loops")
     keep = partial_file(folder, "loops.json", resume)
     found = find_loops(source)
-    asked = {
-        k: (tag, records, folder if output.figures else None)
-        for k, (tag, records) in enumerate(found.items())
-    }
-    with use_one_blas_thread(), progress("asking", len(asked), "loops") as advance:
+    pages = folder if output.figures else None
+    asked = [(tag, records, pages) for tag, records in found.items()]
+    with use_one_blas_thread(), progress("judging", len(asked), "loops") as advance:
 
         def answer_missing(missing: list[int]) -> Iterator[tuple[int, Any]]:
             """Yield number and row of each loop that has no answer yet."""
             pending = {k: asked[k] for k in missing}
-            one_by_one = ((k, ask_loop(*pending[k])) for k in missing)
+            one_by_one = ((k, judge_loop(*pending[k])) for k in missing)
             for result in (
-                one_by_one if workers == 1 else iterate_results(workers, ask_loop, pending)
+                one_by_one if workers == 1 else iterate_results(workers, judge_loop, pending)
             ):
                 advance(1)
                 yield result
@@ -84,7 +82,7 @@ def loops(source: Path, workers: int, resume: bool, output: Output) -> int:
     return int(any(row["verdict"] == "refused" for row in rows))
 
 
-def ask_loop(tag: str, records: list[Log | Path], folder: Path | None) -> dict[str, Any]:
+def judge_loop(tag: str, records: list[Log | Path], folder: Path | None) -> dict[str, Any]:
     """Return the line of a loop, and write its page.
 
     Args:
@@ -92,14 +90,14 @@ def ask_loop(tag: str, records: list[Log | Path], folder: Path | None) -> dict[s
         records: logs or files of it.
         folder: of the pages; None: none is written.
     """
-    from undeadzone_identify.logs.loops import read_records
+    from undeadzone_identify.logs.loops import read_record
     from undeadzone_identify.page import write_identified
     from undeadzone_identify.results.loop import IdentifiedLoop
     from undeadzone_identify.selection.loop import find_loop_cause, is_loop
 
     row: dict[str, Any] = {"loop": tag, "cost": 0.0, "page": None}
     try:
-        logs = read_records(records)
+        logs = list(map(read_record, records))
         if not all(map(is_loop, logs)):
             raise InputError(f"{logs[0].source}: its columns are no OP and PV by their names")
         answer = IdentifiedLoop(tuple(logs), find_loop_cause(logs))

@@ -151,7 +151,7 @@ def identify(
     progress: Callable[[int], None] | None = None,
     keep: Path | None = None,
     resume: bool = False,
-) -> Found:
+) -> Identified | IdentifiedOutputs | IdentifiedMotion | IdentifiedAtRest | IdentifiedLoop:
     """Find plant and dead zone from a log, with intervals that hold (docs/identify.md).
 
     Args:

@@ -118,7 +118,7 @@ def test_a_stopped_ranking_goes_on_where_it_stood(
             raise KeyboardInterrupt
         return {"loop": tag, "cost": 0.0, "page": None, "verdict": "refused", "found": "-"}
 
-    monkeypatch.setattr(command, "ask_loop", ask)
+    monkeypatch.setattr(command, "judge_loop", ask)
     words = ("loops", plant, "--out", tmp_path / "o")
     assert undeadzone(*words).returncode == 130
     assert undeadzone(*words, "--resume").returncode == 1

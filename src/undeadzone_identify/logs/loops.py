@@ -124,10 +124,10 @@ def _read_arrays(path: Path) -> Arrays:
     return arrays
 
 
-def read_records(records: list[Log | Path]) -> list[Log]:
-    """Return the records of a loop, those in files read.
+def read_record(record: Log | Path) -> Log:
+    """Return a record of a loop, read if it is in a file.
 
     Args:
-        records: logs and files.
+        record: a log, or its file.
     """
-    return [one if isinstance(one, Log) else read_log(one) for one in records]
+    return record if isinstance(record, Log) else read_log(record)

@@ -1,7 +1,7 @@
 """Why a control loop swings: calibrated evidence of all its records, in one table of weights.
 
-The odds of a record are a logistic function of its features. `python -m benchmarks loops_weights`
-fits the weights to loops of known cause and writes `loop_weights.toml`.
+The odds of a record are a logistic function of its features. `python -m benchmarks loop_weights`
+fits the weights to loops of known cause and writes `loop.toml`.
 """
 
 from __future__ import annotations
@@ -144,18 +144,16 @@ def find_loop_cause(logs: list[Log]) -> LoopFindings:
     y, exception = _undo_exceptions(grid.y, grid.ok)
     grid = grid._replace(y=y)
     ends = np.append(grid.start[1:], grid.t.size)
-    parts = [
-        slice(begin, min(begin + MOST, end))
-        for first, end in zip(grid.start, ends, strict=True)
-        for begin in range(first, end, MOST)
-    ]
+    parts = []
+    for first, end in zip(grid.start.tolist(), ends.tolist(), strict=True):
+        parts += [slice(begin, min(begin + MOST, end)) for begin in range(first, end, MOST)]
     usable = [part for part in parts if _is_usable(grid, part)]
     if not usable:
         raise InputError(
             f"{logs[0].source}: no record of the loop has {LEAST} samples in which OP moves"
         )
     asked = [usable[k] for k in np.unique(np.linspace(0, len(usable) - 1, PARTS).astype(int))]
-    left = f"{len(asked)} of {len(usable)} parts of at most {MOST} samples were asked"
+    left = f"{len(asked)} of {len(usable)} parts of at most {MOST} samples were used"
     swings = tuple(_measure_swing(grid, part) for part in asked)
     odds = combine_odds(np.array([one.features for one in swings]))
     stick, jump = combine_sizes(
