@@ -26,7 +26,7 @@ HEAD = ("loop", "cause", "odds", "S [% of OP]", "J [% of OP]", "cost", "travel a
 @flag_option("--resume", "Go on from what an interrupted command left in DIR.")
 @add_output_options
 def loops(source: Path, workers: int, resume: bool, output: Output) -> int:
-    """Rank the control loops of a plant by what their swing costs, with the cause of each.
+    """Rank the control loops of a plant by the cost of their swing, with the cause of each.
 
     FOLDER holds a CSV file for each record, named by the valve and a date: FIC101_0612.csv. TABLE
     has columns or tags such as FIC101.PV, FIC101.OP, FIC101.SP (MV, SV, CV, OUT.CV as well), a

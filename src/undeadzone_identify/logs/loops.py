@@ -61,7 +61,7 @@ def find_loops(source: Path) -> dict[str, list[Log | Path]]:
 
 
 def read_loops(path: Path) -> dict[str, Log]:
-    """Read the loops of a table of tags, wide or long; none if its columns name one loop plainly.
+    """Read the loops of a table of tags, wide or long; empty if its columns have the names of one loop.
 
     Args:
         path: of a file whose names are TAG.PV, TAG.MV and TAG.SV, or the like.

@@ -186,8 +186,8 @@ def _name_cause(odds: dict[str, float], swings: tuple[Swing, ...], exception: fl
 def combine_odds(features: Floats) -> dict[str, float]:
     """Return the odds of the causes by the features of all records, largest first.
 
-    Records of one valve are alike, so that n of them count as n / (1 + (n - 1) ALIKE). No odds are
-    beyond what the number of valves of known cause can support.
+    Records of one valve are alike, so that n of them count as n / (1 + (n - 1) ALIKE). Odds end at
+    PER_VALVE for each valve of known cause.
 
     Args:
         features: of each record (n x F).
@@ -213,8 +213,8 @@ def load_weights() -> dict[str, list[float]]:
 def _undo_exceptions(y: Floats, ok: Flags) -> tuple[Floats, float]:
     """Return readings between stored exceptions on a line, and the deviation of the historian.
 
-    Times of change are exact. What is held between them is no evidence. The deviation is 0 where
-    all readings are stored.
+    Times of change are exact, held readings between them are not. The deviation is 0 where all
+    readings are stored.
     """
     change = np.abs(np.diff(y[ok]))
     moved = change[change > 0]
