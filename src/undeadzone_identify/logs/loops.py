@@ -61,7 +61,7 @@ def find_loops(source: Path) -> dict[str, list[Log | Path]]:
 
 
 def read_loops(path: Path) -> dict[str, Log]:
-    """Read the loops of a table of tags, wide or long; empty if its columns have the names of one loop.
+    """Read the loops of a table of tags, wide or long; empty if its columns name one loop.
 
     Args:
         path: of a file whose names are TAG.PV, TAG.MV and TAG.SV, or the like.
@@ -93,7 +93,7 @@ def _build_log(source: str, times: Floats | None, own: Arrays, titles: list[Titl
     usable = np.isfinite(own["u"]) & (True if times is None else np.isfinite(times))
     if not usable.any() or not np.isfinite(own["y"]).any():
         raise FileError(f"{source}: OP or PV holds no number")
-    t = np.arange(usable.size) if times is None else times
+    t = np.arange(usable.size, dtype=float) if times is None else times
     t, first = np.unique(t[usable], return_index=True)
     u, y, r = (own.get(key, np.empty((usable.size, 0)))[usable][first] for key in "uyr")
     log = log_from_arrays(t - t[0], u, y)
