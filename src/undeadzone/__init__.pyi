@@ -108,6 +108,7 @@ Exported = undeadzone_export.Exported
 Fitted = undeadzone_identify.Fitted
 Identified = undeadzone_identify.Identified
 IdentifiedAtRest = undeadzone_identify.IdentifiedAtRest
+IdentifiedLoop = undeadzone_identify.IdentifiedLoop
 IdentifiedMotion = undeadzone_identify.IdentifiedMotion
 IdentifiedOutputs = undeadzone_identify.IdentifiedOutputs
 Sweep = undeadzone_studies.Sweep

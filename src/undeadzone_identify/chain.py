@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from undeadzone.scenario.schema import Scenario
     from undeadzone_export.code import Code
     from undeadzone_export.snippet import Lost
+    from undeadzone_identify.results.loop import IdentifiedLoop
     from undeadzone_identify.results.lost_motion import IdentifiedMotion
     from undeadzone_identify.results.result import Identified
 
@@ -127,15 +128,18 @@ def compensating_lines(numbers: dict[str, Any], source: str) -> dict[str, str]:
     return {} if lost is None else snippet_texts(lost, NAMES[lost.kind])
 
 
-def command_of_log(answer: Identified | IdentifiedMotion) -> Floats:
+def command_of_log(answer: Identified | IdentifiedMotion | IdentifiedLoop) -> Floats:
     """Return the signal of a log along which the few lines are run, in their unit (N).
 
     Args:
         answer: of one log.
     """
     from undeadzone_identify.results.lines import command_along
+    from undeadzone_identify.results.loop import IdentifiedLoop
     from undeadzone_identify.results.lost_motion import IdentifiedMotion
 
+    if isinstance(answer, IdentifiedLoop):
+        return answer.logs[0].u[:, 0]
     if isinstance(answer, IdentifiedMotion):
         return answer.answer.data.u
     return command_along(answer.answer)

@@ -31,11 +31,12 @@ from undeadzone.util.progress import terminal_progress as progress
 if TYPE_CHECKING:
     from undeadzone_identify.chain import FirmwareChain
     from undeadzone_identify.results.at_rest import IdentifiedAtRest
+    from undeadzone_identify.results.loop import IdentifiedLoop
     from undeadzone_identify.results.lost_motion import IdentifiedMotion
     from undeadzone_identify.results.next_log import NextLog
     from undeadzone_identify.results.result import Identified, IdentifiedOutputs
 
-    Answers = Identified | IdentifiedOutputs | IdentifiedMotion | IdentifiedAtRest
+    Answers = Identified | IdentifiedOutputs | IdentifiedMotion | IdentifiedAtRest | IdentifiedLoop
 
 
 KINDS = click.Choice(["auto", "deadzone", "jump", "play", "backlash"])
@@ -140,6 +141,7 @@ def identify(
     from undeadzone_identify.fitting.motor import write_motor
     from undeadzone_identify.pipeline import identify as identified
     from undeadzone_identify.results.at_rest import IdentifiedAtRest
+    from undeadzone_identify.results.loop import IdentifiedLoop
     from undeadzone_identify.results.lost_motion import IdentifiedMotion
     from undeadzone_identify.results.result import WRITTEN, Identified
 
@@ -157,7 +159,11 @@ def identify(
     with progress("identifying", None) as advance:
         names = list(map(str, logs))
         answer = identified(names, progress=advance, keep=keep, resume=resume, **options)
-        motion = answer if isinstance(answer, IdentifiedMotion | IdentifiedAtRest) else None
+        motion = (
+            answer
+            if isinstance(answer, IdentifiedMotion | IdentifiedAtRest | IdentifiedLoop)
+            else None
+        )
         written: list[Path] = [] if folder is None else [answer.save(folder / "identify.json")]
         reason = None
         if motion is None and answer.verdict in (*WRITTEN, "dead_zone", "jump"):
@@ -242,6 +248,7 @@ def _build_firmware(
         run_firmware_chain,
         run_snippet_chain,
     )
+    from undeadzone_identify.results.loop import IdentifiedLoop
     from undeadzone_identify.results.lost_motion import IdentifiedMotion
     from undeadzone_identify.results.result import Identified
 
@@ -253,7 +260,7 @@ def _build_firmware(
         if (
             lost_motion is None
             or lost_motion.kind != "backlash"
-            or not isinstance(answer, IdentifiedMotion | Identified)
+            or not isinstance(answer, IdentifiedMotion | Identified | IdentifiedLoop)
         ):
             reason = "impossible: it takes a scenario or a certain gap"
             return FirmwareChain({"firmware": reason}, {}, [], False)

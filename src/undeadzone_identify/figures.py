@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from undeadzone.util.arrays import Floats
     from undeadzone_identify.results.at_rest import IdentifiedAtRest
+    from undeadzone_identify.results.loop import IdentifiedLoop
     from undeadzone_identify.results.lost_motion import IdentifiedMotion
     from undeadzone_identify.results.result import IdentifiedOutputs
     from undeadzone_identify.selection.alternatives import Element
@@ -36,7 +37,8 @@ NAMES = {"play": "the play", "both": "play and dead zone", "two_zones": "the dea
 
 
 def build_figures(
-    found_log: Identified | IdentifiedMotion | IdentifiedAtRest, further: NextLog | None = None
+    found_log: Identified | IdentifiedMotion | IdentifiedAtRest | IdentifiedLoop,
+    further: NextLog | None = None,
 ) -> dict[str, Figure]:
     """Build the figures that apply to an answer.
 
@@ -205,6 +207,38 @@ def map_at_rest(axes: Axes, result: IdentifiedAtRest) -> None:
         label_with_unit(log.inputs[0], log.input_unit),
     )
     finish_panel(axes, "Readings over commands", *labels)
+
+
+def loop_over_time(result: IdentifiedLoop) -> Figure:
+    """Draw PV over OP, and both over time with the set point.
+
+    Args:
+        result: of a control loop.
+    """
+    figure, panels = create_panels([["map", "PV"], ["map", "OP"]], "The loop", height=2.2)
+    loop_ellipse(panels["map"], result)
+    log = result.logs[0]
+    shown = slice(-MOST, None)
+    t, names = log.t[shown], (log.outputs[0], log.inputs[0])
+    for panel, values, name in zip(("PV", "OP"), (log.y, log.u), names, strict=True):
+        panels[panel].plot(t, values[shown, 0], color=ink.READING, linewidth=0.8, label=name)
+        if panel == "PV" and log.r.shape[1]:
+            panels[panel].plot(t, log.r[shown, 0], color=ink.ESTIMATE, linewidth=0.8, label="SP")
+        finish_panel(panels[panel], "Over time", name, "samples" if log.counted else "t [s]")
+    return figure
+
+
+def loop_ellipse(axes: Axes, result: IdentifiedLoop) -> None:
+    """Draw PV over OP of the first record: an ellipse where the valve does not follow.
+
+    Args:
+        axes: where to.
+        result: of a control loop.
+    """
+    log = result.logs[0]
+    _plot_dots(axes, log.u[-MOST:, 0], log.y[-MOST:, 0], ink.READING, "samples")
+    labels = label_with_unit(log.outputs[0], log.output_units[0]), log.inputs[0]
+    finish_panel(axes, "PV over OP", *labels)
 
 
 def _shade_held_out(axes: Axes, found_log: Identified, part: slice) -> None:

@@ -11,6 +11,7 @@ from undeadzone.report import html
 from undeadzone_identify.chain import compensating_lines
 from undeadzone_identify.figures import build_figures
 from undeadzone_identify.results.at_rest import IdentifiedAtRest
+from undeadzone_identify.results.loop import IdentifiedLoop
 from undeadzone_identify.results.lost_motion import IdentifiedMotion
 from undeadzone_identify.results.next_log import NextLog
 from undeadzone_identify.results.result import Identified
@@ -30,7 +31,8 @@ CAPTIONS = {
 
 # Lines that stand on the first screen; the others say how it was decided.
 FIRST = re.compile(
-    r"found|pays|remedy|not decided|at most|doubt|record next|input|shape|odds|plant|note"
+    r"found|pays|remedy|not decided|at most|doubt|record next|input|shape|odds|plant|if it sticks"
+    r"|cost|note"
 )
 
 OF_ELEMENT = {  # in place of these
@@ -52,6 +54,10 @@ OF_OTHERS = {  # in place of these, of answers without a plant
     IdentifiedAtRest: {
         "overview": "Readings over commands at rest. The 95 % intervals of its edges are shaded.",
     },
+    IdentifiedLoop: {
+        "overview": "Left: PV over OP. A valve that does not follow draws an ellipse or a"
+        " parallelogram, one that follows a line. Right: both over time.",
+    },
 }
 SECTIONS = {  # titles of the pictures that only some answers have
     "hidden": "Hidden output",
@@ -59,7 +65,7 @@ SECTIONS = {  # titles of the pictures that only some answers have
     "crossings": "The gap at each crossing",
     "next": "What to record next",
 }
-OneAnswer: TypeAlias = Identified | IdentifiedMotion | IdentifiedAtRest
+OneAnswer: TypeAlias = Identified | IdentifiedMotion | IdentifiedAtRest | IdentifiedLoop
 
 
 def write_identified(

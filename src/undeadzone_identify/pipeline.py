@@ -53,6 +53,7 @@ from undeadzone_identify.models.zone_fit import (
 from undeadzone_identify.results.account import MEASURED, OPEN, Account
 from undeadzone_identify.results.assemble import to_answer
 from undeadzone_identify.results.at_rest import IdentifiedAtRest
+from undeadzone_identify.results.loop import IdentifiedLoop
 from undeadzone_identify.results.lost_motion import IdentifiedMotion
 from undeadzone_identify.results.result import Identified, IdentifiedOutputs
 from undeadzone_identify.results.seen import (
@@ -73,14 +74,12 @@ from undeadzone_identify.selection.alternatives import (
     add_named_element,
     add_play,
     add_play_gap,
-    add_valve,
     deny_shaped_zone_without_width,
     has_a_model,
     has_hidden_readings,
     holds_more,
     may_have_shaped_zone,
     needs_an_element,
-    needs_valve_test,
     with_adequacy,
     withhold_hidden_readings,
     without_needless,
@@ -99,6 +98,8 @@ from undeadzone_identify.selection.delays import (
     is_delay_better,
 )
 from undeadzone_identify.selection.location import find_zone_locations, is_rounding_play
+from undeadzone_identify.selection.loop import LEAST as LEAST_OF_LOOP
+from undeadzone_identify.selection.loop import find_loop_cause, is_loop, is_named_loop
 from undeadzone_identify.selection.lost_motion import (
     find_lost_motion,
     is_motor_position,
@@ -115,10 +116,9 @@ from undeadzone_identify.selection.servo import (
     to_servo_options,
     without_gap,
 )
-from undeadzone_identify.selection.valve import is_named_loop
 from undeadzone_identify.servo.gap import ServoGap
 
-Found = Identified | IdentifiedOutputs | IdentifiedMotion | IdentifiedAtRest
+Found = Identified | IdentifiedOutputs | IdentifiedMotion | IdentifiedAtRest | IdentifiedLoop
 TABLE = "rows of a table"
 INTEGRATES = (
     "a torque or current moves a position, by their names, and no plant that settles explains it:"
@@ -151,7 +151,7 @@ def identify(
     progress: Callable[[int], None] | None = None,
     keep: Path | None = None,
     resume: bool = False,
-) -> Identified | IdentifiedOutputs | IdentifiedMotion | IdentifiedAtRest:
+) -> Identified | IdentifiedOutputs | IdentifiedMotion | IdentifiedAtRest | IdentifiedLoop:
     """Find plant and dead zone from a log, with intervals that hold (docs/identify.md).
 
     Args:
@@ -186,7 +186,8 @@ def identify(
     Returns:
         Verdict, widths with intervals, plant, states, scenario; of several outputs one such
         answer each; of two positions the motion that is lost between them; of a table or a slow
-        sweep the map at rest. Each has an `account`: effect, cost, remedy, what is not decided.
+        sweep the map at rest; of OP, PV and SP why the loop swings. Each has an
+        `account`: effect, cost, remedy, what is not decided.
 
     Raises:
         FileError: a log that cannot be read, or `keep`.
@@ -295,6 +296,9 @@ def _identify_logs(
     if is_one and is_plain:
         looks = look_at(logs[0])
         seen = account_of_looks(logs[0], looks)
+    is_long = max(log.t.size for log in logs) >= LEAST_OF_LOOP
+    if is_plain and is_long and all(map(is_loop, logs)) and not rests_in_holds(looks):
+        return IdentifiedLoop(tuple(logs), find_loop_cause(logs))
     if is_one and is_named_loop(logs[0]) and not rests_in_holds(looks):
         looks, seen = Looks(), None  # a loop that swings is no map
     if is_one and looks.rests is None and needs_motion_test(with_drive[0]):
@@ -621,7 +625,6 @@ HYPOTHESES = (
     Hypothesis("friction, or a zone of the input", _needs_zone_location, _add_zone_locations),
     Hypothesis("a play, or a play and a dead zone", _has_no_jump, add_play),
     Hypothesis("a servo behind a play", _may_be_servo, add_servo),
-    Hypothesis("a valve that sticks, and why a loop swings", needs_valve_test, add_valve),
     Hypothesis(
         "a shaped zone without a width", may_have_shaped_zone, deny_shaped_zone_without_width
     ),

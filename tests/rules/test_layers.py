@@ -29,7 +29,12 @@ PACKAGES = {
     undeadzone_export: ("undeadzone", "undeadzone_proof"),
     undeadzone_design: ("undeadzone",),
     undeadzone_studies: ("undeadzone",),
-    undeadzone_identify: ("undeadzone", "undeadzone_design", "undeadzone_export"),
+    undeadzone_identify: (
+        "undeadzone",
+        "undeadzone_design",
+        "undeadzone_export",
+        "undeadzone_studies",
+    ),
     undeadzone_paper: ("undeadzone", "undeadzone_identify"),
     undeadzone_arena: ("undeadzone", "undeadzone_paper", "undeadzone_studies"),
 }
@@ -83,7 +88,7 @@ FLOORS = {
         ("results",),
         ("chain", "figures", "pipeline"),
         ("page",),
-        ("command",),
+        ("command", "loops"),
     ),
     undeadzone_arena: (
         ("approximators", "gain_defaults", "unscented"),

@@ -20,7 +20,7 @@ from undeadzone.util.arrays import Floats
 from undeadzone.util.files import LARGEST_TABLE, read_bytes, unreadable_file
 
 Arrays = dict[str, Floats]  # by the names of the signals, and their times
-FEWEST_VALUES = 3  # of each signal
+FEWEST_VALUES = 3  # of two signals; others may be stored on change
 MOST_NUMBERS = 0.9  # share of the cells of a column that are numbers, or of a column of names not
 
 
@@ -72,7 +72,7 @@ def read_long_table(path: Path) -> Arrays | None:
     t = numbers_of_texts(stamps, functools.partial(parse_cell, mark="."))
     known = np.isfinite(t) & np.isfinite(numbers[values[0]])
     different, of, counts = np.unique(name[known], return_inverse=True, return_counts=True)
-    if different.size < 2 or counts.min() < FEWEST_VALUES:
+    if different.size < 2 or np.sort(counts)[-2] < FEWEST_VALUES:
         return None
     t, x = t[known], numbers[values[0]][known]
     base = np.unique(t[of == np.argmax(counts)])

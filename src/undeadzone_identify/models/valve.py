@@ -27,7 +27,7 @@ import casadi as ca
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.signal import correlate, freqz, lfilter
-from scipy.special import softmax
+from scipy.special import expit, softmax
 
 from undeadzone.compile import lanes
 from undeadzone.util.arrays import Flags, Floats, Integers
@@ -57,14 +57,19 @@ HE = "He"
 # refinements of a grid, and grid points at which they start
 ROUNDS = 3
 TOPS = 8
-PAIRS = 300  # pairs (S, J) about the best one, for the interval
-FAR = 1.6  # largest |ln(S / best S)| of these
+SIZES = 40  # S of a grid for the interval, up to the widest [range of u]
+WIDEST = 1.2
+SLIPS = (0.0, 0.25, 0.5, 0.75, 1.0, 1.2)  # J / S of this grid
+ASIDE = 0.1  # share of the weight that all its pairs have alike: no model is the valve's own
+SPREADS = (0.0, 0.1, 0.2, 0.4, 0.8)  # of ln S between records of one valve
+GRID = 0.07  # of ln S: half a step of the grid
+NEAR = 0.3  # |ln S| from the median, within which pairs tell J
+ELLIPSE_LESS, ELLIPSE_OFF = -0.17, 0.8  # ln(S / width of the ellipse): mean, standard deviation
 SCATTER = 3.0  # safety factor of the standard deviation of differences of log likelihoods
 DRAWS = 500  # draws of the log likelihoods
 CHUNK = 12  # positions that are regressed at once: their regressors fit into the cache
 COARSELY = 2000  # readings that a coarse grid predicts: more tell its points apart no better
 TURN = 0.25  # least reversal of u that counts [range of u]
-BESIDE = (0.1, 0.16, 0.25, 0.4, 0.63, 1.0)  # widths of plays that are regressors beside u [range]
 
 
 def valve_positions(u: Floats, stick: Floats, jump: Floats, account: str) -> Floats:
@@ -373,7 +378,7 @@ class LoopLog:
 
     def __init__(self, u: Floats, y: Floats, ok: Flags, r: Floats | None) -> None:
         self.range = float(np.ptp(u))
-        self.deviation = float(y[ok].std())
+        self.deviation = float(y[ok].std()) or 1.0
         self.u = (u - u.mean()) / self.range
         self.y = np.where(ok, (y - y[ok].mean()) / self.deviation, 0.0)
         self.ok = ok
@@ -582,53 +587,27 @@ class LoopFits(NamedTuple):
         ranked = sorted(self.valves, key=lambda fit: -fit.density.bic)  # the last of a class stays
         return self.densities | {fit.word: fit.density for fit in ranked}
 
-    def chance_of_play(self) -> float:
-        """Return the p value of a play: of its position as a regressor beside u itself [1].
+    def weigh_sizes(self) -> Sizes:
+        """Return pairs of S and J with their weights by the readings [range of u].
 
-        It is a likelihood ratio test of the play that explains most, with Bonferroni's correction
-        for the number of plays.
+        The models of a valve are Kano's and He's, each with every pair, since S and J may
+        compensate each other. All pairs have the same weight where no valve foretells the readings.
         """
-        u = self.log.u
-        lags = self.structure.lags
-        beside = self.regression.with_position(u, lags)
-        plays = np.array(BESIDE)
-        positions = valve_positions(u, plays, 0 * plays, KANO)
-        squares = [beside._target]
-        for v in positions.T:
-            late = np.column_stack([np.roll(v, lags[0]), np.roll(v, lags[-1])])
-            squares.append(beside.prediction_errors_beside(late))
-        without, *sums = np.sum(np.square(squares), axis=1).tolist()
-        # Two regressors a play: chi squared of 2 degrees exceeds x by chance exp(-x / 2), which is
-        # the likelihood ratio itself.
-        ratio = min(sums) / without
-        return float(min(plays.size * ratio ** (0.5 * self.regression.rows.size), 1.0))
-
-    def intervals(self, fit: ValveFit) -> tuple[Interval, Interval]:
-        """Return S and J with 95 % intervals [range of u].
-
-        They are quantiles of the posterior over pairs of S and J about the fit, of both models of
-        a valve. Some pairs are far away, since S and J may compensate each other.
-
-        Args:
-            fit: fit of the valve.
-        """
-        u = self.log.u
-        lags = self.structure.lags
-        stick, jump = _pairs_around(fit)
-        e = [self.regression.prediction_errors(fit.position(u), lags)[None]]
-        for account in (KANO, HE):
-            positions = valve_positions(u, stick, jump, account)
-            e.append(self.regression.prediction_errors_of_each(positions, lags))
-        errors = np.vstack(e).T
-        variance = np.mean(errors**2, axis=0)
-        values = -0.5 * errors**2 / variance - 0.5 * np.log(variance)
-        weight = _bagged_weights(values)
-        resolution = 0.5 * self.log.step
-        widths, jumps = (
-            _weighted_range(np.concatenate([[value], trials, trials]), weight, resolution)
-            for value, trials in ((fit.stick, stick), (fit.jump, jump))
-        )
-        return widths, jumps if fit.word == "stiction" else Interval(0.0, 0.0, 0.0)
+        least = max(FINEST, 0.5 * self.log.step)
+        pairs = itertools.product(np.geomspace(least, max(WIDEST, 2 * least), SIZES), SLIPS)
+        stick, ratio = np.array(list(pairs)).T
+        errors = np.vstack([
+            self.regression.prediction_errors_of_each(
+                valve_positions(self.log.u, stick, stick * ratio, account), self.structure.lags
+            )
+            for account in (KANO, HE)
+        ]).T  # fmt: skip
+        variance = np.maximum(np.mean(errors**2, axis=0), 1e-20)
+        weights = _bagged_weights(-0.5 * errors**2 / variance - 0.5 * np.log(variance))
+        gain = self.densities["none"].bic - self.likeliest.density.bic
+        seen = (1 - ASIDE) * float(expit(gain / 2))
+        weights = weights.reshape(2, -1).sum(axis=0)
+        return Sizes(stick, ratio, seen * weights + (1 - seen) / stick.size)
 
     def sensitivity(self, v: Floats, oscillation: Floats) -> float:
         """Return the peak of the sensitivity |1 / (1 + C G)| near the oscillation's frequency [1].
@@ -655,18 +634,6 @@ class LoopFits(NamedTuple):
         return float(1 / max(np.abs(1 - controller * plants).min(), 1e-9))
 
 
-def _pairs_around(fit: ValveFit) -> tuple[Floats, Floats]:
-    """Return random S and J about a fit (PAIRS each), half of them far away [range of u]."""
-    rng = np.random.default_rng(1)
-    near = rng.uniform(-1, 1, (2, PAIRS // 2)) * rng.uniform(0, 1, (2, PAIRS // 2)) ** 2
-    far = rng.uniform(-1, 1, PAIRS - PAIRS // 2)
-    stick = fit.stick * np.exp(np.append(0.7 * near[0], FAR * far))
-    jump = fit.jump + 0.8 * fit.stick * near[1]
-    ratio = np.maximum(rng.uniform(-0.2, 1.3, far.size), 0.0)  # a few are plays
-    jump = np.append(jump, ratio * stick[near.shape[1] :])
-    return stick, np.clip(jump, 0.0, LARGEST * stick)
-
-
 def _bagged_weights(values: Floats) -> Floats:
     """Return the posterior weights of K models, averaged over the sampling error of the log (K).
 
@@ -679,19 +646,53 @@ def _bagged_weights(values: Floats) -> Floats:
     return softmax(draw_sums(values - values[:, :1], DRAWS, SCATTER), axis=1).mean(axis=0)
 
 
-def _weighted_range(values: Floats, weights: Floats, margin: float) -> Interval:
-    """Return the fitted value with the weighted 95 % interval of all values, not below 0.
+class Sizes(NamedTuple):
+    """Pairs of S and J of a valve, with their weights by the readings of a record.
+
+    Attributes:
+        stick: S (K) [u].
+        ratio: J / S (K).
+        weight: of sum 1 (K).
+    """
+
+    stick: Floats
+    ratio: Floats
+    weight: Floats
+
+
+def combine_sizes(records: Sequence[Sizes], expected: float) -> tuple[Interval, Interval]:
+    """Return S and J of one valve by its records, medians with 95 % intervals [u].
+
+    ln S of a record is normal about that of the valve. The spread between records is one of a few,
+    all of which count by their likelihood: a random effect by day.
 
     Args:
-        values: values of a parameter in K models, the fitted model first (K).
-        weights: posterior weights of the models, of sum 1 (K).
-        margin: least half width of the interval: the resolution of the parameter.
+        records: pairs with weights.
+        expected: S by the ellipse of PV over OP, which is off by `ELLIPSE_OFF` [u].
     """
-    ascending = np.argsort(values)
+    every = np.concatenate([one.stick for one in records])
+    values = np.linspace(np.log(every.min()), np.log(every.max()), 240)
+    spreads = np.hypot(SPREADS if len(records) > 1 else SPREADS[:1], GRID)
+    total = np.zeros((values.size, spreads.size)) - 0.5 * (
+        ((values - math.log(expected) - ELLIPSE_LESS) / ELLIPSE_OFF)[:, None] ** 2
+    )
+    for one in records:
+        away = (values[:, None, None] - np.log(one.stick)) / spreads[:, None]
+        total += np.log(np.exp(-0.5 * away**2) @ one.weight / spreads + 1e-300)
+    stick = np.exp(_quantiles(values, softmax(total).sum(axis=1)))
+    near = [
+        one.weight * np.exp(-0.5 * (np.log(one.stick / stick[0]) / NEAR) ** 2) for one in records
+    ]
+    ratios = np.concatenate([one.ratio for one in records])
+    jump = stick[0] * _quantiles(ratios, np.concatenate(near) / np.sum(near))
+    return Interval(*stick.tolist()), Interval(*jump.tolist())
+
+
+def _quantiles(values: Floats, weights: Floats) -> Floats:
+    """Return the median and the ends of 95 % of weighted values (3)."""
+    ascending = np.argsort(values, kind="stable")
     cumulative = np.cumsum(weights[ascending])
-    low, high = (float(np.interp(level, cumulative, values[ascending])) for level in (0.025, 0.975))
-    fitted = float(values[0])
-    return Interval(fitted, max(min(low, fitted - margin), 0.0), max(high, fitted + margin))
+    return np.interp((0.5, 0.025, 0.975), cumulative, values[ascending])
 
 
 def fit_loop(log: LoopLog) -> LoopFits:

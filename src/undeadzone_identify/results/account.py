@@ -66,8 +66,9 @@ EFFECTS = {
         "the input acts at a limited rate", "command no faster than the limit", INPUT
     ),
     "stick": Effect(
-        "the valve sticks, then jumps",
-        "see to packing, positioner and size of the actuator: tuning does not cure it",
+        "if it sticks",
+        "see to packing, positioner and size of the actuator: tuning does not cure it, a dead band"
+        " of the controller as wide as the swing of PV - SP only rests it",
         INPUT,
         "the controller in manual, its output up and down by 1, 2 and 4 %, each step held",
     ),
@@ -117,6 +118,18 @@ EFFECTS = {
         "an oscillation from outside swings the loop",
         "look for another loop of this period upstream",
         TIME,
+        AGAIN,
+    ),
+    "limit": Effect(
+        "OP rests at its limit",
+        "see to the size of the valve, the set point and the limits of the controller's output",
+        INPUT,
+        "an hour in which OP is between its limits",
+    ),
+    "noise": Effect(
+        "PV is noise or moves in few levels",
+        "see to the transmitter: damping, range, and its low cut-off in % of span",
+        OUTPUT,
         AGAIN,
     ),
     "tuning": Effect(

@@ -31,7 +31,6 @@ from undeadzone_identify.selection.decision import (
     CANNOT_TELL,
     LARGER,
     MODELS,
-    VALVE,
     Case,
     Feedback,
     detect_feedback,
@@ -47,7 +46,6 @@ from undeadzone_identify.selection.orders import (
     is_white,
     training_samples,
 )
-from undeadzone_identify.selection.valve import ValveFindings
 from undeadzone_identify.selection.widths import (
     FEW_VISITS,
     SIDES,
@@ -173,9 +171,6 @@ class Answer(NamedTuple):
     @property
     def named_plant(self) -> tuple[PlantSimulator, Floats]:
         """Return the plant of the model that is named, and its parameters, scaled."""
-        valve = self.found.valve
-        if self.element is None and valve is not None and valve.plant is not None:
-            return valve.plant.model.simulator, valve.plant.theta
         return self.plant
 
     @property
@@ -307,8 +302,6 @@ def to_answer(case: Case, found: Findings) -> Answer:
     if found.element is not None:
         remarks = [*found.element.remarks, *_delay_remarks(answer)]
         answer = _set_widths(answer, found.element.widths, remarks)
-    if found.valve is not None:
-        return _with_valve(answer, found.valve)
     is_jump = answer.verdict == "jump" and case.jump_edges
     if found.element is None and (answer.verdict == "dead_zone" or is_jump):
         answer = _add_edges(answer)
@@ -316,15 +309,6 @@ def to_answer(case: Case, found: Findings) -> Answer:
         shape = measure_shape(found.shaped, case.record_data.y_scale, case.grid.step)
         answer = answer._replace(shape=shape)
     return answer
-
-
-def _with_valve(answer: Answer, valve: ValveFindings) -> Answer:
-    """Return the answer on a loop, with S of a valve [u]; what may be 0 has no name."""
-    is_faulty = answer.verdict in VALVE
-    doubt = _doubt_of_zero({"width": valve.stick}) if is_faulty else ""
-    if doubt:
-        return _with_doubt(answer, doubt)
-    return answer._replace(width=valve.stick if is_faulty else None)
 
 
 def _odds_of_word(case: Case, found: Findings) -> dict[str, float]:
@@ -370,8 +354,6 @@ def _validate_findings(case: Case, found: Findings) -> OrderFit:
     """Return the chosen order with the held-out check of the final findings."""
     chosen = case.chosen
     held_out = case.options.held_out
-    if found.valve is not None:
-        return chosen._replace(**found.valve.held_out._asdict())
     if found.element is not None:
         chosen = chosen._replace(**validate_element(found.element, held_out)._asdict())
     if found.kalman:

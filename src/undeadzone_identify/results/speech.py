@@ -27,7 +27,6 @@ from undeadzone_identify.results.account import (
     Numbers,
 )
 from undeadzone_identify.results.assemble import WITHHELD, Answer
-from undeadzone_identify.results.loop_words import swing_numbers
 from undeadzone_identify.selection.alternatives import (
     APART,
     MEASURED,
@@ -101,9 +100,7 @@ def account_of_answer(answer: Answer) -> Account:
     units = (grid.input_unit, grid.output_unit)
     word = answer.verdict
     if word in WITHHELD:
-        return (
-            _account_of_fits(answer, units) if answer.found.valve is None else _open(answer, units)
-        )
+        return _account_of_fits(answer, units)
     if word == "operating_point":
         limits = _find_limits(answer)
         limits.pop("output loss", None)  # whose edges were not met
@@ -122,7 +119,7 @@ def account_of_answer(answer: Answer) -> Account:
     limits = {} if effects else _find_limits(answer)
     buys = _buys_of_word(answer) if answer.servo is None else None
     unmet = answer.case.unreached
-    if buys is not None and answer.found.valve is None and not buys.is_worth:
+    if buys is not None and not buys.is_worth:
         return Account(INDICATED, effects, DYNAMICS, units, buys, doubts=(NO_BETTER,), unmet=unmet)
     return Account(
         NAMED, effects, DYNAMICS, units, buys, unmet=unmet, limits=limits, name=NAMES[word]
@@ -173,9 +170,7 @@ def knows_the_end(answer: Answer) -> bool:
 
 def _named_numbers(answer: Answer) -> Numbers:
     """Return the numbers of a named class: both sides and the width, a gap, or those of a loop."""
-    word, valve, step = answer.verdict, answer.found.valve, answer.case.grid.step
-    if valve is not None and word in ("external", "tight_tuning"):
-        return swing_numbers(word, valve, step)
+    word = answer.verdict
     if word == "saturation":
         fit = fit_of(answer.case, answer.found, word)
         return {} if fit is None else _find_ends(fit, answer.scale)
@@ -183,7 +178,7 @@ def _named_numbers(answer: Answer) -> Numbers:
     there = {name: getattr(answer, name) for name in names if getattr(answer, name) is not None}
     if word in (*MEMORY, *VALVE):
         there = {"gap": there["width"]} if "width" in there else {}
-    return there | ({"jump": valve.jump} if word == "stiction" and valve else {})
+    return there
 
 
 class Compared(NamedTuple):

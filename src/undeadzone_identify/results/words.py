@@ -19,7 +19,6 @@ from undeadzone_identify.results.account import Account
 from undeadzone_identify.results.assemble import Answer
 from undeadzone_identify.results.formats import describe_ends, describe_interval, unit_suffix
 from undeadzone_identify.results.lines import rest_noise
-from undeadzone_identify.results.loop_words import loop_numbers, shape_in_words
 from undeadzone_identify.selection.decision import MODELS
 from undeadzone_identify.selection.odds import nats_behind_best
 from undeadzone_identify.servo.likelihood import At
@@ -161,9 +160,7 @@ def answer_numbers(answer: Answer, account: Account) -> dict[str, Any]:
         "shape": answer.shape
         and {name: _interval_list(one) for name, one in answer.shape._asdict().items()},
         "servo": servo_numbers(answer),
-        "loop": None
-        if answer.found.valve is None
-        else loop_numbers(answer.case, answer.found.valve),
+        "loop": None,
         "held_out": {
             "error": chosen.error * answer.scale,
             "fit": chosen.share,
@@ -228,8 +225,6 @@ def summarise_answer(answer: Answer, account: Account) -> dict[str, Any]:
         passes = zip(*answer.excitation[:2], strict=True)
         right, left = (f"{visits} times, {samples} samples" for samples, visits in passes)
         lines["passed"] = f"right edge {right}; left edge {left}"
-    if answer.found.valve is not None:
-        lines["loop"] = shape_in_words(answer.found.valve, grid)
     if grid.zero is not None and answer.left is not None and answer.right is not None:
         lines["input"] = describe_ends(grid.zero, answer.left, answer.right)
     if answer.shape is not None:

@@ -50,7 +50,6 @@ from undeadzone_identify.selection.adequacy import (
 from undeadzone_identify.selection.decision import (
     CANNOT_TELL,
     CHAINED,
-    LOOP,
     MEMORY,
     MODELS,
     UNLIKELY,
@@ -67,14 +66,6 @@ from undeadzone_identify.selection.orders import (
     predict_one_step,
     score_held_out,
     training_samples,
-)
-from undeadzone_identify.selection.valve import (
-    OWN,
-    ValveFindings,
-    ask_valve,
-    is_control_loop,
-    is_named_loop,
-    may_be_valve,
 )
 from undeadzone_identify.selection.widths import widen_by_offset
 from undeadzone_identify.servo.gap import ServoGap
@@ -215,7 +206,6 @@ class Findings(NamedTuple):
         kalman: fits of (L2), best first.
         friction: its level [u], the mean of both directions; None if it is not measured.
         remainders: score tests of the likeliest model, by direction; empty: not tested.
-        valve: of a control loop, where the verdict is about why it swings; None: it is not.
     """
 
     verdict: Verdict
@@ -231,7 +221,6 @@ class Findings(NamedTuple):
     kalman: Sequence[KalmanFit] = ()
     friction: Interval | None = None
     remainders: Sequence[Remainder] = ()
-    valve: ValveFindings | None = None
 
     def add_models(self, case: Case, *models: Family, without: Collection[str] = ()) -> Findings:
         """Return the findings with more models and a new decision, perhaps without some
@@ -271,40 +260,6 @@ def impossible_words(case: Case) -> Collection[str]:
         out |= {"none", "friction", "input_zone", "play", "saturation", "other"}
         out |= set(CHAINED) - {"filtered_zone"}
     return out
-
-
-# --- Is it the valve of a control loop?
-
-
-def needs_valve_test(case: Case, found: Findings) -> bool:
-    """Return whether a valve ahead of the plant must be asked for."""
-    return found.element is None and may_be_valve(case, found.odds)
-
-
-def add_valve(case: Case, found: Findings) -> Findings:
-    """Add why a loop swings; without a loop only a valve that sticks is news.
-
-    Args:
-        case: the log.
-        found: the odds of all else.
-    """
-    excluded = frozenset({*found.denied, *impossible_words(case)})
-    answer = ask_valve(case, found.models, excluded)
-    word = next(iter(answer.odds))
-    if not is_control_loop(case) and answer.verdict.word != "stiction":
-        return found
-    with_loop = found._replace(models=answer.families, odds=answer.odds)
-    if word not in (*OWN, *LOOP):
-        verdict = with_loop.classify(case)
-        if verdict.word != "unclear":
-            return with_loop._replace(verdict=verdict)
-        answer = answer.of_loop_alone(excluded)
-        with_loop = with_loop._replace(models=answer.families, odds=answer.odds)
-    verdict = answer.verdict
-    is_at_rest = found.verdict.word == "operating_point" and verdict.word == "none"
-    if is_at_rest and not is_named_loop(case.grid):  # its sensor is asked for, not its valve
-        verdict = found.verdict
-    return with_loop._replace(verdict=verdict, valve=answer.valve)
 
 
 # --- Is it a play, or a play and a dead zone?
@@ -477,7 +432,7 @@ def withhold_hidden_readings(case: Case, found: Findings) -> Findings:
     if is_switch(case):
         seen = "the readings have two levels alone, as those of a switch. Nothing is named"
         cure = "record the signal ahead of the switch, with a sensor that reads it in between"
-    return found.without_name("unclear", seen, cure)._replace(valve=None, friction=None)
+    return found.without_name("unclear", seen, cure)._replace(friction=None)
 
 
 def is_switch(case: Case) -> bool:
@@ -573,8 +528,6 @@ def _intervals_with_offset(
 def needs_an_element(case: Case, found: Findings) -> bool:
     """Return whether the model that is named has a plant of its own, and no element yet."""
     word = found.verdict.word
-    if found.valve is not None:
-        return word == "input_play" and found.element is None and found.valve.plant is not None
     is_likeliest = word == next(iter(found.odds), "") or word != "other"
     is_open = found.element is None
     return is_open and word in OF_THEIR_OWN and word in found.odds and is_likeliest
@@ -587,8 +540,6 @@ def add_named_element(case: Case, found: Findings) -> Findings:
         case: the log.
         found: with a name.
     """
-    if found.valve is not None:
-        return _add_valve_element(case, found, found.valve)
     word = found.verdict.word
     fit = fit_of(case, found, word)
     if fit is None:
@@ -607,19 +558,6 @@ def add_named_element(case: Case, found: Findings) -> Findings:
         element = element._replace(widths=element.widths | {"width": None})
     delay = found.delay if whole is case.record_data else 0
     return found._replace(element=element, friction=friction, delay=delay)
-
-
-def _add_valve_element(case: Case, found: Findings, valve: ValveFindings) -> Findings:
-    """Add the play of a valve with the plant behind it, along all records."""
-    fit = valve.plant
-    assert fit is not None
-    whole = plant.delay_inputs(case.recorded, valve.late)
-    linear, numbers = _extend_to_records(fit, fit.theta, whole)
-    model = ChainModel(linear.simulator, "play")
-    theta = np.append(numbers, valve.stick.value / whole.input_scale)
-    element = _element_of_fit("input_play", fit, model, theta)
-    widths = element.widths | {"width": valve.stick}
-    return found._replace(element=element._replace(widths=widths), delay=valve.late)
 
 
 def _records_of(case: Case, fit: FittedModel[Any]) -> plant.RecordData:
@@ -739,8 +677,7 @@ def has_a_model(case: Case, found: Findings) -> bool:
         is_said |= UNSETTLED in found.verdict.reasons or not case.fitted.prepared.settles
     reason = next(iter(found.verdict.reasons), "")
     is_said |= word == "undecided" and not reason.startswith(CANNOT_TELL)
-    of_loop = found.valve is not None
-    return bool(top) and not (is_said or of_servo or of_loop or case.jump_edges)
+    return bool(top) and not (is_said or of_servo or case.jump_edges)
 
 
 def with_adequacy(case: Case, found: Findings) -> Findings:
@@ -848,7 +785,7 @@ def _may_be_neutral(fit: ChainFit) -> bool:
 
 def may_have_shaped_zone(case: Case, found: Findings) -> bool:
     """Return whether a shaped zone of the sensor has odds that count."""
-    is_open = found.element is None and found.valve is None
+    is_open = found.element is None
     return is_open and found.odds.get("filtered_zone", 0.0) > UNLIKELY
 
 

@@ -1,0 +1,134 @@
+"""Fit the weights of `selection/loop.toml` to loops of known cause, judged valve by valve.
+
+LOOPS_RECORDS: a folder of records whose names begin with S_ where the valve sticks and with N_
+where it does not, or hold _S_ or _N_, with the tag behind; LOOPS_FITTED: how many generated loops
+besides (300), of seeds from 20000. Records of one valve stay together, and count as one. A record
+that is fitted is judged by the weights of all other valves.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.special import log_softmax, logsumexp
+
+from benchmarks.identify.answers import complete
+from benchmarks.identify.logs.valves import make
+from benchmarks.identify.valves import WORDS, area_under_curve, log_of_loop
+from benchmarks.markdown import head, row
+from benchmarks.results import commit
+from undeadzone_identify.logs.log import Log, read_log
+from undeadzone_identify.selection import loop as selection
+from undeadzone_identify.selection.loop import CAUSES, FEATURES, find_loop_cause
+
+FIRST, RIDGE, OF_RECORDS = 20000, 1.0, 3.0  # seed; of the weights; weight of a valve of the records
+STORED = Path("build/loop_features.jsonl")
+WRITTEN = Path(selection.__file__).with_suffix(".toml")
+
+
+def measured(log: Log) -> dict[str, Any]:
+    """The features of a loop of one record."""
+    found = find_loop_cause([log])
+    return {"features": np.mean([one.features for one in found.swings], axis=0).tolist()}
+
+
+def known(index: int) -> dict[str, Any]:
+    """A generated loop: what is measured, its cause and its valve."""
+    loop = make(FIRST + index)
+    name = "sticks" if loop.stick else (*WORDS[loop.cause],)[0]
+    return {"cause": CAUSES.index(name), "valve": str(index), **measured(log_of_loop(loop))}
+
+
+def records() -> list[dict[str, Any]]:
+    """The same of all records; a valve that does not stick has any other cause, -1."""
+    folder = os.environ.get("LOOPS_RECORDS")
+    rows = []
+    for path in sorted(Path(folder).glob("*.csv")) if folder else []:
+        tag = re.sub(r"^(\w+?_)?[SN]_", "", path.stem).split("_")[0]
+        cause = 0 if re.search(r"(^|_)S_", path.stem) else -1
+        rows.append({"cause": cause, "valve": tag, **measured(read_log(path))})
+    return rows
+
+
+def fit_weights(x: np.ndarray, causes: np.ndarray, share: np.ndarray) -> dict[str, Any]:
+    """Return the logistic weights of most likelihood with a ridge on those of scaled features."""
+    middle, scale, width = x.mean(axis=0), x.std(axis=0), x.shape[1] + 1
+    scaled = np.column_stack([np.ones(len(x)), (x - middle) / scale])
+
+    def loss(flat: np.ndarray) -> float:
+        table = flat.reshape(len(CAUSES), width)
+        odds = log_softmax(scaled @ table.T, axis=1)
+        own = odds[np.arange(len(x)), causes]
+        value = np.where(causes < 0, logsumexp(odds[:, 1:], axis=1), own)
+        return float(-share @ value + RIDGE * np.sum(table[:, 1:] ** 2))
+
+    table = minimize(loss, np.zeros(len(CAUSES) * width), method="L-BFGS-B").x.reshape(-1, width)
+    weights = table[:, 1:] / scale
+    odds = np.exp(log_softmax(scaled @ table.T, axis=1))
+    return {
+        "prior": (share @ odds / share.sum()).tolist(),
+        "bias": (table[:, 0] - weights @ middle).tolist(),
+        "weights": weights.tolist(),
+    }
+
+
+def sticking_odds(table: dict[str, Any], x: np.ndarray) -> np.ndarray:
+    """Return the odds of each row that its valve sticks, by itself."""
+    logits = x @ np.array(table["weights"]).T + table["bias"]
+    return np.exp(log_softmax(logits, axis=1))[:, 0]
+
+
+def table() -> str:
+    """The section of RESULTS.md; the weights are written beside."""
+    count, of = int(os.environ.get("LOOPS_FITTED", 300)), commit()
+    made = complete(STORED, of, ["index"], [(k,) for k in range(count)], known)
+    made = [one for one in made if one["index"] < count]
+    rows = [*records(), *made]
+    x = np.array([one["features"] for one in rows])
+    causes, valve = (np.array([one[key] for one in rows]) for key in ("cause", "valve"))
+    is_record = np.arange(len(rows)) < len(rows) - count
+    _, at, times = np.unique(valve, return_inverse=True, return_counts=True)
+    share = np.where(is_record, OF_RECORDS, 1.0) / times[at]
+    odds = np.empty(len(rows))
+    groups = np.where(is_record, at, at % 10 + at.max() + 1)
+    for group in np.unique(groups):
+        out = groups == group
+        odds[out] = sticking_odds(fit_weights(x[~out], causes[~out], share[~out]), x[out])
+    fitted = fit_weights(x, causes, share)
+    tags = [{*valve[is_record & ((causes == 0) == so)]} for so in (True, False)]
+    valves = list(map(len, tags)) if is_record.any() else [1, 1]
+    texts = {"causes": CAUSES, "features": list(FEATURES), "valves": valves, **fitted}
+    lines = [f"# Written by `python -m benchmarks loop_weights` from {len(rows)} loops: {of}."]
+    lines += [f"{key} = {json.dumps(rounded(value))}" for key, value in texts.items()]
+    WRITTEN.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    shown = head(
+        "loops", "records", "valves", "AUC, all", "AUC, ellipse", "sticks > 0.9", "false > 0.9"
+    )
+    for name, part in (("records", is_record), ("generated", ~is_record)):
+        if part.any():
+            so, own = causes[part] == 0, odds[part]
+            areas = (area_under_curve(s, so) for s in (own, x[part, 0]))
+            cells = (
+                *(f"{area:.3f}" for area in areas),
+                str((own[so] > 0.9).sum()),
+                str((own[~so] > 0.9).sum()),
+            )
+            shown.append(row(name, str(part.sum()), str(len({*valve[part]})), *cells))
+    about = (
+        "Each loop is judged by weights of other valves: the records valve by valve, generated"
+        f" loops in ten parts. Ridge {RIDGE:g}; a valve of the records counts {OF_RECORDS:g} times."
+    )
+    return "\n".join(["## Weights of loops", "", about, "", *shown, ""])
+
+
+def rounded(value: Any) -> Any:
+    """Return numbers with four digits, as they are written."""
+    if isinstance(value, list | tuple):
+        return [rounded(one) for one in value]
+    return float(f"{value:.4g}") if isinstance(value, float) else value

@@ -1,0 +1,223 @@
+"""Result of `identify` of a control loop: why it swings, by all records of its valve."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+from typing import Any
+
+from undeadzone.errors import InputError
+from undeadzone.util.arrays import to_json_value
+from undeadzone_identify.logs.log import Log
+from undeadzone_identify.models.estimates import Interval
+from undeadzone_identify.results.account import (
+    BOUNDED,
+    INDICATED,
+    NAMED,
+    OPEN,
+    Account,
+    Numbers,
+)
+from undeadzone_identify.results.formats import describe_interval, unit_suffix
+from undeadzone_identify.results.lines import measure_lines
+from undeadzone_identify.results.result import Spoken
+from undeadzone_identify.selection.decision import VALVE
+from undeadzone_identify.selection.loop import LoopFindings
+
+BY = "evidence of the loop"
+GOOD = 1.6  # |sensitivity| of a loop that is tuned well
+WORDS = {  # name and effect of a cause
+    "stiction": ("The valve sticks", "stick"),
+    "input_play": ("Backlash ahead of the plant", "input reversal"),
+    "tight_tuning": ("The loop is tuned too tightly", "tuning"),
+    "external": ("An oscillation from outside", "outside"),
+    "limits": ("OP rests at its limit", "limit"),
+    "noise": ("PV is noise, or a few levels", "noise"),
+    "none": ("The valve follows", ""),
+}
+CAUSES = {"sticks": "the valve sticks", "tight_tuning": "tight tuning", "external": "from outside"}
+ROUNDED = ".3g"
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class IdentifiedLoop(Spoken):
+    """Cause of a control loop's swing, with S and J of its valve whether it is named or not.
+
+    Attributes:
+        logs: records of the loop.
+        found: what they say together.
+
+    See Also:
+        identify
+    """
+
+    logs: tuple[Log, ...]
+    found: LoopFindings
+
+    @property
+    def verdict(self) -> str:
+        """Return stiction, input_play, tight_tuning, external, limits, noise, none or
+        undecided.
+        """
+        return self.found.word
+
+    @property
+    def zone(self) -> bool:
+        """Return False: a loop is asked for its valve, not for its sensor."""
+        return False
+
+    @property
+    def width(self) -> Interval | None:
+        """Return S of a valve that is named, as (value, low, high) [u]; None without."""
+        return self.found.stick if self.verdict in VALVE else None
+
+    @property
+    def unit(self) -> str:
+        """Return the unit of OP: % where it has none and lies within 0 to 100."""
+        first = self.logs[0]
+        is_share = first.u.min() >= -5 and 5 < first.u.max() <= 105
+        return "%" if first.input_unit == "1" and is_share else first.input_unit
+
+    @functools.cached_property
+    def account(self) -> Account:
+        """Return effect, remedy, what is not decided, and the largest S that could hide."""
+        found, units = self.found, (self.unit, self.logs[0].output_units[0])
+        sizes: Numbers = {"S": found.stick, "J": found.jump}
+        doubts = (f"no cause has odds of {100 * 0.9:.0f} %",)
+        if found.exception:
+            doubts = (
+                f"the historian stores changes of PV above {found.exception:.2g} only (exception or"
+                " compression deviation): set it to 0 and record again",
+            )
+        name, effect = WORDS.get(found.word, ("", "stick"))
+        limits = {"stick": found.stick.high}
+        top = next(iter(found.odds))
+        if found.word == "undecided":
+            effect = WORDS.get(top, ("", "stick"))[1]
+        numbers = {
+            "stick": sizes,
+            "input reversal": {"gap": found.stick},
+            "outside": _exact(period=found.median("period")),
+            "tuning": _exact(
+                sensitivity=math.exp(found.feature("sensitivity")), **{"divide by": self.divisor}
+            ),
+        }.get(effect, {})
+        if found.word == "undecided":
+            others = {} if effect == "stick" else {"stick": sizes}
+            grade, there = (INDICATED, {effect: sizes if others == {} else numbers})
+            if not effect:
+                grade, there = BOUNDED, {}
+            return Account(grade, there, BY, units, None, others, doubts, limits=limits)
+        if not effect:
+            return Account(BOUNDED, {}, BY, units, limits=limits, name=name)
+        rest = {} if found.word in VALVE else limits
+        grade = NAMED if numbers else OPEN
+        return Account(grade, {effect: numbers}, BY, units, limits=rest, name=name)
+
+    @property
+    def divisor(self) -> float:
+        """Return by what to divide the controller's gain for a sensitivity of GOOD.
+
+        Near its limit C G is about -1 + 1 / S at the period.
+        """
+        sensitivity = max(math.exp(self.found.feature("sensitivity")), 1.0)
+        return max((1 - 1 / sensitivity) / (1 - 1 / GOOD), 1.0)
+
+    def scenario(self, title: str = "Identified log") -> str:
+        """Raise InputError: no plant was fitted."""
+        raise InputError("scenario: a loop's swing needs no plant: --order 2 fits one, with a zone")
+
+    def numbers(self) -> dict[str, Any]:
+        """Return all numbers of the answer, as `--json` prints."""
+        found, first = self.found, self.logs[0]
+        fields = ("begin", "expected", "period", "error", "travel")
+        rows = [
+            {name: getattr(one, name) for name in fields} | {"ellipse": one.ellipse}
+            for one in found.swings
+        ]
+        period = found.median("period")
+        numbers = {
+            "zone": False,
+            "verdict": self.verdict,
+            "found": self.headline(),
+            "answer": self.account.to_json(),
+            "odds": found.odds,
+            "width": None if self.width is None else list(self.width),
+            "right": None,
+            "left": None,
+            "loop": {
+                "S": list(found.stick),
+                "J": list(found.jump),
+                "shape": found.feature("ellipse"),
+                "period": period if math.isfinite(period) else None,
+                "regularity": math.exp(found.feature("regularity")),
+                "sensitivity": math.exp(found.feature("sensitivity")),
+                "error": found.median("error"),
+                "cost": found.median("share"),
+                "travel": found.median("travel"),
+                "exception": found.exception,
+            },
+            "records": rows,
+            "record": {"samples": sum(log.t.size for log in self.logs), "records": len(rows)},
+            "units": {"input": self.unit, "output": first.output_units[0]},
+            "remarks": [*found.remarks],
+        }
+        certain = self.account.is_certain
+        lines = measure_lines(numbers, None, first.u[:, 0]) if certain else None
+        return to_json_value(numbers | {"lines": lines})
+
+    @property
+    def size_in_words(self) -> str:
+        """Return S and J with their intervals, and the ellipse."""
+        found, unit = self.found, f"{unit_suffix(self.unit)} of OP"
+        stick, jump = (describe_interval(one, "") for one in (found.stick, found.jump))
+        return f"S {stick}, J {jump}{unit} (ellipse {100 * found.feature('ellipse'):.0f} %)"
+
+    def summary(self) -> dict[str, Any]:
+        """Return the answer in words, as the command prints."""
+        found, first = self.found, self.logs[0]
+        unit, reading = unit_suffix(self.unit), unit_suffix(first.output_units[0])
+        samples = sum(log.t.size for log in self.logs)
+        count = len(found.swings)
+        lines: dict[str, Any] = {"record": f"{samples} samples in {count} part{'s' * (count > 1)}"}
+        lines |= self.account.summary()
+        odds = (
+            f"{CAUSES.get(word, word)} {100 * share:.0f} %" for word, share in found.odds.items()
+        )
+        lines["odds"] = ", ".join(odds)
+        lines["if it sticks"] = self.size_in_words
+        lines["loop"] = self.swing_in_words
+        travel = f"the stem travels {read_number(found.median('travel'))}{unit} a day"
+        error = f"rms of PV - SP {found.median('error'):{ROUNDED}}{reading}"
+        lines["cost"] = f"{error} ({100 * found.median('share'):.2g} % of SP); {travel}"
+        if len(found.swings) > 1:
+            lines["by record"] = [
+                f"{k}: S by the ellipse {one.expected:{ROUNDED}}{unit} ({100 * one.ellipse:.0f} %),"
+                f" rms {one.error:{ROUNDED}}{reading}"
+                for k, one in enumerate(found.swings, 1)
+            ]
+        if found.remarks:
+            lines["note"] = [*found.remarks]
+        return lines
+
+    @property
+    def swing_in_words(self) -> str:
+        """Return whether the loop swings regularly, and how long its period is."""
+        r, period = math.exp(self.found.feature("regularity")), self.found.median("period")
+        unit = "samples" if self.logs[0].counted else "s"
+        how = f"swings regularly, period {period:.3g} {unit}" if r > 1 else "no regular swing"
+        return f"{how} (r {r:.2g})"
+
+    drawn = ("undeadzone_identify.figures", "loop_over_time", "loop_ellipse")
+
+
+def read_number(x: float) -> str:
+    """Return a number of three digits as a person reads it, without a power of ten."""
+    return f"{float(f'{x:.3g}'):,.10g}"
+
+
+def _exact(**numbers: float) -> Numbers:
+    """Return numbers without an interval, rounded as a person reads them; infinite ones not."""
+    there = {name.replace("_", " "): float(f"{x:.2g}") for name, x in numbers.items()}
+    return {name: Interval(x, x, x) for name, x in there.items() if math.isfinite(x)}

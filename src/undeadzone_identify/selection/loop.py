@@ -1,0 +1,308 @@
+"""Why a control loop swings: calibrated evidence of all its records, in one table of weights.
+
+The odds of a record are a logistic function of its features. `python -m benchmarks loop_weights`
+fits the weights to loops of known cause and writes `loop.toml`.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import tomllib
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import log_softmax
+
+from undeadzone.errors import InputError
+from undeadzone.logs.kinds import kind_of
+from undeadzone.util.arrays import Flags, Floats
+from undeadzone_identify.logs.grid import Grid, find_sample_time, to_grid
+from undeadzone_identify.logs.log import Log
+from undeadzone_identify.models.estimates import Interval
+from undeadzone_identify.models.likelihood import root_mean_square
+from undeadzone_identify.models.valve import LoopLog, Sizes, combine_sizes, fit_loop
+
+NAMED = 0.9  # odds from which a cause is named
+CAUSES = ("sticks", "tight_tuning", "external", "none")
+FEATURES = {  # what is measured of a record, with the ends beyond which it counts no more
+    "ellipse": (0.0, 1.0),  # width of PV over OP, in the range of OP
+    "likelihood": (-3.7, 10.0),  # of a valve that sticks or plays: arcsinh of the gain in BIC
+    "sines": (-6.0, 6.0),  # the same of an oscillation from outside
+    "regularity": (-2.3, 3.0),  # ln r of Thornhill
+    "sensitivity": (-0.7, 3.0),  # ln |1 / (1 + C G)| at the period
+    "square": (-3.0, 2.0),  # ln of the squares left by half sines over those by steps, of PV
+    "triangle": (-3.0, 2.0),  # the same by triangles, of OP
+}
+PEAKS = (0.15, 0.3, 0.5, 0.7, 0.85)  # of triangles, in a half period
+ALIKE = 0.5  # correlation of the evidence of two records of a valve
+PER_VALVE = 3.0  # odds that one valve of known cause supports: 20 to 1 for six or seven
+LEAST, MOST = 200, 8000  # samples of a part that is asked
+LEAST_SHAPE = 0.02  # width of the ellipse, in the range of OP
+PARTS = 12  # of a valve's records that are asked, each of at most MOST samples
+REPEATED, FLOOR = 0.5, 0.25  # share of held readings, and of the usual change, of stored exceptions
+LEVELS, END, LOUD = 20, 0.2, 0.8  # levels of OP, its share at an end, the noise's share of PV
+
+
+class Swing(NamedTuple):
+    """Evidence of a record of a loop.
+
+    Attributes:
+        begin: time of its first sample [s].
+        features: in the order of FEATURES.
+        sizes: pairs of S and J with weights [u].
+        expected: S by the ellipse [u].
+        gains: in BIC of stiction and of play over none.
+        period: of the swing, inf without [s].
+        error: rms of PV - SP, or of PV about its mean [y].
+        share: the same in units of the rms of SP, or of PV [1].
+        travel: of the stem in a day, or in 86400 samples [u].
+        is_at_end, is_noisy: whether OP rests at an end of its range, and PV is noise or few levels.
+    """
+
+    begin: float
+    features: Floats
+    sizes: Sizes
+    expected: float
+    gains: Floats
+    period: float
+    error: float
+    share: float
+    travel: float
+    is_at_end: bool
+    is_noisy: bool
+
+    @property
+    def ellipse(self) -> float:
+        """Return the width of PV over OP in the range of OP."""
+        return float(self.features[0])
+
+
+class LoopFindings(NamedTuple):
+    """What all records of a loop say of its swing.
+
+    Attributes:
+        word: stiction, input_play, tight_tuning, external, limits, noise, none or undecided.
+        odds: of the causes, largest first.
+        stick, jump: S and J if the valve sticks, medians over the records [u].
+        swings: the evidence of each record.
+        exception: deviation below which the historian stores no change of PV, 0: it stores all [y].
+        remarks: on changes of the log.
+    """
+
+    word: str
+    odds: dict[str, float]
+    stick: Interval
+    jump: Interval
+    swings: tuple[Swing, ...]
+    exception: float
+    remarks: tuple[str, ...]
+
+    def median(self, name: str) -> float:
+        """Return the median of a number over the records."""
+        return float(np.median([getattr(one, name) for one in self.swings]))
+
+    def feature(self, name: str) -> float:
+        """Return the median of a feature over the records."""
+        return float(np.median([one.features[list(FEATURES).index(name)] for one in self.swings]))
+
+
+def is_named_loop(grid: Grid | Log) -> bool:
+    """Return whether the input has the name of a controller's output.
+
+    Args:
+        grid: the log.
+    """
+    return kind_of(grid.inputs[0], grid.input_unit) == "op"
+
+
+def is_loop(log: Log) -> bool:
+    """Return whether a log has the names of a control loop: OP, and PV or SP.
+
+    Args:
+        log: as it was read.
+    """
+    is_known = log.r.shape[1] > 0 or log.output_kinds[0] == "pv"
+    return is_known and len(log.outputs) == 1 and is_named_loop(log)
+
+
+def find_loop_cause(logs: list[Log]) -> LoopFindings:
+    """Find why a loop swings, by all its records.
+
+    Args:
+        logs: of one loop.
+
+    Raises:
+        InputError: no record is long enough, or OP rests.
+    """
+    steps = [find_sample_time(log) for log in logs]
+    resample = None if all(regular for _, regular in steps) else float(np.median(steps, axis=0)[0])
+    told = [log._replace(remarks=()) for log in logs[1:]]
+    grid = to_grid([logs[0], *told], resample)
+    y, exception = _undo_exceptions(grid.y, grid.ok)
+    grid = grid._replace(y=y)
+    ends = np.append(grid.start[1:], grid.t.size)
+    parts = []
+    for first, end in zip(grid.start.tolist(), ends.tolist(), strict=True):
+        parts += [slice(begin, min(begin + MOST, end)) for begin in range(first, end, MOST)]
+    usable = [part for part in parts if _is_usable(grid, part)]
+    if not usable:
+        raise InputError(
+            f"{logs[0].source}: no record of the loop has {LEAST} samples in which OP moves"
+        )
+    asked = [usable[k] for k in np.unique(np.linspace(0, len(usable) - 1, PARTS).astype(int))]
+    left = f"{len(asked)} of {len(usable)} parts of at most {MOST} samples were used"
+    swings = tuple(_measure_swing(grid, part) for part in asked)
+    odds = combine_odds(np.array([one.features for one in swings]))
+    stick, jump = combine_sizes(
+        [one.sizes for one in swings], float(np.median([one.expected for one in swings]))
+    )
+    remarks = (*grid.remarks, *[left] * (len(asked) < len(usable)))
+    word = _name_cause(odds, swings, exception)
+    return LoopFindings(word, odds, stick, jump, swings, exception, remarks)
+
+
+def _is_usable(grid: Grid, part: slice) -> bool:
+    """Return whether a part is long enough, and OP moves in it."""
+    return int(grid.ok[part].sum()) >= LEAST and bool(np.ptp(grid.u[part, 0]) > 0)
+
+
+def _name_cause(odds: dict[str, float], swings: tuple[Swing, ...], exception: float) -> str:
+    """Return the word of a cause that is likely enough, or of what PV and OP themselves show."""
+    top, share = next(iter(odds.items()))
+    if share >= NAMED and not exception:
+        gains = np.sum([one.gains for one in swings], axis=0)
+        sticking = "input_play" if gains[1] > gains[0] else "stiction"
+        if top != "none":
+            return sticking if top == "sticks" else top
+    for word in ("is_at_end", "is_noisy"):
+        if np.mean([getattr(one, word) for one in swings]) > 0.5:
+            return {"is_at_end": "limits", "is_noisy": "noise"}[word]
+    return top if top == "none" and share >= NAMED and not exception else "undecided"
+
+
+def combine_odds(features: Floats) -> dict[str, float]:
+    """Return the odds of the causes by the features of all records, largest first.
+
+    Records of one valve are alike, so that n of them count as n / (1 + (n - 1) ALIKE). Odds end at
+    PER_VALVE for each valve of known cause.
+
+    Args:
+        features: of each record (n x F).
+    """
+    table = load_weights()
+    prior, bias, weights = (np.array(table[name]) for name in ("prior", "bias", "weights"))
+    terms = log_softmax(features @ weights.T + bias, axis=1) - np.log(prior)
+    count = len(features)
+    total = np.log(prior) + terms.mean(axis=0) * count / (1 + (count - 1) * ALIKE)
+    shares = np.exp(log_softmax(total))
+    most = PER_VALVE * min(table["valves"])
+    shares = np.clip(shares, 1 / (1 + most), most / (1 + most))
+    order = np.argsort(-shares)
+    return {CAUSES[k]: float(shares[k] / shares.sum()) for k in order}
+
+
+@cache
+def load_weights() -> dict[str, list[float]]:
+    """Return the fitted weights with the number of valves that they rest on."""
+    return tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+
+
+def _undo_exceptions(y: Floats, ok: Flags) -> tuple[Floats, float]:
+    """Return readings between stored exceptions on a line, and the deviation of the historian.
+
+    Times of change are exact, held readings between them are not. The deviation is 0 where all
+    readings are stored.
+    """
+    change = np.abs(np.diff(y[ok]))
+    moved = change[change > 0]
+    few = moved.size < REPEATED * change.size and moved.size > LEVELS
+    if not few or np.unique(y[ok]).size < REPEATED * moved.size:
+        return y, 0.0
+    least = float(np.quantile(moved, 0.05))
+    if least < FLOOR * np.median(moved):
+        return y, 0.0
+    rows = np.flatnonzero(ok)[np.append(True, change > 0)]
+    return np.interp(np.arange(y.size), rows, y[rows]), least
+
+
+def _measure_swing(grid: Grid, part: slice) -> Swing:
+    """Return the evidence of a part of the log."""
+    u, y, ok = grid.u[part, 0], grid.y[part], grid.ok[part]
+    r = grid.r[part, 0] if grid.r.shape[1] else None
+    log = LoopLog(u, y, ok, r)
+    fits = fit_loop(log)
+    family = fits.family
+    none, sticks, plays = (family[word].bic for word in ("none", "stiction", "input_play"))
+    shape = ellipse_width(log)
+    features = [
+        shape,
+        math.asinh(none - min(sticks, plays)),
+        math.asinh(none - family.get("external", family["none"]).bic),
+        math.log(max(log.regularity, 1e-3)),
+        math.log(max(fits.sensitivity(log.u, fits.structure.oscillation), 1e-3)),
+        compare_half_waves(log.y, log.period)[0],
+        compare_half_waves(log.u, log.period)[1],
+    ]
+    middle = float(np.mean(y[ok]))
+    error = y[ok] - (middle if r is None else np.nan_to_num(r[ok], nan=middle))
+    rms = root_mean_square(error)
+    size = root_mean_square(y[ok] if r is None else np.nan_to_num(r))
+    sizes = fits.weigh_sizes()
+    at_end = max(np.mean(u == u.min()), np.mean(u == u.max()))
+    noise = root_mean_square(np.diff(log.y[ok])) / math.sqrt(2)
+    return Swing(
+        float(grid.t[part][0]),
+        np.clip(features, *np.transpose([*FEATURES.values()])),
+        sizes._replace(stick=sizes.stick * log.range),
+        max(shape, LEAST_SHAPE) * log.range,
+        none - np.array([sticks, plays]),
+        log.period * grid.step,
+        rms,
+        rms / max(size, 1e-12),
+        float(np.abs(np.diff(u)).sum()) / (u.size * grid.step) * 86400,
+        bool(np.unique(u).size > LEVELS and at_end > END),
+        bool(noise > LOUD or 1 < np.unique(y[ok]).size < LEVELS / 2),
+    )
+
+
+def ellipse_width(log: LoopLog) -> float:
+    """Return how wide an ellipse PV over OP is, in the direction of OP, in the range of OP [1].
+
+    A valve that does not follow leaves PV where it was while OP moves.
+
+    Args:
+        log: the loop.
+    """
+    u = log.u[log.ok]
+    across = float(np.mean((u - u.mean()) * log.y[log.ok]))
+    return math.sqrt(8 * max(float(u.var()) - across**2, 0.0))
+
+
+def compare_half_waves(x: Floats, period: float) -> Floats:
+    """Return by how much steps and triangles fit half waves better than sines, as logarithms (2).
+
+    Half waves lie between zero crossings of the signal without its trend (He and others 2007).
+
+    Args:
+        x: signal (N).
+        period: of the swing [samples].
+    """
+    if not math.isfinite(period) or 4 * period > x.size:
+        return np.zeros(2)
+    window = 2 * int(period) + 1
+    trend = np.convolve(np.pad(x, window // 2, "edge"), np.full(window, 1 / window), "valid")
+    x = x - trend
+    left = np.zeros(3)
+    crossings = np.flatnonzero(np.diff(np.signbit(x)))
+    for begin, end in itertools.pairwise(crossings):
+        wave, place = x[begin + 1 : end + 1], (np.arange(end - begin) + 0.5) / (end - begin)
+        if end - begin < max(4, period / 10):
+            continue
+        bent = [np.minimum(place / peak, (1 - place) / (1 - peak)) for peak in PEAKS]
+        shapes = np.array([np.sin(np.pi * place), np.ones(place.size), *bent])
+        squares = wave @ wave - (shapes @ wave) ** 2 / (shapes**2).sum(axis=1)
+        left += [squares[0], squares[1], squares[2:].min()]
+    return np.log(left[0] + 1e-9) - np.log(left[1:] + 1e-9)

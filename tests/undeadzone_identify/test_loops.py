@@ -1,0 +1,164 @@
+"""Loops of a plant: files of other shapes, all records of a valve, the ranked table."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from benchmarks.identify.logs.valves import make
+
+import undeadzone as uz
+from commands import undeadzone
+from records import write_log
+from undeadzone_identify.logs.loops import find_loops, read_loops
+from undeadzone_identify.selection import loop as selection
+
+SIZE = 500
+LOOP = make(25, "stiction", SIZE)
+COLUMNS = {"OP": LOOP.op, "PV": LOOP.pv, "SP": LOOP.sp}
+
+
+def write_table(path: Path, head: str, *columns: Any, mark: str = ".") -> None:
+    """Write a table of numbers and texts."""
+    rows = [",".join(map(str, row)) for row in zip(*columns, strict=True)]
+    text = "\n".join([head, *rows]) + "\n"
+    path.write_text(text if mark == "." else text.replace(",", ";").replace(".", mark))
+
+
+def write_long(path: Path, names: dict[str, str], head: str, changes: bool = False) -> None:
+    """Write a line for each value, or for each value that differs from the one before."""
+    lines = []
+    for k in range(SIZE):
+        for key, name in names.items():
+            if not changes or k == 0 or COLUMNS[key][k] != COLUMNS[key][k - 1]:
+                stamp = f"2024-06-09 {k // 3600:02d}:{k // 60 % 60:02d}:{k % 60:02d}"
+                lines.append(f"{stamp},{name},{COLUMNS[key][k]:.6g}")
+    path.write_text("\n".join([head, *lines]) + "\n")
+
+
+T = np.arange(SIZE)
+WIDE = {
+    "tags": "time,FIC101.OP,FIC101.PV,FIC101.SP",
+    "yokogawa": "time,FIC101.MV,FIC101.PV,FIC101.SV",
+    "siemens": "time,FIC101.MV,FIC101.CV,FIC101.SV",
+    "deltav": "time,FIC101/PID1/OUT.CV,FIC101/PID1/PV.CV,FIC101/PID1/SP.CV",
+    "underscores": "time,FIC101_OP,FIC101_PV,FIC101_SP",
+    "ahead": "time,OP_FIC101,PV_FIC101,SP_FIC101",
+}
+LONG = {
+    "lines": "timestamp,tag,value",
+    "changes": "timestamp,tag,value",
+}
+
+
+@pytest.mark.parametrize("shape", [*WIDE, *LONG, "two loops", "German"])
+def test_a_table_of_tags_is_read_at_the_first_call(shape: str, tmp_path: Path) -> None:
+    path, columns = tmp_path / "table.csv", (T, *COLUMNS.values())
+    expected = 1
+    if shape in WIDE:
+        write_table(path, WIDE[shape], *columns)
+    elif shape in LONG:
+        names = {"OP": "FIC101.MV", "PV": "FIC101.PV", "SP": "FIC101.SV"}
+        write_long(path, names, LONG[shape], shape == "changes")
+    elif shape == "two loops":
+        expected = 2
+        head = f"{WIDE['tags']},FIC102.OP,FIC102.PV,FIC102.SP"
+        write_table(path, head, *columns, *(2 * one for one in columns[1:]))
+    else:
+        write_table(path, WIDE["tags"], *columns, mark=",")
+    logs = [*read_loops(path).values()]
+    assert len(logs) == expected
+    np.testing.assert_allclose(logs[0].u[:, 0], LOOP.op, rtol=1e-5)
+    np.testing.assert_allclose(logs[0].y[:, 0], LOOP.pv, rtol=1e-5)
+    assert logs[0].r[:, 0] == pytest.approx(LOOP.sp, rel=1e-5)
+    assert np.diff(logs[0].t) == pytest.approx(1.0)
+
+
+@pytest.fixture(scope="module")
+def plant(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of two valves, of one of which there are two records."""
+    folder = tmp_path_factory.mktemp("plant")
+    for seed, name in ((1, "FIC1_0612"), (6, "FIC1_0613"), (3, "LIC2_0612")):
+        one = make(seed, "stiction" if name[0] == "F" else "none", SIZE)
+        write_log(folder / f"{name}.csv", "time,OP,PV,SP", 1.0, one.op, one.pv, one.sp)
+    return folder
+
+
+def test_a_plant_is_ranked_with_a_page_for_each_loop(plant: Path, tmp_path: Path) -> None:
+    """`identify` of the files of a valve has the numbers of its line."""
+    out = tmp_path / "ranked"
+    result = undeadzone("loops", plant, "--out", out, "--workers", 2)
+    assert result.returncode == 0, result.stderr
+    rows = json.loads((out / "loops.json").read_text())["loops"]
+    assert {row["loop"] for row in rows} == {"FIC1", "LIC2"}
+    assert rows[0]["cost"] >= rows[1]["cost"]
+    first = next(row for row in rows if row["loop"] == "FIC1")
+    assert len(first["records"]) == 2
+    found = uz.identify(sorted(map(str, plant.glob("FIC1*")))).numbers()
+    assert found["loop"]["S"] == pytest.approx(first["S"])
+    assert found["odds"] == pytest.approx(first["odds"])
+    assert (out / first["page"]).exists()
+    assert first["page"] in (out / "report.html").read_text()
+
+
+def test_a_stopped_ranking_goes_on_where_it_stood(
+    plant: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The second loop is not asked at first; the first one is not asked again."""
+    import undeadzone_identify.loops as command
+
+    asked = []
+
+    def ask(tag: str, *rest: Any) -> dict[str, Any]:
+        asked.append(tag)
+        if tag == "LIC2" and len(asked) == 2:
+            raise KeyboardInterrupt
+        return {"loop": tag, "cost": 0.0, "page": None, "verdict": "refused", "found": "-"}
+
+    monkeypatch.setattr(command, "judge_loop", ask)
+    words = ("loops", plant, "--out", tmp_path / "o")
+    assert undeadzone(*words).returncode == 130
+    assert undeadzone(*words, "--resume").returncode == 1
+    assert asked == ["FIC1", "LIC2", "LIC2"]
+
+
+def test_stored_exceptions_withhold_a_name_and_say_the_cure() -> None:
+    shown, held = np.empty(SIZE), LOOP.pv[0]
+    limit = 0.15 * np.ptp(LOOP.pv)
+    for k, y in enumerate(LOOP.pv):
+        held = y if abs(y - held) > limit else held
+        shown[k] = held
+    _, deviation = selection._undo_exceptions(shown, np.ones(SIZE, bool))
+    assert limit <= deviation < 1.3 * limit
+    assert selection._undo_exceptions(LOOP.pv, np.ones(SIZE, bool))[1] == 0
+
+
+@pytest.mark.parametrize(("count", "share"), [(1, 0.95), (1, 0.05), (8, 0.95)])
+def test_odds_of_a_loop_end_where_the_number_of_valves_ends(count: int, share: float) -> None:
+    """One valve of known cause supports odds of 3, ten of 30."""
+    most = selection.PER_VALVE * min(selection.load_weights()["valves"])
+    wide = 1.0 if share > 0.5 else 0.0
+    row = [wide, 10.0 * wide - 3.0, 0.0, -1.0, 0.0, 0.0, 0.0]
+    odds = selection.combine_odds(np.array([row] * count))
+    assert sum(odds.values()) == pytest.approx(1.0)
+    assert max(odds.values()) <= most / (1 + most) + 1e-9
+    assert (odds["sticks"] > 0.5) == (share > 0.5)
+
+
+def test_half_waves_tell_steps_and_triangles_from_sines() -> None:
+    phase = 2 * np.pi * np.arange(1000) / 50
+    sine, step = np.sin(phase), np.sign(np.sin(phase + 0.01))
+    triangle = np.arcsin(np.sin(phase))
+    square_of = selection.compare_half_waves(step, 50)[0]
+    assert square_of > 2
+    assert selection.compare_half_waves(triangle, 50)[1] > 1
+    assert max(selection.compare_half_waves(sine, 50)) < -1
+
+
+def test_a_folder_without_tables_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(uz.InputError, match="holds no tables"):
+        find_loops(tmp_path)
+    assert undeadzone("loops", tmp_path).returncode == 2
