@@ -412,8 +412,8 @@ def _gains(problem: Problem) -> dict[str, list[Any]]:
 
 
 def _parameter(plant: System, name: str) -> float:
-    """Return the value of a named parameter of a plant."""
-    return float(np.ravel(plant.params)[plant.names.index(name)])
+    """Return the value of a named parameter of a plant, 0 of one that it has not (wear)."""
+    return float(dict(zip(plant.names, np.ravel(plant.params), strict=False)).get(name, 0.0))
 
 
 def _as_json(verdict: WidthIdentifiability) -> dict[str, Any]:
