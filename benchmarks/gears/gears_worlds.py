@@ -29,6 +29,7 @@ from benchmarks.gears.mujoco_arms import Arm, Links, Twin, servo
 from benchmarks.markdown import head, row
 
 Floats = NDArray[np.float64]
+SHEET, TRUSTED = 0.2, 0.3
 STRIBECK = 0.05  # speed at which friction has fallen from rest [rad/s]
 
 
@@ -46,8 +47,8 @@ class World(NamedTuple):
         wears: share by which the gap has grown at the end.
         sides: friction of the motor, over its mean, as it turns right and left.
         oil: range of the viscous drag in the gap [N m s/rad].
-        unknown: what the filter is told of them, `observer.unknown`.
-        gears: what it is told of the gears besides.
+        unknown: what the filter is told of them, `observer.unknown`. Of a spring it is told a
+            datasheet's numbers, up to `SHEET` off, and a range of `TRUSTED` about them.
     """
 
     offset: float = 0.0
@@ -62,7 +63,6 @@ class World(NamedTuple):
     sides: tuple[float, float] = (1.0, 1.0)
     oil: tuple[float, float] = (0.0, 0.0)
     unknown: Mapping[str, Sequence[float]] = {}
-    gears: Mapping[str, float] = {}
 
 
 WORLDS = {
@@ -79,9 +79,7 @@ WORLDS = {
 FURTHER = {  # what the model has not, and how the filter is told that it may be there
     "belt, 1 to 3 mrad of wind-up": World(winds=(1e-3, 3e-3), unknown={"winding": [0.0, 7e-3]}),
     "return spring that hardens": World(
-        springs=(0.2, 0.6),
-        unknown={"spring": [0.0, 1.0], "hardening": [0.0, 4.0]},
-        gears={"spring": 0.5, "hardening": 2.0, "spring_at": -1.5708},
+        springs=(0.2, 0.6), unknown={"spring": [1.0], "hardening": [4.0]}
     ),
     "friction 1.6 and 0.5 by direction": World(
         sides=(1.6, 0.5), unknown={"asymmetry": [-0.1, 0.1]}
@@ -90,7 +88,7 @@ FURTHER = {  # what the model has not, and how the filter is told that it may be
     "oil in the gap": World(oil=(0.05, 0.2), unknown={"drag": [0.0, 0.25]}),
 }
 for name, world in FURTHER.items():
-    WORLDS |= {f"{name}, not told": world._replace(unknown={}, gears={}), f"{name}, told": world}
+    WORLDS |= {f"{name}, not told": world._replace(unknown={}), f"{name}, told": world}
 
 
 class Machine(NamedTuple):
@@ -158,12 +156,22 @@ def scenario() -> dict[str, Any]:
     return changed(hanging, observer={"centre": float(centre)}) if centre else hanging
 
 
+def told(machine: Machine, seed: int) -> dict[str, Any]:
+    """What the filter is told of a machine."""
+    gears, unknown = {}, dict(machine.world.unknown)
+    sheet = machine.spring * np.random.default_rng(seed).uniform(1 - SHEET, 1 + SHEET)
+    for name in {"spring", "hardening"} & {*unknown}:
+        gears |= {"spring_at": -np.pi / 2, name: sheet * unknown[name][0]}
+        unknown[name] = [gears[name] * (1 - TRUSTED), gears[name] * (1 + TRUSTED)]
+    return changed(geared(scenario(), **gears), observer={"unknown": unknown})
+
+
 def line(label: str, world: World, count: int, first: int) -> str:
     """The row of a world."""
-    told = changed(geared(scenario(), **world.gears), observer={"unknown": world.unknown})
-    setup, results = bench(told), []
+    results = []
     for seed in range(first, first + count):
         machine = draw(world, np.random.default_rng(seed))
+        setup = bench(told(machine, seed))
         outputs = driven(setup, machine.arm, seed, partial(shown, machine))
         worn = machine.arm._replace(half=machine.arm.half * (1 + world.wears))
         results.append(evaluate_outputs(setup, worn, outputs))

@@ -71,7 +71,7 @@ from undeadzone.util.arrays import (
 FRICTION = ("friction", "f")  # Coulomb's, of motors and of links, as the plant names it
 # Further numbers of gears that can be estimated, and the least that each can be.
 SIGNED = dict.fromkeys(("asymmetry", "pull", "spring", "hardening", WEAR), -np.inf)
-FURTHER = SIGNED | {"winding": 0.0, "drag": 0.0}
+FURTHER = SIGNED | {"viscous": 0.0, "winding": 0.0, "drag": 0.0}
 DRIFT = (3e-5, 4.5e-4)  # of half gaps, coupled and joint by joint [rad / sqrt(s)]
 OPEN = 0.07  # deviation to which half gaps drift, over their claimed range
 WANDERING = 5e-4  # random walk of an encoder's zero about the gears' centre [rad / sqrt(s)]
