@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import NamedTuple
 from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 
-import casadi as ca
 import numpy as np
 
 from undeadzone.results.run import Run, final_side_rows, final_width_rows
@@ -62,7 +61,7 @@ def joints_from_run(run: Run) -> list[Joint]:
     found = dict(zip(gears.names, gears.values.tolist(), strict=True))
     found |= {name: one["estimate"] for name, one in run.parameters.items()}
     values = np.array([found[name] for name in gears.names])
-    K, D = (np.ravel(ca.DM(each)) for each in gears.contact_stiffness(values))
+    K, D = (np.asarray(each).ravel() for each in gears.contact_stiffness(values))
     frequency = np.sqrt(K / gears.stiffness)
     damping = D / gears.stiffness / frequency / 2
     joints = []

@@ -356,8 +356,7 @@ def final_width_rows(run: Run) -> list[list[Row]]:
     if info.sensor != "gears":
         return rows
     deviations = None if run.width_std is None else run.width_std[-1].tolist()
-    known = [verdict["width"] for verdict in info.identifiable]
-    return sheet.build_gear_rows(rows, deviations, info.halves, known)
+    return sheet.build_gear_rows(rows, deviations, info.halves, info.identifiable)
 
 
 def final_side_rows(run: Run) -> list[list[Row]]:
@@ -450,7 +449,9 @@ def _describe_verdict(verdict: Mapping[str, Any]) -> str:
     """Return the identifiability of an output's widths as text, of gears that of their gap."""
     crossings = verdict.get("crossings")
     if crossings is not None:
-        return f"yes, {count_noun(crossings, 'strike')} detected" if verdict["width"] else "NO"
+        answer = "yes" if verdict["width"] else "narrowed"
+        shown = verdict["width"] or verdict.get("narrowed", False)
+        return f"{answer}, {count_noun(crossings, 'strike')} detected" if shown else "NO"
     return "yes" if all(verdict[each] for each in DIRECTIONS) else format_yes_no(verdict)
 
 

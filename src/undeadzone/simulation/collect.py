@@ -48,6 +48,7 @@ from undeadzone.util.arrays import Floats
 from undeadzone.util.earlier import SCHEMA
 
 LEARNT = 1 / 5  # of the declared deviation, above which a gap is not known
+WIDENED = 1.5  # factor of the deviation of a gap above that, as fresh robots show it
 
 
 def verdicts_of_run(problem: Problem, signal: Outputs) -> list[WidthIdentifiability]:
@@ -106,6 +107,9 @@ def withdraw_vague_gaps(
 ) -> list[WidthIdentifiability]:
     """Return the verdicts of a run, with a no for each gap that its filter has hardly learnt.
 
+    Such a gap is narrowed if its deviation, `WIDENED` times the filter's, is below the declared
+    one.
+
     Args:
         problem: the simulated problem.
         verdicts: of each output.
@@ -124,7 +128,8 @@ def withdraw_vague_gaps(
                 f"its strikes show, yet they left it uncertain by {std:.2g}, of {prior:.2g} as it"
                 " was declared: turn it faster, for longer, or declare less"
             )
-            verdict = verdict.add_reasons(why, **NONE)
+            narrowed = bool(WIDENED * std < prior)
+            verdict = verdict.add_reasons(why, **NONE, narrowed=narrowed)
         after.append(verdict)
     return after * (len(verdicts) // N)  # of encoders at motors as of those at links
 
@@ -135,7 +140,8 @@ def withhold_gaps(
     """Return the estimates of a run, with the prior for each gap that cannot be known.
 
     A belief that nothing has tested may be false and narrow. A link behind such a gap may be
-    anywhere in the widest one that is declared.
+    anywhere in the widest one that is declared. Where a gap is narrowed, the belief stays, and its
+    deviation and the link's are wider.
 
     Args:
         problem: the simulated problem.
@@ -144,17 +150,22 @@ def withhold_gaps(
     """
     ranges = problem.observer.traits.halves
     gears = problem.plant.gears
-    lost = np.array([not verdict.width for verdict in verdicts])
-    if gears is None or ranges is None or not lost.any():
+    narrowed = np.array([verdict.narrowed for verdict in verdicts])
+    lost = ~narrowed & [not verdict.width for verdict in verdicts]
+    if gears is None or ranges is None or not (lost | narrowed).any():
         return estimate
+    added = np.where(narrowed, WIDENED**2 - 1, 0.0) * estimate.width_std**2 / 4  # of half a gap
+    wider = {}
+    for name, share in {"right_std": 1, "left_std": 1, "width_std": 4}.items():
+        wider[name] = np.sqrt(getattr(estimate, name) ** 2 + share * added)
     changed = {}
-    for name in ("right", "left", "right_std", "left_std", "width_std"):
-        signal = getattr(estimate, name)
+    for name, signal in ({"right": estimate.right, "left": estimate.left} | wider).items():
         changed[name] = np.where(lost, signal[0], signal)
     N = gears.joint_count
     x_std = estimate.x_std.copy()
+    links = np.sqrt(x_std[:, N : 2 * N] ** 2 + added[:, :N])
     widest = np.where(lost[:N], ranges[:N, 1], 0.0) / np.sqrt(3)
-    x_std[:, N : 2 * N] = np.maximum(x_std[:, N : 2 * N], widest)
+    x_std[:, N : 2 * N] = np.maximum(links, widest)
     return estimate._replace(**changed, x_std=x_std)
 
 

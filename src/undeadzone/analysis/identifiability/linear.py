@@ -260,6 +260,7 @@ class WidthIdentifiability(NamedTuple):
         second: another truth with these readings (`indistinguishable_widths`).
             None: none far from it, or not looked for.
         crossings: of a gap of gears, strikes that show in the readings; None: there are no gears.
+        narrowed: whether a gap that is not known is yet in a range narrower than the declared one.
     """
 
     right: bool
@@ -270,6 +271,7 @@ class WidthIdentifiability(NamedTuple):
     std: dict[str, float] | None = None
     second: dict[str, Any] | None = None
     crossings: int | None = None
+    narrowed: bool = False
 
     def add_reasons(self, *reasons: str, **changed: bool) -> WidthIdentifiability:
         """Return the result with more reasons and with changed fields."""

@@ -114,7 +114,7 @@ def _build_geared(plant: Plant, options: Rigid, chain: Chain, key: str) -> Syste
     x_eq = require_geared_start(gears, given, f"{key}.{at}")
     if at == "x0":
         x_eq[2 * N :] = 0.0
-    load = np.ravel(ca.DM(gears.holding_torque(params, x_eq[N : 2 * N])))
+    load = np.asarray(gears.holding_torque(params, x_eq[N : 2 * N])).ravel()
     u_eq = _equilibrium_input(plant, load, key)
     carrying = np.where(load < 0, -1.0, 1.0)
 
