@@ -122,7 +122,9 @@ def draw(world: World, rng: np.random.Generator) -> Machine:
     wave = float(rng.uniform(*world.eccentric)), float(rng.uniform(0, 2 * np.pi))
     added = float(rng.uniform(*world.payload)) * float(arm.links.mass[0])
     level = 9.81 * (links.mass * links.centre + arm.payload * links.length)
-    winds, springs, oil = (float(rng.uniform(*each)) for each in (world.winds, world.springs, world.oil))
+    winds, springs, oil = (
+        float(rng.uniform(*each)) for each in (world.winds, world.springs, world.oil)
+    )
     arm = arm._replace(links=links, rotor=rotor, payload=max(arm.payload, 1e-3), oil=oil)
     if winds:
         arm = arm._replace(belt=level / winds)
@@ -178,6 +180,7 @@ def line(label: str, world: World, count: int, first: int) -> str:
     fine = [each for each in results if not each.diverged]
     covered = np.array([each.covered for each in fine])
     error = np.abs(np.array([each.half for each in fine]) - 1)
+    near = [f"{np.mean(error <= share):.2f}" for share in (0.05, 0.1)]
     score = np.abs(np.array([each.score for each in fine]))
     silent = sum(one.is_lost() and not one.warned for one in fine)
     return row(
@@ -185,7 +188,7 @@ def line(label: str, world: World, count: int, first: int) -> str:
         f"{len(results)} ({len(results) - len(fine)})",
         f"{covered.mean():.2f} ({covered.min():.2f})",
         f"{1e3 * np.median([each.estimated for each in fine]):.2f}",
-        f"{100 * np.median(error):.1f} %, {np.mean(error <= 0.05):.2f}, {np.mean(error <= 0.1):.2f}",
+        f"{100 * np.median(error):.1f} %, {', '.join(near)}",
         f"{np.mean(score <= 1.96):.2f}",
         f"{sum(each.warned for each in fine)}; {silent}",
     )

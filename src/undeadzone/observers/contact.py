@@ -279,7 +279,9 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         weight = [mass, mass] if self.payload is None else self.payload
         limits_of = {"half": ranges, "payload": _read_joint_ranges("observer.payload", weight, 1)}
         for name, limits in self.unknown.items():
-            limits_of[name] = _read_joint_ranges(f"observer.unknown.{name}", limits, N, FURTHER[name])
+            limits_of[name] = _read_joint_ranges(
+                f"observer.unknown.{name}", limits, N, FURTHER[name]
+            )
         for name, limits in limits_of.items():
             low[of(name)], high[of(name)] = limits.T
             mean[of(name)] = limits.mean(axis=1)

@@ -159,12 +159,12 @@ class Run(files.SignalResult):
         """Return the root mean square of z - r over the last 2 s and the tracked outputs
         [z].
         """
-        return _root_mean_square((self.z[:, self.info.tracked] - self.r)[self.last])
+        return root_mean_square((self.z[:, self.info.tracked] - self.r)[self.last])
 
     @property
     def rms_estimation(self) -> float:
         """Return the root mean square of z - z_hat over the last 2 s and all outputs [z]."""
-        return _root_mean_square((self.z - self.z_hat)[self.last])
+        return root_mean_square((self.z - self.z_hat)[self.last])
 
     @property
     def rms_behind_play(self) -> float | None:
@@ -174,7 +174,7 @@ class Run(files.SignalResult):
         """
         if self.level is None:
             return None
-        return _root_mean_square((self.level[:, self.info.tracked] - self.r)[self.last])
+        return root_mean_square((self.level[:, self.info.tracked] - self.r)[self.last])
 
     @property
     def rms_tip(self) -> float | None:
@@ -300,7 +300,7 @@ def last_samples(t: Floats) -> slice:
     return slice(int(np.searchsorted(t, t[-1] - LAST - 1e-12)), None)
 
 
-def _root_mean_square(values: Floats) -> float:
+def root_mean_square(values: Floats) -> float:
     """Return the root mean square of all entries."""
     with np.errstate(over="ignore", invalid="ignore"):
         return float(np.sqrt(np.mean(values**2)))
@@ -336,6 +336,12 @@ def final_error_rows(run: Run) -> list[Row]:
             note = f" from its path ({last})"
         if value is not None:
             rows.append(Row(name, f"{title}, {last}", value, of, key=key, form=".4g", note=note))
+    if run.info.tips:
+        found, blind = run.info.tips
+        note = f" ({last}; by the encoders alone {blind:.4g} m)"
+        title = f"rms distance of tip^ from the tip, {last}"
+        key = "rms_tip_estimation"
+        rows.append(Row("rms tip - tip^", title, found, "m", key=key, form=".4g", note=note))
     return rows
 
 
@@ -436,8 +442,8 @@ def _final_output_rows(run: Run) -> Rows:
         tracking = ""
         if i in info.tracked:
             missed = run.z[:, i] - run.r[:, info.tracked.index(i)]
-            tracking = f"{_root_mean_square(missed[run.last]):.4g}"
-        cells = [tracking, f"{_root_mean_square((run.z - run.z_hat)[run.last, i]):.4g}"]
+            tracking = f"{root_mean_square(missed[run.last]):.4g}"
+        cells = [tracking, f"{root_mean_square((run.z - run.z_hat)[run.last, i]):.4g}"]
         for row in edges:
             cells += [row.value_with_interval, f"{row.true:.6g}"]
         verdict = info.identifiable[i]

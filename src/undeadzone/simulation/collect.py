@@ -7,6 +7,7 @@ import time
 from typing import Any
 
 import casadi as ca
+import msgspec
 import numpy as np
 
 import undeadzone
@@ -24,7 +25,7 @@ from undeadzone.observers.contact_filter.drive import FADING
 from undeadzone.plants.robots.arm import evaluate_rows
 from undeadzone.plants.system import System
 from undeadzone.results.info import Info, IntegrationError
-from undeadzone.results.run import FRAMES, Run
+from undeadzone.results.run import FRAMES, Run, last_samples, root_mean_square
 from undeadzone.results.scales import plant_scales
 from undeadzone.results.signals import RUN, Signals, signals_from_estimate
 from undeadzone.scenario.operating_point import restore_signals
@@ -250,6 +251,31 @@ def tips(problem: Problem, x: Floats, x_hat: Floats, t: Floats) -> dict[str, Flo
     }
 
 
+def _tip_errors(problem: Problem, x: Floats, signals: dict[str, Any]) -> list[float]:
+    """Return rms distances from the tip of that estimated, and of that by the encoders alone [m].
+
+    They are over the last samples, and of gears read at the motors; else there are none.
+
+    Args:
+        problem: the simulated problem.
+        x: states (N x n).
+        signals: of the run.
+    """
+    gears = problem.plant.gears
+    if gears is None or gears.measured != "motor" or "tip" not in signals:
+        return []
+    N = gears.joint_count
+    last = last_samples(signals["t"])
+    blind = _along(
+        gears.arm.tip, problem.plant, np.hstack([x[last, :N], x[last, :N], x[last, 2 * N :]])
+    )
+    tip = signals["tip"][last]
+    return [
+        root_mean_square(np.hypot.reduce(each - tip, axis=1))
+        for each in (signals["tip_hat"][last], blind)
+    ]
+
+
 def _along(f: ca.Function, system: System, x: Floats) -> Floats:
     """Return a function of an arm's parameters and joints, at each row of states (N x n)."""
     params, q = system.joints(system.params, x.T)
@@ -312,6 +338,7 @@ def collect(problem: Problem, signal: Outputs, error: IntegrationError | None, b
         **_poses(problem, signal.x, t),
     }
     info = _info(problem, signal, verdicts, proof, error, began)
+    info = msgspec.structs.replace(info, tips=_tip_errors(problem, signal.x, signals))
     return Run(info, Signals(RUN, restore_signals(problem.levels, signals)))
 
 

@@ -303,7 +303,7 @@ def test_what_a_motor_tells_of_its_gears_moves_the_free_links_of_others() -> Non
     mean = ca.DM([0.3, 0.8, 0.3, 0.8, *[0.0] * 17])
     belief = Gaussian(ca.SX(11, 1), ca.SX.eye(11))
     posterior = Posterior((), (belief,) * 3, belief, belief.mean, 0.0, 1.0)
-    arm = mean_posture(gears, gears.values, mean, ca.DM.zeros(2))
+    arm = mean_posture(Layout(2), gears, gears.values, mean, ca.DM.zeros(2))
     news, impulse = ca.SX(21, 1), 0.2
     news[5] = -impulse / 0.03  # the second motor, slower than was foretold
     first, second = apply_gear_impulses([(0,), (1,)], [posterior, posterior], news, arm)

@@ -18,8 +18,8 @@ from commands import undeadzone
 from requirements import import_package
 from scenes import tables_of
 from undeadzone.analysis.identifiability.linear import WidthIdentifiability
-from undeadzone.interfaces import Estimate
 from undeadzone.errors import InputError
+from undeadzone.interfaces import Estimate
 from undeadzone.numerics.runge_kutta import rk4_change
 from undeadzone.plants.robots.arm import build_arm
 from undeadzone.plants.robots.build import build_one_link, build_two_link

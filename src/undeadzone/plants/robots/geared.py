@@ -7,8 +7,10 @@ theta is a motor's angle at the joint's side of its gears, q the link's, a half 
     J theta'' + b_m theta' + f_m sat(theta') = u - tau
     M(q) q'' + h(q, q') + friction + spring = tau
 
-A belt, a shaft or a flexspline of stiffness k in series with the contact takes its share of xi:
-K becomes K / (1 + K / k) = s K, and D becomes s^2 D. The gap is in the transmission, not in the sensor: an encoder at either side reads linearly, and
+A belt, a shaft or a flexspline of stiffness k in series with the contact takes its share of xi: K
+becomes s K and D becomes s^2 D, with s = 1 / (1 + K / k).
+
+The gap is in the transmission, not in the sensor: an encoder at either side reads linearly, and
 the flank that touches follows from motion, gravity and torque (Nordin and Gutman 2002).
 
 References:
@@ -26,7 +28,14 @@ import msgspec
 import numpy as np
 
 from undeadzone.linalg.matrices import spectral_radius
-from undeadzone.plants.robots.arm import Arm, Chain, build_arm, change_arm_numbers, forward_dynamics, inverse_dynamics
+from undeadzone.plants.robots.arm import (
+    Arm,
+    Chain,
+    build_arm,
+    change_arm_numbers,
+    forward_dynamics,
+    inverse_dynamics,
+)
 from undeadzone.util.arrays import (
     Array,
     Floats,
