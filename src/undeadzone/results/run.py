@@ -355,6 +355,30 @@ def final_parameter_rows(run: Run) -> list[Row]:
     return rows
 
 
+def lost_motion_rows(run: Run) -> list[Row]:
+    """Return the lost motion of each joint whose wind-up is estimated: gap + 2 T / k.
+
+    T is the largest torque of its motor. Gap and wind-up are told apart if the interval of 1 / k
+    leaves out 0.
+    """
+    rows = []
+    for i, name in enumerate(run.info.joints):
+        found = run.parameters.get(f"winding{i + 1}")
+        gap = final_width_rows(run)[i][0]
+        if found is None or gap.withheld or gap.value is None:
+            continue
+        torque = float(np.abs(run.u[:, i]).max())
+        wound, std = 2 * torque * found["estimate"], 2 * torque * found["std"]
+        parts = ": gap and wind-up are not told apart"
+        if interval_95(wound, std)[0] > 0:
+            parts = f": gap {gap.value:.4g}, wind-up {wound:.3g} +- {std:.2g}"
+        note = f" at {torque:.3g} N m{parts}"
+        label = f"lost motion of {name}"
+        both = math.hypot(gap.std or 0.0, std)
+        rows.append(Row(label, label, gap.value + wound, gap.unit, both, least=0.0, note=note))
+    return rows
+
+
 def final_width_rows(run: Run) -> list[list[Row]]:
     """Return the widths of each output, of gears their gap and its centre."""
     info = run.info
@@ -404,7 +428,8 @@ def blocks_from_run(run: Run) -> list[Block]:
     if single:
         for rows in final_gap_rows(run):
             summary |= sheet.rows_to_text(rows)
-    summary |= sheet.rows_to_text(final_parameter_rows(run) + final_error_rows(run))
+    found = [*final_parameter_rows(run), *lost_motion_rows(run), *final_error_rows(run)]
+    summary |= sheet.rows_to_text(found)
     if info.sensor != "gears":  # whose encoders are never silent
         quiet = "holding" if info.sensor == "play" else "silent"
         summary[quiet] = f"{100 * run.silent_fraction:.1f} % of the time"

@@ -18,7 +18,6 @@ from undeadzone.util.text import suggest_name
 from undeadzone_identify.fitting.result import Fitted
 
 GEARS: Final = "plant.arm.gears."
-TRUSTED: Final = 2.0  # half of the range of half a gap, over half of its 95 % interval
 
 
 class Place(NamedTuple):
@@ -63,8 +62,7 @@ def read_place(where: str) -> Place:
 def put_gears(found: Fitted, place: Place) -> Scenario:
     """Return the scenario of an arm with the gears that logs determined for one of its joints.
 
-    What the logs do not determine stays. An observer with a range of half the gap gets one of
-    `TRUSTED` times its interval.
+    What the logs do not determine stays, and so do the observer's ranges.
 
     Args:
         found: a fitted motor.
@@ -85,11 +83,6 @@ def put_gears(found: Fitted, place: Place) -> Scenario:
         numbers = np.broadcast_to(np.asarray(own, float), size).copy()
         numbers[joint] = each.value
         arm = arm.replace(key, numbers.tolist())
-        if key == f"{GEARS}half" and getattr(arm.observer, "half", None) is not None:
-            reach = TRUSTED * (np.array([each.low, each.high]) - each.value)
-            ranges = np.broadcast_to(arm.observer.half, (size, 2)).copy()
-            ranges[joint] = np.maximum(each.value + reach, 0.0)
-            arm = arm.replace("observer.half", ranges.tolist())
     return arm
 
 

@@ -392,6 +392,29 @@ def test_joint_by_joint_a_coupled_gap_is_as_it_was_declared() -> None:
     assert (run.x_std[:, 2:4] >= 0.03 / np.sqrt(3)).all()
 
 
+def test_springs_hold_a_link_and_share_the_twist_of_its_gears() -> None:
+    """At rest the motor's torque holds gravity and spring, with k and K in series."""
+    numbers = {"pull": 0.2, "spring": 3.0, "hardening": 4.0, "spring_at": 0.1, "drag": 0.5}
+    firm = {"half": 0.02, "inertia": 0.05, "friction": 0.3}
+    bent = Gears(**firm, **numbers, stiffness=700.0, asymmetry=0.1)
+    gears = build_geared_arm(build_one_link(), bent)
+    q, turned = 0.6, 0.5
+    theta = float(gears.motors_at_rest(gears.values, ca.DM(q)))
+    x = ca.DM([theta, q, 0.0, 0.0])
+    weight = float(gears.arm.bias(gears.link_params(gears.values), q, 0.0))
+    load = weight + 0.2 + 3.0 * turned + 4.0 * turned**3
+    rate, tau = gears.motion(gears.values, x, load)
+    assert np.asarray(rate).ravel() == pytest.approx(0.0, abs=1e-9)
+    assert float(tau) == pytest.approx(load)
+    rigid = build_geared_arm(build_one_link(), Gears(**firm))
+    [K] = rigid.contact_stiffness(rigid.values)[0]
+    assert theta - q == pytest.approx(0.02 + load * (1 / 700 + 1 / K))
+    crossing = gears.motion(gears.values, ca.DM([q, q, 0.7, 0.2]), 0.0)[1]
+    assert float(crossing) == pytest.approx(0.5 * 0.5)
+    for speed, rubbing in ((100.0, 0.4), (-100.0, -0.2)):
+        assert gears.motor_friction_torque(gears.values, speed) == pytest.approx(rubbing, abs=1e-6)
+
+
 # --- Refusals
 
 
