@@ -124,7 +124,8 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         compliance: standard deviation of the place to which a flank gives way [rad].
         unknown: further numbers of the gears that are estimated, each with its range [lo, hi] or
             one per joint: winding [rad/(N m)], asymmetry, pull [N m], spring [N m/rad], hardening
-            [N m/rad^3], drag [N m s/rad], and wear, the rate at which half a gap grows [rad/s].
+            [N m/rad^3], viscous, drag [N m s/rad], and wear, the rate at which half a gap grows
+            [rad/s].
         starts: how many filters a joint has, of which each counts by how well it foretold the
             readings: they begin with all of the range of half the gap, with its lower and with its
             upper half (1 to 3).

@@ -379,6 +379,27 @@ def lost_motion_rows(run: Run) -> list[Row]:
     return rows
 
 
+def wear_rows(run: Run) -> list[Row]:
+    """Return the growth of each gap whose wear is estimated, and the trend of each side.
+
+    A worn gap grows to both sides. Where one side grows as the other shrinks, an encoder slips.
+    """
+    rows = []
+    half = len(run.t) // 2
+    for i, name in enumerate(run.info.joints):
+        found = run.parameters.get(f"wear{i + 1}")
+        if found is None or run.d_hat is None:
+            continue
+        moved = run.d_hat[-1] - run.d_hat[half]
+        right, left = moved.reshape(-1, 2)[i] / (run.t[-1] - run.t[half])
+        grows = min(right, left) > 0 and interval_95(found["estimate"], found["std"])[0] > 0
+        note = f": {'wears' if grows else 'no wear shows'}; right {right:.2g}, left {left:.2g}"
+        unit = f"{run.info.units.output}/s"
+        label = f"gap of {name} grows by"
+        rows.append(Row(label, label, 2 * found["estimate"], unit, 2 * found["std"], note=note))
+    return rows
+
+
 def final_width_rows(run: Run) -> list[list[Row]]:
     """Return the widths of each output, of gears their gap and its centre."""
     info = run.info
@@ -428,7 +449,8 @@ def blocks_from_run(run: Run) -> list[Block]:
     if single:
         for rows in final_gap_rows(run):
             summary |= sheet.rows_to_text(rows)
-    found = [*final_parameter_rows(run), *lost_motion_rows(run), *final_error_rows(run)]
+    found = [*final_parameter_rows(run), *lost_motion_rows(run), *wear_rows(run)]
+    found += final_error_rows(run)
     summary |= sheet.rows_to_text(found)
     if info.sensor != "gears":  # whose encoders are never silent
         quiet = "holding" if info.sensor == "play" else "silent"

@@ -224,6 +224,7 @@ def test_gap_payload_and_friction_are_found_on_the_way(run: uz.Run) -> None:
         ({"stiffness": 200.0}, {"winding": [0.0, 0.01]}),
         ({"asymmetry": 0.04}, {"asymmetry": [-0.1, 0.1]}),
         ({"drag": 0.1}, {"drag": [0.0, 0.3]}),
+        ({}, {"wear": [0.0, 0.01]}),
     ],
 )
 def test_further_numbers_of_the_gears_are_found_with_the_gap(gears: Any, unknown: Any) -> None:
@@ -231,7 +232,7 @@ def test_further_numbers_of_the_gears_are_found_with_the_gap(gears: Any, unknown
     tables = tomllib.loads(SERVO)
     plant = {"arm": tables["plant"]["arm"] | {"gears": tables["plant"]["arm"]["gears"] | gears}}
     [name] = unknown
-    model = {"parameters": {"payload": 0.0, f"{name}1": 0.0}}
+    model = {"parameters": {"payload": 0.0} | {f"{each}1": 0.0 for each in unknown if gears}}
     observer = {"unknown": unknown, "starts": 1}
     run = uz.simulate(servo(plant=plant, model=model, observer=observer))
     found = run.parameters[f"{name}1"]
@@ -241,6 +242,7 @@ def test_further_numbers_of_the_gears_are_found_with_the_gap(gears: Any, unknown
     assert abs(half - 0.03) < min(4 * std, 0.003)
     told = "lost motion of q1" in str(run) and "N m: gap 0.0" in str(run)
     assert told == (name == "winding")
+    assert ("gap of q1 grows by" in str(run)) == (not gears)
 
 
 def test_a_half_gap_wears_by_its_rate() -> None:
