@@ -400,7 +400,8 @@ def _find_arm_end(robot: Robot, moved: Sequence[str], whole: bool) -> str:
             return palm
         raise InputError(
             f"plant.arm.tip: the movable joints branch at {palm!r}: the arm must be a serial "
-            "chain. Name the link in which it ends, such as that one (joints elsewhere are fixed at 0)"
+            "chain. Name the link in which it ends, such as that one (joints elsewhere are fixed "
+            "at 0)"
         )
     if len(ends) > 1:
         raise InputError(f"plant.arm.tip: the arm ends in {', '.join(ends)}: name one of them")
