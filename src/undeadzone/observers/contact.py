@@ -427,7 +427,7 @@ def decay_factor(Ts: float, time: float) -> Floats:
 
 
 def _read_joint_ranges(key: str, ranges: Array, N: int, least: float = 0.0) -> Floats:
-    """Return the assumed ranges [lo, hi] (N x 2), none below `least`. Raises InputError."""
+    """Return the assumed ranges [lo, hi] (N x 2), all of at least `least`. Raises InputError."""
     value = require_pairs(key, require_array(key, ranges), N, "a range [lo, hi]", "per joint")
     if (value[..., 0] > value[..., 1]).any() or (value < least).any():
         order = "lo <= hi" if least < 0 else "0 <= lo <= hi"

@@ -31,7 +31,7 @@ class Row(NamedTuple):
         note: text behind it on a terminal.
         least, most: ends of the range in which the number is known to lie.
         withheld: whether no more than that range can be known of it.
-        narrowed: whether little more than that range is known of it.
+        narrowed: whether an estimate narrows that range a little.
     """
 
     label: str
@@ -185,8 +185,8 @@ def build_gear_rows(
         widths: rows of right and left, at each output.
         deviations: of right + left (None: not known).
         halves: declared [lo, hi] of half the gap (empty: none).
-        verdicts: identifiability of each gap. If it cannot be known and is not narrowed, it is as
-            it was declared.
+        verdicts: identifiability of each gap. A gap that is uncertain and not narrowed has
+            its declared range.
     """
     rows = []
     for i, (right, left) in enumerate(widths):

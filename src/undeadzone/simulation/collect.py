@@ -254,7 +254,8 @@ def tips(problem: Problem, x: Floats, x_hat: Floats, t: Floats) -> dict[str, Flo
 def _tip_errors(problem: Problem, x: Floats, signals: dict[str, Any]) -> list[float]:
     """Return rms distances from the tip of that estimated, and of that by the encoders alone [m].
 
-    They are over the last samples, and of gears read at the motors; else there are none.
+    They are over the last samples, for gears read at the motors. For other plants the list is
+    empty.
 
     Args:
         problem: the simulated problem.
@@ -450,7 +451,7 @@ def _gains(problem: Problem) -> dict[str, list[Any]]:
 
 
 def _parameter(plant: System, name: str) -> float:
-    """Return the value of a named parameter of a plant, 0 of one that it has not (wear)."""
+    """Return the value of a named parameter of a plant, 0 for wear, of which plants are free."""
     return float(dict(zip(plant.names, np.ravel(plant.params), strict=False)).get(name, 0.0))
 
 

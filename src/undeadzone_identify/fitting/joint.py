@@ -40,11 +40,11 @@ def read_place(where: str) -> Place:
     """Read the scenario of an arm with gears, and which of its joints is meant.
 
     Args:
-        where: file of the scenario and name of the joint, as `ARM.toml:q2`.
+        where: file of the scenario and name of the joint, after a colon.
 
     Raises:
         FileError: the file cannot be read.
-        InputError: it has no gears or no such joint.
+        InputError: it lacks gears, or this joint.
     """
     path, _, joint = where.rpartition(":")
     if not path:
@@ -62,7 +62,7 @@ def read_place(where: str) -> Place:
 def put_gears(found: Fitted, place: Place) -> Scenario:
     """Return the scenario of an arm with the gears that logs determined for one of its joints.
 
-    What the logs do not determine stays, and so do the observer's ranges.
+    Other numbers of the arm stay, and so do the observer's ranges.
 
     Args:
         found: a fitted motor.

@@ -260,7 +260,7 @@ class WidthIdentifiability(NamedTuple):
         second: another truth with these readings (`indistinguishable_widths`).
             None: none far from it, or not looked for.
         crossings: of a gap of gears, strikes that show in the readings; None: there are no gears.
-        narrowed: whether a gap that is not known is yet in a range narrower than the declared one.
+        narrowed: whether an uncertain gap has a narrower range than the declared one.
     """
 
     right: bool

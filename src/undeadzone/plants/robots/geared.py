@@ -80,7 +80,8 @@ class Gears(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         viscous: viscous friction of the motor [N m s/rad].
         stiffness: of a belt, a shaft or a flexspline in series with the contact, as its datasheet
             has it [N m/rad] (default: infinite). Its parameter is `winding`, 1 / stiffness.
-        asymmetry: half of what Coulomb friction of the motor is larger to the right [N m].
+        asymmetry: friction of the motor is larger by so much to the right, and smaller to the left
+            [N m].
         pull, spring, hardening: the link is pulled back by pull + spring d + hardening d^3, with
             d = q - spring_at: a return spring, a hose, or a gravity that bends, of either sign
             [N m, N m/rad, N m/rad^3].
@@ -184,7 +185,7 @@ class Geared(NamedTuple):
         return needed + self.return_torque(params, q)
 
     def contact_stiffness(self, params: Any) -> tuple[Any, Any]:
-        """Return K [N m/rad] and D [N m s/rad] of gears in contact, with what is in series (N
+        """Return K [N m/rad] and D [N m s/rad] of gears in contact, with springs in series (N
         each).
         """
         frequency = self.gear_number(params, "contact")
