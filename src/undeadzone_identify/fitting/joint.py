@@ -72,12 +72,13 @@ def put_gears(found: Fitted, place: Place) -> Scenario:
         InputError: the logs determine none of its numbers.
     """
     _, arm, joint, size = place
+    gears = getattr(arm.plant.arm, "gears", None)
     known = [each for each in found.numbers if each.name.startswith(GEARS) and each.shown]
     if not known:
         raise InputError("--arm: the logs determine no number of plant.arm.gears")
     for each in known:
         key = each.name.partition("[")[0]
-        own = getattr(arm.plant.arm.gears, key.removeprefix(GEARS))
+        own = getattr(gears, key.removeprefix(GEARS))
         if own is None:
             raise InputError(f"{key}: missing in the arm, which needs it of every joint")
         numbers = np.broadcast_to(np.asarray(own, float), size).copy()

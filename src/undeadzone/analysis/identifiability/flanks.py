@@ -103,7 +103,7 @@ def torque_free_position(body: Arm, params: Floats, q: Floats, i: int) -> float 
         i: the joint.
 
     Returns:
-        The position within the joint's limits; None if there is none.
+        The position within the joint's limits; None without one.
     """
     low, high = np.clip(body.chain.limits[i], q[i] - np.pi, q[i] + np.pi)
     places = np.linspace(low, high, POSTURES)

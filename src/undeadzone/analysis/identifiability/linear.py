@@ -259,7 +259,7 @@ class WidthIdentifiability(NamedTuple):
             into account.
         second: another truth with these readings (`indistinguishable_widths`).
             None: none far from it, or not looked for.
-        crossings: of a gap of gears, strikes that show in the readings; None: there are no gears.
+        crossings: of a gap of gears, strikes that show in the readings; None without gears.
         narrowed: whether an uncertain gap has a narrower range than the declared one.
     """
 
