@@ -69,7 +69,7 @@ def put_gears(found: Fitted, place: Place) -> Scenario:
         place: the joint.
 
     Raises:
-        InputError: the logs determine none of its numbers.
+        InputError: the logs determine no number of them.
     """
     _, arm, joint, size = place
     gears = getattr(arm.plant.arm, "gears", None)
