@@ -213,13 +213,13 @@ def driven(setup: Bench, arm: Arm, seed: int, shown: Shown = as_it_moves) -> Flo
 def outcome(setup: Bench, arm: Arm, seed: int, shown: Shown = as_it_moves) -> Outcome:
     """What becomes of one loop around MuJoCo's arm; the arguments are those of `driven`."""
     outputs = driven(setup, arm, seed, shown)
-    return (
-        evaluate_outputs(setup, arm, outputs) if np.isfinite(outputs[-1]).all() else Outcome(True)
-    )
+    return evaluate_outputs(setup, arm, outputs)
 
 
 def evaluate_outputs(setup: Bench, arm: Arm, outputs: Floats) -> Outcome:
     """Return the outcome of a loop by its outputs."""
+    if not np.isfinite(outputs[-1]).all():
+        return Outcome(True)
     problem, where = setup.problem, tree.leaf_slices(setup.loop.outputs)
     N, Ts = len(arm.half), problem.scenario.simulation.step
     assert problem.path is not None

@@ -86,6 +86,7 @@ class Outcome(NamedTuple):
     Attributes:
         diverged: whether it did.
         known: verdicts (joints).
+        narrowed: whether a gap that is not known is in a narrower range than declared (joints).
         crossed: whether each gap was crossed in truth (joints).
         score: error of each gap over the deviation that is shown (joints).
         covered: whether the interval that is shown holds each gap (joints).
@@ -97,6 +98,7 @@ class Outcome(NamedTuple):
 
     diverged: bool
     known: NDArray[np.bool_]
+    narrowed: NDArray[np.bool_]
     crossed: NDArray[np.bool_]
     score: Floats
     covered: NDArray[np.bool_]
@@ -190,6 +192,7 @@ def outcome(robot: Robot, seed: int) -> Outcome:
     return Outcome(
         run.divergence_time is not None,
         known,
+        np.array([verdict["narrowed"] for verdict in run.info.identifiable]),
         np.array([bool(each.rows.size) for each in crossings]),
         np.abs(gap - true) / run.width_std[-1],
         (np.array(numbers["gap_low"]) <= true) & (true <= np.array(numbers["gap_high"])),
@@ -221,17 +224,20 @@ def median_and_worst(ratios: list[float]) -> str:
 def line(label: str, results: list[Outcome]) -> str:
     """The row of a robot."""
     fine = [each for each in results if not each.diverged]
-    known, crossed, score, covered = (
+    known, narrowed, crossed, score, covered = (
         np.concatenate([getattr(each, name) for each in fine])
-        for name in ("known", "crossed", "score", "covered")
+        for name in ("known", "narrowed", "crossed", "score", "covered")
     )
+    shown = known | narrowed
+    held = [f"{np.mean(covered[each]):.2f}" if each.any() else "" for each in (known, narrowed)]
     return row(
         label,
         f"{len(results)} ({len(results) - len(fine)})",
-        f"{known.sum()}, {(crossed & ~known).sum()}, {(~crossed).sum()} of {known.size}",
-        f"{(known & ~crossed).sum()}",
-        f"{np.max(score[known], initial=0.0):.1f}; {(score[known] > 4).sum()}",
-        f"{np.mean(covered[known]) if known.any() else np.nan:.2f}, {np.mean(covered):.2f}",
+        f"{known.sum()}, {narrowed.sum()}, {(crossed & ~shown).sum()}, {(~crossed).sum()} of "
+        f"{known.size}",
+        f"{(shown & ~crossed).sum()}",
+        f"{np.max(score[shown], initial=0.0):.1f}; {(score[shown] > 4).sum()}",
+        f"{held[0]}, {held[1]}, {np.mean(covered):.2f}",
         median_and_worst([each.tip for each in fine]),
         median_and_worst([each.tip_known for each in fine]),
     )
@@ -244,10 +250,10 @@ and of 1 rad in turn. The filter is that of `undeadzone arm --gears`. Known: as 
 HEAD = head(
     "robot",
     "runs (diverged)",
-    "gaps known; crossed, yet not known; not crossed",
-    "known, but not crossed",
-    "known: largest error / std; beyond 4",
-    "95 % interval holds: known, all",
+    "gaps known, narrowed; crossed, yet neither; not crossed",
+    "known or narrowed, but not crossed",
+    "known or narrowed: largest error / std; beyond 4",
+    "95 % interval holds: known, narrowed, all",
     "tip / that of the true state: median (worst)",
     "the same with joints of unknown gaps on their paths",
 )

@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 UR5 = Path(__file__).parents[2] / "examples" / "ur5.urdf"
 STEP = 1e-4  # of MuJoCo [s]
+PULLEY = 0.02  # of the inertia of a motor, behind its belt
+RINGING = 0.01  # damping ratio of a motor on its belt
 FIRM = [0.99, 0.99, 0.0001, 0.5, 2.0]  # solimp of a gap's ends
 
 
@@ -48,6 +50,8 @@ class Arm(NamedTuple):
         contact: natural frequency that MuJoCo's limits aim at [rad/s].
         damping: its damping ratio.
         stops: time in which friction stops what slides [s].
+        belt: stiffness in series between each motor and its gap (N) [N m/rad]; None: there is none.
+        oil: viscous drag between motor and link in the gap [N m s/rad].
     """
 
     links: Links | Path
@@ -61,6 +65,8 @@ class Arm(NamedTuple):
     contact: float
     damping: float
     stops: float = 0.02
+    belt: Floats | None = None
+    oil: float = 0.0
 
 
 def planar(links: Links) -> Any:
@@ -100,13 +106,19 @@ def model_of(arm: Arm) -> Any:
         motor.armature = arm.rotor[i]
         motor.frictionloss, motor.damping = arm.motor_friction[i], [arm.motor_viscous[i], 0, 0]
         motor.solref_friction = stops
+        if arm.belt is not None:
+            belt = motor.parent.add_joint(name=f"b{i}", type=motor.type, axis=motor.axis)
+            belt.stiffness, belt.armature = [arm.belt[i], 0, 0], PULLEY * arm.rotor[i]
+            belt.damping = [2 * RINGING * np.sqrt(arm.belt[i] * arm.rotor[i]), 0, 0]
+            limit = [-(arm.contact**2) / PULLEY, -2 * arm.damping * arm.contact / PULLEY**0.5]
         gap = motor.parent.add_joint(name=f"g{i}", type=motor.type, axis=motor.axis)
+        gap.damping = [arm.oil, 0, 0]
         gap.limited, gap.range = mujoco.mjtLimited.mjLIMITED_TRUE, [-arm.half[i], arm.half[i]]
         gap.solref_limit, gap.solimp_limit = limit, FIRM
         both = spec.add_tendon(name=f"t{i}", frictionloss=arm.friction[i])
         both.damping, both.solref_friction = [arm.viscous[i], 0, 0], stops
-        both.wrap_joint(motor.name, 1.0)
-        both.wrap_joint(gap.name, 1.0)
+        for joint in motor.parent.joints:
+            both.wrap_joint(joint.name, 1.0)
         drive = spec.add_actuator(name=f"u{i}", target=motor.name)
         drive.trntype = mujoco.mjtTrn.mjTRN_JOINT
     if arm.payload > 0:
@@ -128,14 +140,15 @@ class Twin:
     def __init__(self, arm: Arm, q: Floats, flank: Floats) -> None:
         self._model: Any = model_of(arm)
         self._data: Any = mujoco.MjData(self._model)
-        self._data.qpos[0::2], self._data.qpos[1::2] = q + flank * arm.half, -flank * arm.half
+        self._hinges = 2 if arm.belt is None else 3
+        self._data.qpos[0 :: self._hinges] = q + flank * arm.half
+        self._data.qpos[self._hinges - 1 :: self._hinges] = -flank * arm.half
         mujoco.mj_forward(self._model, self._data)
 
     def state(self) -> Floats:
         """[theta; q; theta'; q'] (4 N)."""
-        angles, speeds = self._data.qpos, self._data.qvel
-        parts = [angles[0::2], angles[0::2] + angles[1::2]]
-        return np.concatenate([*parts, speeds[0::2], speeds[0::2] + speeds[1::2]])
+        hinges = np.reshape([self._data.qpos, self._data.qvel], (2, -1, self._hinges))
+        return np.ravel([[each[:, 0], each.sum(axis=1)] for each in hinges])
 
     def load(self, payload: float) -> None:
         """Change the payload at the tip [kg]."""
@@ -144,7 +157,15 @@ class Twin:
 
     def rub(self, friction: float) -> None:
         """Change Coulomb friction of the motors [N m]."""
-        self._model.dof_frictionloss[0::2] = friction
+        self._model.dof_frictionloss[0 :: self._hinges] = friction
+
+    def wear(self, half: Floats) -> None:
+        """Change the half gaps (N)."""
+        self._model.jnt_range[self._hinges - 1 :: self._hinges] = np.outer(half, [-1.0, 1.0])
+
+    def pull(self, torque: Floats) -> None:
+        """Pull the links, besides gravity (N) [N m]."""
+        self._data.qfrc_applied[:] = np.repeat(torque, self._hinges)
 
     def move(self, u: Floats, time: float) -> None:
         """Move under torques u (N) that last for so long [s]."""

@@ -7,6 +7,7 @@ import itertools
 import json
 import re
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 from unittest.mock import Mock
 
@@ -19,13 +20,17 @@ from scipy.stats import multivariate_normal
 
 import undeadzone as uz
 from commands import undeadzone
-from undeadzone.scenario.reader import parse
+from documents import EXAMPLES
+from undeadzone.errors import InputError
+from undeadzone.scenario.reader import parse, read
 from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
 from undeadzone_identify.fitting import search
 from undeadzone_identify.fitting.estimates import prepare_fit, read_logs
 from undeadzone_identify.fitting.free import complete_tables
+from undeadzone_identify.fitting.joint import put_gears, read_place, write_arm
 from undeadzone_identify.fitting.problem import FitProblem, build_model, pack_scenario
+from undeadzone_identify.fitting.result import FittedNumber
 from undeadzone_identify.fitting.search import climb
 from walks import Walk, commands_in
 
@@ -298,3 +303,28 @@ def test_a_log_of_a_motor_leads_to_its_gap(tmp_path: Path) -> None:
     for number in json.loads(fitted)["numbers"][:5]:
         if number["name"] in truth:
             assert number["value"] == pytest.approx(truth[number["name"]], rel=0.05)
+
+
+def test_fitted_gears_become_those_of_a_joint(tmp_path: Path) -> None:
+    """What the log does not determine stays, as do the other joints."""
+    arm = EXAMPLES / "two_link_gears.toml"
+    numbers = []
+    for name, value, shown in (("half[0]", 0.02, True), ("inertia", 0.05, False), ("m", 3.0, True)):
+        where = ("plant.parameters." if name == "m" else "plant.arm.gears.") + name
+        numbers.append(FittedNumber(where, value, 0.9 * value, value, 0.0, 1.0, 0.5, shown))
+    found: Any = SimpleNamespace(numbers=numbers)
+    place = read_place(f"{arm}:q2")
+    written = read(write_arm(found, place, tmp_path, False))
+    gears = written.plant.arm.gears
+    assert np.array_equal(gears.half, [0.05, 0.02])
+    assert np.array_equal(gears.inertia, place.arm.plant.arm.gears.inertia)
+    assert np.array_equal(written.observer.half, place.arm.observer.half)
+    with pytest.raises(InputError, match=r"q3: .*The arm has|q3: Did you mean"):
+        read_place(f"{arm}:q3")
+    with pytest.raises(InputError, match=r"expected a scenario and a joint of its arm"):
+        read_place("q2")
+    with pytest.raises(InputError, match=r"two_link\.toml: plant\.arm\.gears: missing"):
+        read_place(f"{EXAMPLES / 'two_link.toml'}:q1")
+    found.numbers = numbers[1:]
+    with pytest.raises(InputError, match="the logs determine no number of plant"):
+        put_gears(found, place)

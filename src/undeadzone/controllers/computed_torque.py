@@ -223,7 +223,7 @@ def build_gear_controller(
         place = q - gears.gear_number(p.model, "centre") + moved[0, :].T
         turning = v + moved[1, :].T
         correction = p.k_p * (place - motor) + p.k_d * (turning - spin)
-        links = inverse_dynamics(gears.arm, gears.link_params(p.model), q, v, a + correction)
+        links = gears.link_torque(p.model, q, v, a + correction)
         known = reject and estimate.w.shape[0] > 0  # effects that the model leaves out
         spinning = a + push.T + correction - (estimate.w[2 * N : 3 * N] if known else 0.0)
         motors = gears.gear_number(p.model, "inertia") * spinning + gears.motor_friction_torque(
@@ -253,7 +253,7 @@ def carrying_flank(gears: Geared, params: Any, path: Any, before: Any) -> Any:
         path: positions, speeds and accelerations of the links (3, N each).
         before: the flank before (N).
     """
-    load = inverse_dynamics(gears.arm, gears.link_params(params), *path)
+    load = gears.link_torque(params, *path)
     return choose_flank(ca.sign(load) * (ca.fabs(load) > ROUNDING), before)
 
 
@@ -274,9 +274,7 @@ def link_accelerations(gears: Geared, params: Floats, target: Target) -> Floats:
         """Return the acceleration of links and motors that turn together (N) [rad/s^2]."""
         q = x[N : 2 * N]
         v = x[3 * N :]
-        bias_torque = inverse_dynamics(
-            gears.arm, gears.link_params(p), q, v, ca.SX(N, 1)
-        ) + gears.motor_friction_torque(p, v)
+        bias_torque = gears.link_torque(p, q, v, ca.SX(N, 1)) + gears.motor_friction_torque(p, v)
         M = gears.arm.mass(gears.link_params(p), q) + ca.diag(gears.gear_number(p, "inertia"))
         return ca.solve(M, u - bias_torque)
 

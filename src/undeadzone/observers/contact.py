@@ -40,6 +40,7 @@ from undeadzone.observers.contact_filter.drive import (
 from undeadzone.observers.contact_filter.modes import (
     LONG,
     NONE,
+    WEAR,
     Drive,
     Layout,
     Modes,
@@ -68,6 +69,9 @@ from undeadzone.util.arrays import (
 )
 
 FRICTION = ("friction", "f")  # Coulomb's, of motors and of links, as the plant names it
+# Further numbers of gears that can be estimated, and the least that each can be.
+SIGNED = dict.fromkeys(("asymmetry", "pull", "spring", "hardening", WEAR), -np.inf)
+FURTHER = SIGNED | {"viscous": 0.0, "winding": 0.0, "drag": 0.0}
 DRIFT = (3e-5, 4.5e-4)  # of half gaps, coupled and joint by joint [rad / sqrt(s)]
 OPEN = 0.07  # deviation to which half gaps drift, over their claimed range
 WANDERING = 5e-4  # random walk of an encoder's zero about the gears' centre [rad / sqrt(s)]
@@ -118,6 +122,10 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         drift: random walk of the half gaps up to a deviation of 0.07 of the claimed range
             [rad / sqrt(s)]; default 3e-5, of separate joints 4.5e-4.
         compliance: standard deviation of the place to which a flank gives way [rad].
+        unknown: further numbers of the gears that are estimated, each with its range [lo, hi] or
+            one per joint: winding [rad/(N m)], asymmetry, pull [N m], spring [N m/rad], hardening
+            [N m/rad^3], viscous, drag [N m s/rad], and wear, the rate at which half a gap grows
+            [rad/s].
         starts: how many filters a joint has, of which each counts by how well it foretold the
             readings: they begin with all of the range of half the gap, with its lower and with its
             upper half (1 to 3).
@@ -139,6 +147,7 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
     load: Array | None = None
     drift: float | None = None
     compliance: float = COMPLIANCE
+    unknown: dict[str, Array] = {}
     starts: int = len(STARTS)
     joints: Literal["coupled", "separate"] = "coupled"
     groups: Sequence[Sequence[str]] | None = None
@@ -169,12 +178,20 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         ones: tuple[Geared, ...] = ()
         if len(groups) > 1:
             ones = tuple(isolate_joints(gears, group) for group in groups)
-        drives = tuple(build_drive(one, Ts, substeps, bool(ones)) for one in ones or (gears,))
+        further = tuple(self.unknown)
+        for name in further:
+            if name not in FURTHER:
+                raise InputError(
+                    f"observer.unknown.{name}: cannot be estimated. There are {', '.join(FURTHER)}"
+                )
+        drives = tuple(
+            build_drive(one, Ts, substeps, bool(ones), further) for one in ones or (gears,)
+        )
         first, numbers = self._build_numbers(model, gears, groups, drives, sensor)
         params = Params(
             first, numbers, sensor.slope, decay_factor(Ts, MEMORY), decay_factor(Ts, PATIENCE)
         )
-        each = product(FRICTION, range(1, gears.joint_count + 1))
+        each = product((*FRICTION, *further), range(1, gears.joint_count + 1))
         uncertain = ("payload", *(f"{name}{joint}" for name, joint in each))
         halves = _read_joint_ranges("observer.half", self.half, gears.joint_count)
         traits = Traits(
@@ -184,7 +201,8 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
             groups=groups,
             unknown=numbers.torque / TURNING,
         )
-        setup = Setup(groups, drives, ones, model, gears, sensor.kind)
+        layout = Layout(gears.joint_count, further)
+        setup = Setup(groups, drives, ones, model, gears, sensor.kind, layout)
         return Observer(
             params,
             partial(_start_contact_filter, setup),
@@ -241,11 +259,9 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         """Return the initial modes and the parameters of the filter.
 
         Raises InputError, ShapeError.
-
-        Raises InputError, ShapeError.
         """
         N = gears.joint_count
-        layout = Layout(N)
+        layout = Layout(N, drives[0].layout.further)
         Ts = drives[0].Ts
         of = layout.slice_of
         values = model.params
@@ -263,6 +279,10 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         mass = float(values[model.names.index("payload")])
         weight = [mass, mass] if self.payload is None else self.payload
         limits_of = {"half": ranges, "payload": _read_joint_ranges("observer.payload", weight, 1)}
+        for name, limits in self.unknown.items():
+            limits_of[name] = _read_joint_ranges(
+                f"observer.unknown.{name}", limits, N, FURTHER[name]
+            )
         for name, limits in limits_of.items():
             low[of(name)], high[of(name)] = limits.T
             mean[of(name)] = limits.mean(axis=1)
@@ -389,6 +409,7 @@ class Setup(NamedTuple):
         model: the model.
         gears: of the model.
         kind: of the sensor.
+        layout: of all joints.
     """
 
     groups: Groups
@@ -397,6 +418,7 @@ class Setup(NamedTuple):
     model: System
     gears: Geared
     kind: str
+    layout: Layout
 
 
 def decay_factor(Ts: float, time: float) -> Floats:
@@ -404,11 +426,12 @@ def decay_factor(Ts: float, time: float) -> Floats:
     return np.asarray(np.exp(-Ts / time))
 
 
-def _read_joint_ranges(key: str, ranges: Array, N: int) -> Floats:
-    """Return the assumed ranges [lo, hi] (N x 2). Raises InputError."""
+def _read_joint_ranges(key: str, ranges: Array, N: int, least: float = 0.0) -> Floats:
+    """Return the assumed ranges [lo, hi] (N x 2), all of at least `least`. Raises InputError."""
     value = require_pairs(key, require_array(key, ranges), N, "a range [lo, hi]", "per joint")
-    if (value[..., 0] > value[..., 1]).any() or (value < 0).any():
-        raise InputError(f"{key}: a range needs 0 <= lo <= hi, found {value.tolist()}")
+    if (value[..., 0] > value[..., 1]).any() or (value < least).any():
+        order = "lo <= hi" if least < 0 else "0 <= lo <= hi"
+        raise InputError(f"{key}: a range needs {order}, found {value.tolist()}")
     return np.broadcast_to(value, (N, 2))
 
 
@@ -456,7 +479,7 @@ def _step_contact_filter(
     groups = setup.groups
     drives = setup.drives
     y = reading.y / q.slope
-    layout = Layout(setup.gears.joint_count)
+    layout = setup.layout
     parts = [group_numbers(q.modes, layout, group) for group in groups]
     rows = [group_readings(group, layout.size, y.numel()) for group in groups]
     readings = [y[here] for here in rows]
@@ -490,7 +513,7 @@ def _step_contact_filter(
         **assumption_fields(ratios)
     )
     if setup.ones:
-        arm = mean_posture(setup.gears, q.modes.model, whole.whole.mean, u)
+        arm = mean_posture(layout, setup.gears, q.modes.model, whole.whole.mean, u)
         updated = [
             apply_gear_impulses(groups, filters, whole.news, arm)
             for filters in zip(*each, strict=True)
@@ -639,7 +662,7 @@ def _to_contact_estimate(
     WIDENED, up to those of their ranges. Starts that found other gaps add theirs, and so do jumps
     of a gap.
     """
-    layout = Layout(setup.gears.joint_count)
+    layout = setup.layout
     mean = whole.whole.mean
     N = layout.size
     of = layout.slice_of
@@ -665,7 +688,7 @@ def _to_contact_estimate(
     z = setup.model.output(q.modes.model, x)
     estimate = build_estimate(x, z, right, left, reading, q.slope, setup.kind, whole.e)
     push = mean[of("push")] / setup.gears.gear_number(q.modes.model, "inertia")
-    names = ("payload", *FRICTION)
+    names = ("payload", *FRICTION, *layout.further)
     variances = var(rows[: 4 * N, :])
     known = ca.fmin(variances[N : 2 * N], half**2 + variances[:N] + var(halves) + var(centres))
     certain = var(halves)

@@ -48,6 +48,8 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
         adapts: whether the observer estimates the widths.
         ranges: declared [lo, hi] of d_r and d_l of each output in turn [z] (empty: none).
         halves: declared [lo, hi] of half the gap of gears at each output (empty: none).
+        tips: of gears read at the motors, rms distances from the tip over the last 2 s of that
+            estimated, and of that by the encoders alone [m] (empty: other plants).
         scenario: scenario that was run, as TOML (empty if no text can hold it).
         version: of undeadzone.
         schema: number of the meanings that the names in it have (docs/json.md) (None: at most 2).
@@ -82,6 +84,7 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
     adapts: bool = True
     ranges: list[list[float]] = []
     halves: list[list[float]] = []
+    tips: list[float] = []
     integration_share: float | None = None
     scales: list[float] = []
     listens: list[float | None] = []

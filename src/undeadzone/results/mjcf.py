@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import NamedTuple
 from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 
+import numpy as np
+
 from undeadzone.results.run import Run, final_side_rows, final_width_rows
 from undeadzone.scenario.problem import systems
 from undeadzone.scenario.reader import parse
@@ -58,6 +60,10 @@ def joints_from_run(run: Run) -> list[Joint]:
         return []
     found = dict(zip(gears.names, gears.values.tolist(), strict=True))
     found |= {name: one["estimate"] for name, one in run.parameters.items()}
+    values = np.array([found[name] for name in gears.names])
+    K, D = (np.asarray(each).ravel() for each in gears.contact_stiffness(values))
+    frequency = np.sqrt(K / gears.stiffness)
+    damping = D / gears.stiffness / frequency / 2
     joints = []
     rows = zip(run.info.joints, final_side_rows(run), final_width_rows(run), strict=False)
     for i, (name, (right, left), (gap, centre)) in enumerate(rows):
@@ -71,7 +77,7 @@ def joints_from_run(run: Run) -> list[Joint]:
             friction=found[f"friction{i + 1}"],
             viscous=found[f"viscous{i + 1}"],
             link=(found.get(f"f{i + 1}", 0.0), found.get(f"b{i + 1}", 0.0)),
-            contact=(found[f"contact{i + 1}"], gears.damping[i] / gears.stiffness[i] / 2),
+            contact=(frequency[i], damping[i]),
         )
         joints.append(joint)
     return joints

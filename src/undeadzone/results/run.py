@@ -159,12 +159,12 @@ class Run(files.SignalResult):
         """Return the root mean square of z - r over the last 2 s and the tracked outputs
         [z].
         """
-        return _root_mean_square((self.z[:, self.info.tracked] - self.r)[self.last])
+        return root_mean_square((self.z[:, self.info.tracked] - self.r)[self.last])
 
     @property
     def rms_estimation(self) -> float:
         """Return the root mean square of z - z_hat over the last 2 s and all outputs [z]."""
-        return _root_mean_square((self.z - self.z_hat)[self.last])
+        return root_mean_square((self.z - self.z_hat)[self.last])
 
     @property
     def rms_behind_play(self) -> float | None:
@@ -174,7 +174,7 @@ class Run(files.SignalResult):
         """
         if self.level is None:
             return None
-        return _root_mean_square((self.level[:, self.info.tracked] - self.r)[self.last])
+        return root_mean_square((self.level[:, self.info.tracked] - self.r)[self.last])
 
     @property
     def rms_tip(self) -> float | None:
@@ -300,7 +300,7 @@ def last_samples(t: Floats) -> slice:
     return slice(int(np.searchsorted(t, t[-1] - LAST - 1e-12)), None)
 
 
-def _root_mean_square(values: Floats) -> float:
+def root_mean_square(values: Floats) -> float:
     """Return the root mean square of all entries."""
     with np.errstate(over="ignore", invalid="ignore"):
         return float(np.sqrt(np.mean(values**2)))
@@ -336,6 +336,12 @@ def final_error_rows(run: Run) -> list[Row]:
             note = f" from its path ({last})"
         if value is not None:
             rows.append(Row(name, f"{title}, {last}", value, of, key=key, form=".4g", note=note))
+    if run.info.tips:
+        found, blind = run.info.tips
+        note = f" ({last}; by the encoders alone {blind:.4g} m)"
+        title = f"rms distance of tip^ from the tip, {last}"
+        key = "rms_tip_estimation"
+        rows.append(Row("rms tip - tip^", title, found, "m", key=key, form=".4g", note=note))
     return rows
 
 
@@ -349,6 +355,51 @@ def final_parameter_rows(run: Run) -> list[Row]:
     return rows
 
 
+def lost_motion_rows(run: Run) -> list[Row]:
+    """Return the lost motion of each joint whose wind-up is estimated: gap + 2 T / k.
+
+    T is the largest torque of its motor. Gap and wind-up are told apart if the interval of 1 / k
+    leaves out 0.
+    """
+    rows = []
+    for i, name in enumerate(run.info.joints):
+        found = run.parameters.get(f"winding{i + 1}")
+        gap = final_width_rows(run)[i][0]
+        if found is None or gap.withheld or gap.value is None:
+            continue
+        torque = float(np.abs(run.u[:, i]).max())
+        wound, std = 2 * torque * found["estimate"], 2 * torque * found["std"]
+        parts = ": gap and wind-up are not told apart"
+        if interval_95(wound, std)[0] > 0:
+            parts = f": gap {gap.value:.4g}, wind-up {wound:.3g} +- {std:.2g}"
+        note = f" at {torque:.3g} N m{parts}"
+        label = f"lost motion of {name}"
+        both = math.hypot(gap.std or 0.0, std)
+        rows.append(Row(label, label, gap.value + wound, gap.unit, both, least=0.0, note=note))
+    return rows
+
+
+def wear_rows(run: Run) -> list[Row]:
+    """Return the growth of each gap whose wear is estimated, and the trend of each side.
+
+    A worn gap grows to both sides. Where one side grows as the other shrinks, an encoder slips.
+    """
+    rows = []
+    half = len(run.t) // 2
+    for i, name in enumerate(run.info.joints):
+        found = run.parameters.get(f"wear{i + 1}")
+        if found is None or run.d_hat is None:
+            continue
+        moved = run.d_hat[-1] - run.d_hat[half]
+        right, left = moved.reshape(-1, 2)[i] / (run.t[-1] - run.t[half])
+        grows = min(right, left) > 0 and interval_95(found["estimate"], found["std"])[0] > 0
+        note = f": {'wears' if grows else 'no wear shows'}; right {right:.2g}, left {left:.2g}"
+        unit = f"{run.info.units.output}/s"
+        label = f"gap of {name} grows by"
+        rows.append(Row(label, label, 2 * found["estimate"], unit, 2 * found["std"], note=note))
+    return rows
+
+
 def final_width_rows(run: Run) -> list[list[Row]]:
     """Return the widths of each output, of gears their gap and its centre."""
     info = run.info
@@ -356,8 +407,7 @@ def final_width_rows(run: Run) -> list[list[Row]]:
     if info.sensor != "gears":
         return rows
     deviations = None if run.width_std is None else run.width_std[-1].tolist()
-    known = [verdict["width"] for verdict in info.identifiable]
-    return sheet.build_gear_rows(rows, deviations, info.halves, known)
+    return sheet.build_gear_rows(rows, deviations, info.halves, info.identifiable)
 
 
 def final_side_rows(run: Run) -> list[list[Row]]:
@@ -399,7 +449,9 @@ def blocks_from_run(run: Run) -> list[Block]:
     if single:
         for rows in final_gap_rows(run):
             summary |= sheet.rows_to_text(rows)
-    summary |= sheet.rows_to_text(final_parameter_rows(run) + final_error_rows(run))
+    found = [*final_parameter_rows(run), *lost_motion_rows(run), *wear_rows(run)]
+    found += final_error_rows(run)
+    summary |= sheet.rows_to_text(found)
     if info.sensor != "gears":  # whose encoders are never silent
         quiet = "holding" if info.sensor == "play" else "silent"
         summary[quiet] = f"{100 * run.silent_fraction:.1f} % of the time"
@@ -437,8 +489,8 @@ def _final_output_rows(run: Run) -> Rows:
         tracking = ""
         if i in info.tracked:
             missed = run.z[:, i] - run.r[:, info.tracked.index(i)]
-            tracking = f"{_root_mean_square(missed[run.last]):.4g}"
-        cells = [tracking, f"{_root_mean_square((run.z - run.z_hat)[run.last, i]):.4g}"]
+            tracking = f"{root_mean_square(missed[run.last]):.4g}"
+        cells = [tracking, f"{root_mean_square((run.z - run.z_hat)[run.last, i]):.4g}"]
         for row in edges:
             cells += [row.value_with_interval, f"{row.true:.6g}"]
         verdict = info.identifiable[i]
@@ -450,7 +502,9 @@ def _describe_verdict(verdict: Mapping[str, Any]) -> str:
     """Return the identifiability of an output's widths as text, of gears that of their gap."""
     crossings = verdict.get("crossings")
     if crossings is not None:
-        return f"yes, {count_noun(crossings, 'strike')} detected" if verdict["width"] else "NO"
+        answer = "yes" if verdict["width"] else "narrowed"
+        shown = verdict["width"] or verdict.get("narrowed", False)
+        return f"{answer}, {count_noun(crossings, 'strike')} detected" if shown else "NO"
     return "yes" if all(verdict[each] for each in DIRECTIONS) else format_yes_no(verdict)
 
 

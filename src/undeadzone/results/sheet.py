@@ -31,6 +31,7 @@ class Row(NamedTuple):
         note: text behind it on a terminal.
         least, most: ends of the range in which the number is known to lie.
         withheld: whether no more than that range can be known of it.
+        narrowed: whether an estimate narrows that range a little.
     """
 
     label: str
@@ -45,6 +46,7 @@ class Row(NamedTuple):
     least: float = -math.inf
     most: float = math.inf
     withheld: bool = False
+    narrowed: bool = False
 
     @property
     def value_with_interval(self) -> str:
@@ -53,9 +55,10 @@ class Row(NamedTuple):
             return f"[{self.least:.4g}, {self.most:.4g}] as declared"
         if self.std is None:
             return format_number(to_json_value(self.value), self.form)
-        return format_with_interval(
+        words = format_with_interval(
             to_json_value(self.value), to_json_value(self.std), self.least, self.most
         )
+        return words + f", narrowed from [{self.least:.4g}, {self.most:.4g}]" * self.narrowed
 
     @property
     def value_in_words(self) -> str:
@@ -174,7 +177,7 @@ def build_gear_rows(
     widths: Sequence[Sequence[Row]],
     deviations: Sequence[float] | None,
     halves: Sequence[Sequence[float]],
-    known: Sequence[bool],
+    verdicts: Sequence[Mapping[str, Any]],
 ) -> list[list[Row]]:
     """Return the rows of the gears at each output: their gap, and their centre.
 
@@ -182,7 +185,8 @@ def build_gear_rows(
         widths: rows of right and left, at each output.
         deviations: of right + left (None: not known).
         halves: declared [lo, hi] of half the gap (empty: none).
-        known: whether the gap can be known. Else it is only as it was declared.
+        verdicts: identifiability of each gap. A gap that is uncertain and not narrowed has
+            its declared range.
     """
     rows = []
     for i, (right, left) in enumerate(widths):
@@ -198,7 +202,9 @@ def build_gear_rows(
             centre = centre._replace(std=math.sqrt(max(square, 0.0)))
         if halves:
             low, high = halves[i]
-            gap = gap._replace(least=2 * low, most=2 * high, withheld=not known[i])
+            narrowed = verdicts[i].get("narrowed", False)
+            withheld = not (verdicts[i]["width"] or narrowed)
+            gap = gap._replace(least=2 * low, most=2 * high, withheld=withheld, narrowed=narrowed)
         rows.append([gap, centre])
     return rows
 

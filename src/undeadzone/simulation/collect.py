@@ -7,6 +7,7 @@ import time
 from typing import Any
 
 import casadi as ca
+import msgspec
 import numpy as np
 
 import undeadzone
@@ -24,7 +25,7 @@ from undeadzone.observers.contact_filter.drive import FADING
 from undeadzone.plants.robots.arm import evaluate_rows
 from undeadzone.plants.system import System
 from undeadzone.results.info import Info, IntegrationError
-from undeadzone.results.run import FRAMES, Run
+from undeadzone.results.run import FRAMES, Run, last_samples, root_mean_square
 from undeadzone.results.scales import plant_scales
 from undeadzone.results.signals import RUN, Signals, signals_from_estimate
 from undeadzone.scenario.operating_point import restore_signals
@@ -48,6 +49,7 @@ from undeadzone.util.arrays import Floats
 from undeadzone.util.earlier import SCHEMA
 
 LEARNT = 1 / 5  # of the declared deviation, above which a gap is not known
+WIDENED = 1.2  # factor of the deviation of a gap above that; 34 of 34 of fresh robots held with 1
 
 
 def verdicts_of_run(problem: Problem, signal: Outputs) -> list[WidthIdentifiability]:
@@ -106,6 +108,9 @@ def withdraw_vague_gaps(
 ) -> list[WidthIdentifiability]:
     """Return the verdicts of a run, with a no for each gap that its filter has hardly learnt.
 
+    Such a gap is narrowed if its deviation, `WIDENED` times the filter's, is below the declared
+    one.
+
     Args:
         problem: the simulated problem.
         verdicts: of each output.
@@ -124,7 +129,8 @@ def withdraw_vague_gaps(
                 f"its strikes show, yet they left it uncertain by {std:.2g}, of {prior:.2g} as it"
                 " was declared: turn it faster, for longer, or declare less"
             )
-            verdict = verdict.add_reasons(why, **NONE)
+            narrowed = bool(WIDENED * std < prior)
+            verdict = verdict.add_reasons(why, **NONE, narrowed=narrowed)
         after.append(verdict)
     return after * (len(verdicts) // N)  # of encoders at motors as of those at links
 
@@ -135,7 +141,8 @@ def withhold_gaps(
     """Return the estimates of a run, with the prior for each gap that cannot be known.
 
     A belief that nothing has tested may be false and narrow. A link behind such a gap may be
-    anywhere in the widest one that is declared.
+    anywhere in the widest one that is declared. Where a gap is narrowed, the belief stays, and its
+    deviation and the link's are wider.
 
     Args:
         problem: the simulated problem.
@@ -144,17 +151,22 @@ def withhold_gaps(
     """
     ranges = problem.observer.traits.halves
     gears = problem.plant.gears
-    lost = np.array([not verdict.width for verdict in verdicts])
-    if gears is None or ranges is None or not lost.any():
+    narrowed = np.array([verdict.narrowed for verdict in verdicts])
+    lost = ~narrowed & [not verdict.width for verdict in verdicts]
+    if gears is None or ranges is None or not (lost | narrowed).any():
         return estimate
+    added = np.where(narrowed, WIDENED**2 - 1, 0.0) * estimate.width_std**2 / 4  # of half a gap
+    wider = {}
+    for name, share in {"right_std": 1, "left_std": 1, "width_std": 4}.items():
+        wider[name] = np.sqrt(getattr(estimate, name) ** 2 + share * added)
     changed = {}
-    for name in ("right", "left", "right_std", "left_std", "width_std"):
-        signal = getattr(estimate, name)
+    for name, signal in ({"right": estimate.right, "left": estimate.left} | wider).items():
         changed[name] = np.where(lost, signal[0], signal)
     N = gears.joint_count
     x_std = estimate.x_std.copy()
+    links = np.sqrt(x_std[:, N : 2 * N] ** 2 + added[:, :N])
     widest = np.where(lost[:N], ranges[:N, 1], 0.0) / np.sqrt(3)
-    x_std[:, N : 2 * N] = np.maximum(x_std[:, N : 2 * N], widest)
+    x_std[:, N : 2 * N] = np.maximum(links, widest)
     return estimate._replace(**changed, x_std=x_std)
 
 
@@ -239,6 +251,32 @@ def tips(problem: Problem, x: Floats, x_hat: Floats, t: Floats) -> dict[str, Flo
     }
 
 
+def _tip_errors(problem: Problem, x: Floats, signals: dict[str, Any]) -> list[float]:
+    """Return rms distances from the tip of that estimated, and of that by the encoders alone [m].
+
+    They are over the last samples, for gears read at the motors. For other plants the list is
+    empty.
+
+    Args:
+        problem: the simulated problem.
+        x: states (N x n).
+        signals: of the run.
+    """
+    gears = problem.plant.gears
+    if gears is None or gears.measured != "motor" or "tip" not in signals:
+        return []
+    N = gears.joint_count
+    last = last_samples(signals["t"])
+    blind = _along(
+        gears.arm.tip, problem.plant, np.hstack([x[last, :N], x[last, :N], x[last, 2 * N :]])
+    )
+    tip = signals["tip"][last]
+    return [
+        root_mean_square(np.hypot.reduce(each - tip, axis=1))
+        for each in (signals["tip_hat"][last], blind)
+    ]
+
+
 def _along(f: ca.Function, system: System, x: Floats) -> Floats:
     """Return a function of an arm's parameters and joints, at each row of states (N x n)."""
     params, q = system.joints(system.params, x.T)
@@ -301,6 +339,7 @@ def collect(problem: Problem, signal: Outputs, error: IntegrationError | None, b
         **_poses(problem, signal.x, t),
     }
     info = _info(problem, signal, verdicts, proof, error, began)
+    info = msgspec.structs.replace(info, tips=_tip_errors(problem, signal.x, signals))
     return Run(info, Signals(RUN, restore_signals(problem.levels, signals)))
 
 
@@ -412,8 +451,8 @@ def _gains(problem: Problem) -> dict[str, list[Any]]:
 
 
 def _parameter(plant: System, name: str) -> float:
-    """Return the value of a named parameter of a plant."""
-    return float(np.ravel(plant.params)[plant.names.index(name)])
+    """Return the value of a named parameter of a plant, 0 for wear, of which plants are free."""
+    return float(dict(zip(plant.names, np.ravel(plant.params), strict=False)).get(name, 0.0))
 
 
 def _as_json(verdict: WidthIdentifiability) -> dict[str, Any]:

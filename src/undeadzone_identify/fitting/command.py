@@ -34,6 +34,9 @@ from undeadzone.util.progress import terminal_progress as progress
     default="free",
 )
 @value_option("--seed", "N", "Seed of the starts of the search.", type=int, default=1)
+@value_option(
+    "--arm", "ARM.toml:JOINT", "Write the gears found for a joint of this arm to DIR/ARM.toml."
+)
 @columns_option
 @strict_option
 @flag_option("--resume", "Continue a search that was stopped, from DIR/fitted.toml.partial.")
@@ -46,6 +49,7 @@ def fit(
     free: str,
     x0: Literal["free", "known"],
     seed: int,
+    arm: str | None,
     columns: str | None,
     strict: bool,
     resume: bool,
@@ -62,15 +66,20 @@ def fit(
 
     Prints each number with its 95 % interval, and whether the log contradicts the scenario. Silent
     readings count: z is inside the zone. Writes fitted.toml, the scenario with these numbers, and a
-    figure and report.html to DIR (default: NAME-fit). With --no-figures and no --out it writes
-    nothing. Stages of the search are kept in DIR: after Ctrl-C, kill or a crash --resume goes on.
+    figure and report.html to DIR (default: NAME-fit). With --arm it writes an arm's scenario too,
+    in which these gears are a joint's, for run. With --no-figures and no --out it writes nothing.
+    Stages of the search are kept in DIR: after Ctrl-C, kill or a crash --resume goes on.
 
     Exit code 1: the log contradicts the scenario, or determines no number.
     """
     from undeadzone.scenario.reader import read_for_logs
     from undeadzone.util.own_files import require_own_file
+    from undeadzone_identify.fitting.joint import read_place, write_arm
 
     folder = output.choose_folder(f"{scenario.stem}-fit")
+    place = None if arm is None else read_place(arm)
+    if place is not None and folder is None:
+        raise click.UsageError("--arm writes a file to DIR: give --out DIR")
     if folder is not None:
         require_own_file(folder / "fitted.toml", force)
     fitted = read_for_logs(scenario, confine)
@@ -95,8 +104,13 @@ def fit(
         from undeadzone_identify.fitting.page import write_fit
 
         written += write_fit(result, folder, build_origin(scenario, seed))
-    last = files_line(written)
-    if written:
+    further = []
+    if place is not None and folder is not None:
+        further.append(write_arm(result, place, folder, force))
+    last = files_line(written + further)
+    if further:
+        last |= next_line(shell_command("undeadzone", "run", further[0]))
+    elif written:
         last |= next_line(shell_command("undeadzone", "estimate", written[0], logs[0]))
-    output.print_result(result.summary, result.blocks, written, last)
+    output.print_result(result.summary, result.blocks, written + further, last)
     return 0 if result.consistent and any(each.shown for each in result.numbers) else 1

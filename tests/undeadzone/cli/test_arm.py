@@ -274,7 +274,7 @@ def test_weak_motors_are_named(tmp_path: Path) -> None:
     assert undeadzone("arm", file).returncode == 0  # it hangs
 
 
-def test_a_gripper_is_left_out_by_naming_where_it_begins(tmp_path: Path) -> None:
+def test_a_gripper_stays_at_0_and_two_arms_are_refused(tmp_path: Path) -> None:
     gripper = written(
         tmp_path,
         joint("shoulder", "base", "upper", 0.0),
@@ -285,11 +285,16 @@ def test_a_gripper_is_left_out_by_naming_where_it_begins(tmp_path: Path) -> None
         links="upper palm left right",
     )
     done = undeadzone("arm", gripper)
-    assert done.returncode == 2
-    assert "the movable joints branch at 'palm'" in done.stderr
-    found = survey_urdf(gripper, tip="palm")
+    assert "from base to palm" in done.stdout
+    assert "left_finger, right_finger" in done.stdout
+    found = survey_urdf(gripper)
     assert found.fixed == ["left_finger", "right_finger"]
     assert found.masses.tolist() == [8.0]
+    text = gripper.read_text().replace('name="shoulder" type="revolute"', 'name="s" type="fixed"')
+    gripper.write_text(text)
+    done = undeadzone("arm", gripper)
+    assert done.returncode == 2
+    assert "the movable joints branch at" in done.stderr
 
 
 @pytest.mark.parametrize(

@@ -218,6 +218,51 @@ def test_gap_payload_and_friction_are_found_on_the_way(run: uz.Run) -> None:
     assert run.consistent[-1].all()
 
 
+@pytest.mark.parametrize(
+    ("gears", "unknown"),
+    [
+        ({"stiffness": 200.0}, {"winding": [0.0, 0.01]}),
+        ({"asymmetry": 0.04}, {"asymmetry": [-0.1, 0.1]}),
+        ({"drag": 0.1}, {"drag": [0.0, 0.3]}),
+        ({}, {"wear": [0.0, 0.01]}),
+    ],
+)
+def test_further_numbers_of_the_gears_are_found_with_the_gap(gears: Any, unknown: Any) -> None:
+    """The model has none of them; each lies in its interval twice over."""
+    tables = tomllib.loads(SERVO)
+    plant = {"arm": tables["plant"]["arm"] | {"gears": tables["plant"]["arm"]["gears"] | gears}}
+    [name] = unknown
+    model = {"parameters": {"payload": 0.0} | {f"{each}1": 0.0 for each in unknown if gears}}
+    observer = {"unknown": unknown, "starts": 1}
+    run = uz.simulate(servo(plant=plant, model=model, observer=observer))
+    found = run.parameters[f"{name}1"]
+    assert abs(found["estimate"] - found["true"]) < 4 * found["std"]
+    assert found["std"] < np.ptp(unknown[name]) / np.sqrt(12) / 2
+    half, std = float(run.d_hat[-1].ravel()[0]), float(run.d_std[-1].ravel()[0])
+    assert abs(half - 0.03) < min(4 * std, 0.003)
+    told = "lost motion of q1" in str(run) and "N m: gap 0.0" in str(run)
+    assert told == (name == "winding")
+    assert ("gap of q1 grows by" in str(run)) == (not gears)
+
+
+def test_a_half_gap_wears_by_its_rate() -> None:
+    """No plant has it; the filter's half gap grows by its unknown rate."""
+    scenario = servo(observer={"unknown": {"wear": [0.0, 0.001]}})
+    observer = resolve_scenario(scenario).observer
+    (setup,) = observer.step.args
+    drive, x = setup.drives[0], ca.SX.zeros(setup.layout.entry_count)
+    x[setup.layout.slice_of("wear")] = 7e-4
+    rate = drive.rate(ca.SX(setup.gears.values), x, 0.0, (0,))[0]
+    assert float(ca.evalf(rate)[setup.layout.slice_of("half")]) == 7e-4
+    assert observer.traits.uncertain[-1] == "wear1"
+    with pytest.raises(uz.InputError, match=r"observer\.unknown\.oil: cannot be estimated\. There"):
+        resolve_scenario(servo(observer={"unknown": {"oil": [0.0, 1.0]}}))
+    with pytest.raises(
+        uz.InputError, match=r"observer\.unknown\.drag: a range needs 0 <= lo <= hi"
+    ):
+        resolve_scenario(servo(observer={"unknown": {"drag": [-1.0, 1.0]}}))
+
+
 def test_a_contact_modelled_far_too_slow_is_found_firm() -> None:
     """Wind-up that is not there would put the link elsewhere: 1.7 mrad where firmness is known."""
     slow = {"parameters": {"payload": 0.0, "contact1": 60.0}}
@@ -303,7 +348,7 @@ def test_what_a_motor_tells_of_its_gears_moves_the_free_links_of_others() -> Non
     mean = ca.DM([0.3, 0.8, 0.3, 0.8, *[0.0] * 17])
     belief = Gaussian(ca.SX(11, 1), ca.SX.eye(11))
     posterior = Posterior((), (belief,) * 3, belief, belief.mean, 0.0, 1.0)
-    arm = mean_posture(gears, gears.values, mean, ca.DM.zeros(2))
+    arm = mean_posture(Layout(2), gears, gears.values, mean, ca.DM.zeros(2))
     news, impulse = ca.SX(21, 1), 0.2
     news[5] = -impulse / 0.03  # the second motor, slower than was foretold
     first, second = apply_gear_impulses([(0,), (1,)], [posterior, posterior], news, arm)

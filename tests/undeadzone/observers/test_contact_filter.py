@@ -34,7 +34,7 @@ ALONE = ((0,), (1,))  # a filter for each joint
 @pytest.mark.parametrize("groups", [ALONE, ((0, 1),)])
 def test_a_link_moves_the_motors_that_joints_of_other_filters_touch(groups: Any) -> None:
     mean = ca.DM([0.3, 0.8, 0.3, 0.8, *[0.0] * 17])
-    arm = mean_posture(GEARS, GEARS.values, mean, ca.DM.zeros(2))
+    arm = mean_posture(Layout(2), GEARS, GEARS.values, mean, ca.DM.zeros(2))
     moved = np.asarray(ca.evalf(_link_mobility(arm, groups, ca.SX([0.5, 1.0]))))
     mass = np.asarray(ca.evalf(ca.SX(arm.mass)))
     turned = [np.diag([0.0, 0.03]), np.diag([0.5 * 0.08, 0.0])]

@@ -19,13 +19,14 @@ from requirements import import_package
 from scenes import tables_of
 from undeadzone.analysis.identifiability.linear import WidthIdentifiability
 from undeadzone.errors import InputError
+from undeadzone.interfaces import Estimate
 from undeadzone.numerics.runge_kutta import rk4_change
 from undeadzone.plants.robots.arm import build_arm
 from undeadzone.plants.robots.build import build_one_link, build_two_link
 from undeadzone.plants.robots.geared import Geared, Gears, build_geared_arm, largest_couplings
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert
-from undeadzone.simulation.collect import withdraw_vague_gaps
+from undeadzone.simulation.collect import WIDENED, withdraw_vague_gaps, withhold_gaps
 from undeadzone.util.arrays import Floats
 
 GEARS: dict[str, Any] = {"half": [0.05, 0.06], "inertia": [0.08, 0.03]}
@@ -391,6 +392,29 @@ def test_joint_by_joint_a_coupled_gap_is_as_it_was_declared() -> None:
     assert (run.x_std[:, 2:4] >= 0.03 / np.sqrt(3)).all()
 
 
+def test_springs_hold_a_link_and_share_the_twist_of_its_gears() -> None:
+    """At rest the motor's torque holds gravity and spring, with k and K in series."""
+    numbers = {"pull": 0.2, "spring": 3.0, "hardening": 4.0, "spring_at": 0.1, "drag": 0.5}
+    firm = {"half": 0.02, "inertia": 0.05, "friction": 0.3}
+    bent = Gears(**firm, **numbers, stiffness=700.0, asymmetry=0.1)
+    gears = build_geared_arm(build_one_link(), bent)
+    q, turned = 0.6, 0.5
+    theta = float(gears.motors_at_rest(gears.values, ca.DM(q)))
+    x = ca.DM([theta, q, 0.0, 0.0])
+    weight = float(gears.arm.bias(gears.link_params(gears.values), q, 0.0))
+    load = weight + 0.2 + 3.0 * turned + 4.0 * turned**3
+    rate, tau = gears.motion(gears.values, x, load)
+    assert np.asarray(rate).ravel() == pytest.approx(0.0, abs=1e-9)
+    assert float(tau) == pytest.approx(load)
+    rigid = build_geared_arm(build_one_link(), Gears(**firm))
+    [K] = rigid.contact_stiffness(rigid.values)[0]
+    assert theta - q == pytest.approx(0.02 + load * (1 / 700 + 1 / K))
+    crossing = gears.motion(gears.values, ca.DM([q, q, 0.7, 0.2]), 0.0)[1]
+    assert float(crossing) == pytest.approx(0.5 * 0.5)
+    for speed, rubbing in ((100.0, 0.4), (-100.0, -0.2)):
+        assert gears.motor_friction_torque(gears.values, speed) == pytest.approx(rubbing, abs=1e-6)
+
+
 # --- Refusals
 
 
@@ -403,28 +427,38 @@ def test_a_row_of_the_robots_bench_counts_known_gaps_alone() -> None:
     """A field that was renamed left the bench without a single row after 40 minutes."""
     yes, no = np.array([True, False]), np.array([False, True])
     runs = [
-        Outcome(False, yes, yes, np.array([0.5, 9.0]), yes, 1.5, 0.8),
-        Outcome(False, yes & no, no, np.array([7.0, 0.2]), ~yes, 3.0, math.nan),
-        Outcome(True, ~yes, no, np.array([8.0, 8.0]), no, 99.0, 99.0),
+        Outcome(False, yes, yes & no, yes, np.array([0.5, 9.0]), yes, 1.5, 0.8),
+        Outcome(False, yes & no, no, no, np.array([7.0, 0.2]), ~yes, 3.0, math.nan),
+        Outcome(True, ~yes, no, no, np.array([8.0, 8.0]), no, 99.0, 99.0),
     ]
     cells = [cell.strip() for cell in line("leg", runs).strip("| ").split("|")]
-    assert cells[:4] == ["leg", "3 (1)", "1, 1, 2 of 4", "0"]
-    assert cells[4:6] == ["0.5; 0", "1.00, 0.50"]
+    assert cells[:4] == ["leg", "3 (1)", "1, 1, 0, 2 of 4", "0"]
+    assert cells[4:6] == ["0.5; 0", "1.00, 1.00, 0.50"]
     assert cells[6:] == ["2.2 (3.0)", "0.8 (0.8)"]
 
 
-@pytest.mark.parametrize(("std", "known"), [(0.0034, True), (0.0035, False)])
-def test_a_gap_that_strikes_left_uncertain_is_not_known(std: float, known: bool) -> None:
+@pytest.mark.parametrize(("std", "known"), [(0.0034, True), (0.0035, False), (0.015, False)])
+def test_a_gap_that_strikes_left_uncertain_is_narrowed(std: float, known: bool) -> None:
     """Half of it is declared as [0, 0.03]: a deviation of the whole gap of 0.0173."""
     traits = SimpleNamespace(halves=np.array([[0.0, 0.03], [0.0, 0.0]]))
     problem: Any = SimpleNamespace(
         plant=SimpleNamespace(gears=SimpleNamespace(joint_count=1)),
         observer=SimpleNamespace(traits=traits),
     )
-    estimate: Any = SimpleNamespace(width_std=np.array([[0.0173, 0.0], [std, 0.0]]))
+    half = np.array([[0.015, 0.0], [0.02, 0.0]])
+    deviation = np.array([[0.0173, 0.0], [std, 0.0]])
+    signals = {"right": half, "left": half, "right_std": deviation, "left_std": deviation}
+    signals |= {"width_std": deviation, "x_std": np.zeros((2, 4))}
+    estimate = Estimate(*[deviation] * 6)._replace(**signals)
     yes = WidthIdentifiability(True, True, True, True, (), crossings=4)
     gap, encoder = withdraw_vague_gaps(problem, [yes, yes], estimate)
     assert gap.width == known
-    assert known or "uncertain by 0.0035, of 0.017 as it was declared" in gap.reasons[0]
+    assert known or f"uncertain by {std:.2g}, of 0.017 as it was declared" in gap.reasons[0]
+    assert gap.narrowed == (std == 0.0035)
+    shown = withhold_gaps(problem, [gap, encoder], estimate)
+    factor = 1.0 if known else WIDENED
+    assert shown.width_std[-1, 0] == pytest.approx(min(factor * std, 0.0173))
+    assert shown.right[-1, 0] == (0.02 if known or gap.narrowed else 0.015)
+    assert (shown.x_std[-1, 1] > 0) == (not known)
     assert gap.crossings == 4
     assert encoder == gap

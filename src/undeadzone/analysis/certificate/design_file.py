@@ -279,6 +279,7 @@ class Knowledge(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         std: expected standard deviation of each, by its name [unit of z].
         second: another truth with the same readings (None: none far from it, or not looked for).
         crossings: strikes at the ends of a gap of gears that show (None: there are no gears).
+        narrowed: as of `WidthIdentifiability`, of a run.
     """
 
     right: bool
@@ -290,6 +291,7 @@ class Knowledge(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     std: dict[str, float]
     second: dict[str, Any] | None = None
     crossings: int | None = None
+    narrowed: bool = False
 
 
 def describe_design(design: Mapping[str, Any]) -> dict[str, Any]:

@@ -22,7 +22,7 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.analysis.identifiability.linear import WidthIdentifiability
-from undeadzone.plants.robots.arm import Arm, inverse_dynamics
+from undeadzone.plants.robots.arm import Arm
 from undeadzone.plants.robots.geared import EVEN, Geared, largest_couplings
 from undeadzone.util.arrays import Flags, Floats, bounds_of_runs
 
@@ -77,17 +77,17 @@ def _keep_lasting_runs(flags: Flags, step: float) -> Flags:
     return lasting
 
 
-def torques_along_path(body: Arm, params: Floats, path: Floats) -> Floats:
+def torques_along_path(gears: Geared, params: Floats, path: Floats) -> Floats:
     """Return the torque that links need along a path (N x joints) [N m].
 
     Args:
-        body: the arm.
+        gears: the arm.
         params: its parameters.
         path: positions, speeds and accelerations of its joints (N x 3 x joints).
     """
-    q, v, a = (ca.SX.sym(name, body.joint_count) for name in "qva")
+    q, v, a = (ca.SX.sym(name, gears.joint_count) for name in "qva")
     needed = ca.Function(
-        "needed", [q, v, a], [inverse_dynamics(body, ca.SX(params), q, v, a)], {"cse": True}
+        "needed", [q, v, a], [gears.link_torque(ca.SX(params), q, v, a)], {"cse": True}
     )
     return np.asarray(needed.map(len(path))(*(path[:, k].T for k in range(3)))).T
 
@@ -103,7 +103,7 @@ def torque_free_position(body: Arm, params: Floats, q: Floats, i: int) -> float 
         i: the joint.
 
     Returns:
-        The position within the joint's limits; None if there is none.
+        The position within the joint's limits; None without one.
     """
     low, high = np.clip(body.chain.limits[i], q[i] - np.pi, q[i] + np.pi)
     places = np.linspace(low, high, POSTURES)
@@ -226,7 +226,7 @@ def gap_identifiability(
     """
     body = gears.arm
     links = gears.link_params(params)
-    tau = torques_along_path(body, links, path)
+    tau = torques_along_path(gears, params, path)
     inertia = np.ravel(gears.gear_number(params, "inertia"))
     half = np.ravel(gears.gear_number(params, "half"))
     coupling = largest_couplings(body, links, path[:, 0], detector.groups)

@@ -259,7 +259,8 @@ class WidthIdentifiability(NamedTuple):
             into account.
         second: another truth with these readings (`indistinguishable_widths`).
             None: none far from it, or not looked for.
-        crossings: of a gap of gears, strikes that show in the readings; None: there are no gears.
+        crossings: of a gap of gears, strikes that show in the readings; None without gears.
+        narrowed: whether an uncertain gap has a narrower range than the declared one.
     """
 
     right: bool
@@ -270,6 +271,7 @@ class WidthIdentifiability(NamedTuple):
     std: dict[str, float] | None = None
     second: dict[str, Any] | None = None
     crossings: int | None = None
+    narrowed: bool = False
 
     def add_reasons(self, *reasons: str, **changed: bool) -> WidthIdentifiability:
         """Return the result with more reasons and with changed fields."""

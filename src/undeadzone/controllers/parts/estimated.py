@@ -32,14 +32,16 @@ def use_gear_estimates(
     if gears is None:
         return controller
     N = gears.joint_count
-    places = list(map(model.names.index, uncertain))
+    shared = [name for name in uncertain if name in model.names]  # all but wear
+    places = list(map(model.names.index, shared))
+    found = list(map(uncertain.index, shared))
     halves, centres = ([f"{name}{i + 1}" for i in range(N)] for name in ("half", "centre"))
     gaps = list(map(model.names.index, (*halves, *centres)))
 
     def step(p: Any, s: Any, estimate: Estimate, target: Target) -> tuple[Any, Any]:
         """Return the state and u (m) of the controller with the estimated parameters."""
         known = ca.SX(p.model)
-        known[places] = estimate.theta
+        known[places] = estimate.theta[found]
         right = estimate.right[:N]
         left = estimate.left[:N]
         known[gaps] = ca.vertcat(right + left, right - left) / 2

@@ -26,7 +26,7 @@ from undeadzone.observers.contact_filter.modes import (
     CONSTANTS,
     LEAST,
     NONE,
-    QUANTITIES,
+    WEAR,
     Contacts,
     Drive,
     Layout,
@@ -37,7 +37,7 @@ from undeadzone.observers.contact_filter.modes import (
 )
 from undeadzone.observers.filtering.multiple_models import mean_of_models
 from undeadzone.plants.robots.arm import Chain
-from undeadzone.plants.robots.geared import Geared, Gears, build_geared_arm
+from undeadzone.plants.robots.geared import GEAR_NUMBERS, Geared, Gears, build_geared_arm
 
 FADING = 0.2  # correlation time of the unknown torque of motors [s]
 LASTING = 0.01  # time for which the unknown torque of links lasts [s]
@@ -45,10 +45,12 @@ SLOW = 0.05  # correlation time of an error in the position of another link [s]
 PASSED = 0.6  # share of a correction of a motor's speed that an impulse of its gears caused
 FAINT = 1e-4  # weight below which a filter is neglected
 KNOWN = 1e-9  # variance of a known payload [kg^2]
-OWN = ("f", "b", "half", "centre", "inertia", "friction", "viscous", "contact")  # of each joint
+OWN = ("f", "b", *GEAR_NUMBERS)  # of each joint
 
 
-def build_drive(gears: Geared, Ts: float, substeps: int, apart: bool = False) -> Drive:
+def build_drive(
+    gears: Geared, Ts: float, substeps: int, apart: bool = False, further: tuple[str, ...] = ()
+) -> Drive:
     """Return the functions of an arm with gears for the contact filter.
 
     Args:
@@ -56,18 +58,26 @@ def build_drive(gears: Geared, Ts: float, substeps: int, apart: bool = False) ->
         Ts: sample time [s].
         substeps: integration steps in a sample.
         apart: whether it is an isolated group of joints of a larger arm.
+        further: names of further constants that the filter estimates.
     """
     N = gears.joint_count
-    layout = Layout(N)
+    layout = Layout(N, further)
 
     def rate(params: Any, x: Any, u: Any, contact: Contacts) -> tuple[Any, Any]:
         """Return x' (entries), and the torques through the gears (N) [N m]."""
         push = x[layout.slice_of("push")]
         dx, tau = gears.motion(
-            substitute_estimates(gears, params, x), x[: 4 * N], u + push, ca.vertcat(*contact)
+            substitute_estimates(layout, gears, params, x),
+            x[: 4 * N],
+            u + push,
+            ca.vertcat(*contact),
         )
-        constant = ca.SX.zeros(5 * N)
-        return ca.vertcat(dx, constant, -push / FADING, 0.0), tau
+        moved = ca.SX.zeros(layout.entry_count)
+        moved[: 4 * N] = dx
+        moved[layout.slice_of("push")] = -push / FADING
+        if WEAR in further:
+            moved[layout.slice_of("half")] = x[layout.slice_of(WEAR)]
+        return moved, tau
 
     def implicit(params: Any, x: Any, contact: Contacts, g: Any) -> Any:
         """Return the function b -> (I - g A)^-1 b (entries).
@@ -75,7 +85,7 @@ def build_drive(gears: Geared, Ts: float, substeps: int, apart: bool = False) ->
         A has the stiff contacts and friction. The system is reduced to the torques through the
         gears in contact, as many unknowns as there are contacts.
         """
-        column = substitute_estimates(gears, params, x)
+        column = substitute_estimates(layout, gears, params, x)
         links = gears.link_params(column)
         body = gears.arm
         J = gears.gear_number(column, "inertia")
@@ -109,7 +119,7 @@ def build_drive(gears: Geared, Ts: float, substeps: int, apart: bool = False) ->
 
     def mobility(params: Any, x: Any) -> Any:
         """Return the change of [theta'; q'] by a unit impulse in each joint (2N x N)."""
-        column = substitute_estimates(gears, params, x)
+        column = substitute_estimates(layout, gears, params, x)
         M = ca.densify(gears.arm.mass(gears.link_params(column), x[layout.slice_of("link")]))
         return ca.vertcat(-ca.diag(1 / gears.gear_number(column, "inertia")), ca.inv(M))
 
@@ -119,18 +129,18 @@ def build_drive(gears: Geared, Ts: float, substeps: int, apart: bool = False) ->
     return Drive(layout, rate, implicit, mobility, readings, Ts, substeps, apart)
 
 
-def substitute_estimates(gears: Geared, params: Any, x: Any) -> Any:
+def substitute_estimates(layout: Layout, gears: Geared, params: Any, x: Any) -> Any:
     """Return the parameters of an arm with gears, with the estimates of a filter in their places.
 
     Args:
+        layout: of the filter.
         gears: the arm.
         params: parameters of the model.
         x: estimate of the filter (entries).
     """
     N = gears.joint_count
-    layout = Layout(N)
     column = ca.SX(params)
-    for name in CONSTANTS:
+    for name in (*CONSTANTS, *(name for name in layout.further if name != WEAR)):
         first = gears.names.index(f"{name}1")
         column[first : first + N] = x[layout.slice_of(name)]
     first = gears.names.index("contact1")
@@ -193,7 +203,7 @@ def _rest_names(size: int) -> dict[str, list[str]]:
 def group_entries(layout: Layout, group: Sequence[int]) -> list[int]:
     """Return the entries of a group's quantities in x of all joints, in the order of its own x."""
     places: list[int] = []
-    for name in QUANTITIES:
+    for name in layout.names:
         places += [layout.slice_of(name).start + joint for joint in group]
     return [*places, layout.entry_count - 1]
 
@@ -315,7 +325,7 @@ class Posture(NamedTuple):
         q, v: angles [rad] and speeds [rad/s] of the links (N).
         closing: speeds of motors relative to links (N) [rad/s].
         push: torque of the motors less their friction (N) [N m].
-        link_friction: friction of the links (N) [N m].
+        link_friction: friction and springs of the links (N) [N m].
         needed: torque at constant speed of the links: bias and friction (N) [N m].
         mass, inverse: M and M^-1 (N x N).
     """
@@ -332,23 +342,23 @@ class Posture(NamedTuple):
     inverse: Any
 
 
-def mean_posture(gears: Geared, model: Any, mean: Any, u: Any) -> Posture:
+def mean_posture(layout: Layout, gears: Geared, model: Any, mean: Any, u: Any) -> Posture:
     """Return the posture of an arm with all joints at their means.
 
     Args:
+        layout: of the filter.
         gears: the arm.
         model: its parameters.
         mean: mean of x (entries).
         u: torque of the motors (N) [N m].
     """
-    layout = Layout(gears.joint_count)
     body = gears.arm
-    params = substitute_estimates(gears, model, mean)
+    params = substitute_estimates(layout, gears, model, mean)
     links = gears.link_params(params)
     q = mean[layout.slice_of("link")]
     v = mean[layout.slice_of("link_speed")]
     omega = mean[layout.slice_of("motor_speed")]
-    friction = body.friction(links, v)
+    friction = body.friction(links, v) + gears.return_torque(params, q)
     mass = ca.densify(body.mass(links, q))
     return Posture(
         gears=gears,

@@ -48,6 +48,7 @@ LONG = 4000  # instructions above which a shared graph is called, not inlined
 MOTION = ("motor", "link", "motor_speed", "link_speed")
 CONSTANTS = ("half", "centre", "friction", "f")  # named as the plant's parameters
 QUANTITIES = (*MOTION, *CONSTANTS, "firmness", "push")  # of each joint
+WEAR = "wear"  # rate of a half gap, which no plant has
 SMALL = 1e-6  # least probability that a link is in its gap
 NONE = 1e-12  # probability below which no link enters a mode
 LEAST = 1e-7  # probability of a mode below which it is dropped
@@ -68,15 +69,17 @@ class Layout(NamedTuple):
 
     Attributes:
         size: number of joints N.
+        further: names of further constants of each joint that are estimated.
     """
 
     size: int
+    further: tuple[str, ...] = ()
 
     def slice_of(self, name: str) -> slice:
         """Return the entries of a quantity in x."""
         if name == "payload":
             return slice(self.entry_count - 1, self.entry_count)
-        first = QUANTITIES.index(name) * self.size
+        first = self.names.index(name) * self.size
         return slice(first, first + self.size)
 
     def entries_of(self, names: Sequence[str]) -> list[int]:
@@ -84,9 +87,14 @@ class Layout(NamedTuple):
         return list(np.r_[*map(self.slice_of, names)])
 
     @property
+    def names(self) -> tuple[str, ...]:
+        """Return the names of the quantities of each joint."""
+        return (*QUANTITIES, *self.further)
+
+    @property
     def entry_count(self) -> int:
         """Return the number of entries of x."""
-        return len(QUANTITIES) * self.size + 1
+        return len(self.names) * self.size + 1
 
     @property
     def contact_combinations(self) -> list[Contacts]:
@@ -360,7 +368,7 @@ def _project_to_bounds(layout: Layout, q: Numbers, belief: Gaussian) -> Gaussian
         belief: Gaussian of x.
     """
     mean, cov = belief
-    for entry in layout.entries_of(BOUNDED):
+    for entry in layout.entries_of((*BOUNDED, *layout.further)):
         beyond = mean[entry] - clip(mean[entry], q.low[entry], q.high[entry])
         mean -= beyond * cov[:, entry] / ca.fmax(cov[entry, entry], NONE)
     # Each move may take an entry past a bound again, and a known one has no variance to move by.

@@ -17,7 +17,8 @@ from undeadzone.util.arrays import Floats, require_number
 from undeadzone.util.text import suggest_name
 
 Numbers = Mapping[str, Any]  # an arm's parameters, by name
-SIGNLESS = r"payload|([mlIJkbf]|half|inertia|friction|viscous|contact)\d*"  # those without a sign
+# Those without a sign.
+SIGNLESS = r"payload|([mlIJkbf]|half|inertia|friction|viscous|contact|drag|winding)\d*"
 
 
 class Chain(NamedTuple):

@@ -114,9 +114,7 @@ def _build_geared(plant: Plant, options: Rigid, chain: Chain, key: str) -> Syste
     x_eq = require_geared_start(gears, given, f"{key}.{at}")
     if at == "x0":
         x_eq[2 * N :] = 0.0
-    load = np.asarray(
-        gears.arm.bias(gears.link_params(params), x_eq[N : 2 * N], np.zeros(N))
-    ).ravel()
+    load = np.asarray(gears.holding_torque(params, x_eq[N : 2 * N])).ravel()
     u_eq = _equilibrium_input(plant, load, key)
     carrying = np.where(load < 0, -1.0, 1.0)
 
@@ -158,7 +156,7 @@ def _build_flat_links(gears: Geared) -> Flat:
     def solve(p: Any, path: Any) -> tuple[Any, Any]:
         """Return (x, u) on a path of the links."""
         q, v, a = ca.horzsplit(path)
-        tau = inverse_dynamics(gears.arm, gears.link_params(p), q, v, a)
+        tau = gears.link_torque(p, q, v, a)
         u = tau + gears.gear_number(p, "inertia") * a + gears.motor_friction_torque(p, v)
         return ca.vertcat(q - gears.gear_number(p, "centre"), q, v, v), u
 

@@ -5,7 +5,10 @@ theta is a motor's angle at the joint's side of its gears, q the link's, a half 
     xi = theta - q + c
     tau = K Dz(xi, a) + D (theta' - q')  where |xi| > a, else 0
     J theta'' + b_m theta' + f_m sat(theta') = u - tau
-    M(q) q'' + h(q, q') + friction = tau
+    M(q) q'' + h(q, q') + friction + spring = tau
+
+A belt, a shaft or a flexspline of stiffness k in series with the contact takes its share of xi: K
+becomes s K and D becomes s^2 D, with s = 1 / (1 + K / k).
 
 The gap is in the transmission, not in the sensor: an encoder at either side reads linearly, and
 the flank that touches follows from motion, gravity and torque (Nordin and Gutman 2002).
@@ -25,7 +28,14 @@ import msgspec
 import numpy as np
 
 from undeadzone.linalg.matrices import spectral_radius
-from undeadzone.plants.robots.arm import Arm, Chain, build_arm, change_arm_numbers, forward_dynamics
+from undeadzone.plants.robots.arm import (
+    Arm,
+    Chain,
+    build_arm,
+    change_arm_numbers,
+    forward_dynamics,
+    inverse_dynamics,
+)
 from undeadzone.util.arrays import (
     Array,
     Floats,
@@ -37,6 +47,21 @@ from undeadzone.util.arrays import (
 
 PLACES = 50  # of a motion at which masses are looked at
 EVEN = 2.0  # coupling up to which what other joints do to a link is mere noise
+GEAR_CHECKS = {  # of the numbers of gears that are parameters
+    "half": require_nonnegative,
+    "centre": require_vector,
+    "inertia": require_positive,
+    "friction": require_nonnegative,
+    "viscous": require_nonnegative,
+    "contact": require_positive,
+    "asymmetry": require_vector,
+    "pull": require_vector,
+    "spring": require_vector,
+    "hardening": require_vector,
+    "spring_at": require_vector,
+    "drag": require_nonnegative,
+}
+GEAR_NUMBERS = (*GEAR_CHECKS, "winding")
 TINY = 1e-3  # speed at which friction is linear, over that at which it fades
 
 
@@ -53,6 +78,15 @@ class Gears(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         damping: ratio of damping in contact.
         friction: Coulomb friction of the motor [N m].
         viscous: viscous friction of the motor [N m s/rad].
+        stiffness: of a belt, a shaft or a flexspline in series with the contact, as its datasheet
+            has it [N m/rad] (default: infinite). Its parameter is `winding`, 1 / stiffness.
+        asymmetry: friction of the motor is larger by so much to the right, and smaller to the left
+            [N m].
+        pull, spring, hardening: the link is pulled back by pull + spring d + hardening d^3, with
+            d = q - spring_at: a return spring, a hose, or a gravity that bends, of either sign
+            [N m, N m/rad, N m/rad^3].
+        spring_at: position about which the spring is given [rad].
+        drag: viscous drag between motor and link, of oil in the gap [N m s/rad].
         measured: place of the encoder: at the motor, at the link, or one at both.
     """
 
@@ -63,6 +97,13 @@ class Gears(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     damping: float = 0.7
     friction: Array = 0.0
     viscous: Array = 0.0
+    stiffness: Array | None = None
+    asymmetry: Array = 0.0
+    pull: Array = 0.0
+    spring: Array = 0.0
+    hardening: Array = 0.0
+    spring_at: Array = 0.0
+    drag: Array = 0.0
     measured: Literal["motor", "link", "both"] = "motor"
 
 
@@ -127,12 +168,30 @@ class Geared(NamedTuple):
         """Return the torque of friction at motors of these speeds (N) [N m]."""
         sliding = turning / ca.sqrt(turning**2 + self.rest**2)
         viscous = self.gear_number(params, "viscous") * turning
-        return viscous + self.gear_number(params, "friction") * sliding
+        leaning = self.gear_number(params, "asymmetry") * sliding**2
+        return viscous + self.gear_number(params, "friction") * sliding + leaning
+
+    def return_torque(self, params: Any, q: Any) -> Any:
+        """Return the torque by which springs pull the links back (N) [N m]."""
+        pull, spring, hardening, place = (
+            self.gear_number(params, name) for name in ("pull", "spring", "hardening", "spring_at")
+        )
+        turned = q - place
+        return pull + turned * (spring + hardening * turned**2)
+
+    def link_torque(self, params: Any, q: Any, v: Any, a: Any) -> Any:
+        """Return the torque that the links need for an acceleration (N) [N m]."""
+        needed = inverse_dynamics(self.arm, self.link_params(params), q, v, a)
+        return needed + self.return_torque(params, q)
 
     def contact_stiffness(self, params: Any) -> tuple[Any, Any]:
-        """Return K [N m/rad] and D [N m s/rad] of gears in contact (N each)."""
+        """Return K [N m/rad] and D [N m s/rad] of gears in contact, with springs in series (N
+        each).
+        """
         frequency = self.gear_number(params, "contact")
-        return self.stiffness * frequency**2, self.damping * frequency
+        K = self.stiffness * frequency**2
+        share = 1 / (1 + K * self.gear_number(params, "winding"))
+        return share * K, share**2 * self.damping * frequency
 
     def gear_torque(self, params: Any, x: Any, contact: Any = None) -> Any:
         """Return tau, the torque of the gears on the links (N) [N m]. contact: as of
@@ -141,15 +200,15 @@ class Geared(NamedTuple):
         N = self.joint_count
         half = self.gear_number(params, "half")
         xi = self.gear_angle(params, x)
-        frequency = self.gear_number(params, "contact")
+        K, D = self.contact_stiffness(params)
         if contact is None:
             closed = ca.fabs(xi) > half
             pressed = ca.fmax(xi - half, 0.0) + ca.fmin(xi + half, 0.0)
         else:
             closed = contact * contact
             pressed = closed * xi - contact * half
-        closing = closed * (x[2 * N : 3 * N] - x[3 * N :])
-        return frequency * (self.stiffness * frequency * pressed + self.damping * closing)
+        closing = x[2 * N : 3 * N] - x[3 * N :]
+        return K * pressed + (D * closed + self.gear_number(params, "drag")) * closing
 
     def motion(
         self, params: Any, x: Any, u: Any, contact: Any = None, load: Any = 0.0
@@ -173,15 +232,21 @@ class Geared(NamedTuple):
         spun = (u - self.motor_friction_torque(params, turning) - tau) / self.gear_number(
             params, "inertia"
         )
-        swung = forward_dynamics(self.arm, self.link_params(params), q, v, tau + load)
+        acting = tau + load - self.return_torque(params, q)
+        swung = forward_dynamics(self.arm, self.link_params(params), q, v, acting)
         return ca.vertcat(turning, v, spun, swung), tau
+
+    def holding_torque(self, params: Any, q: Any) -> Any:
+        """Return the torque that holds links still at q (N) [N m]."""
+        still = ca.DM.zeros(self.joint_count)
+        return self.arm.bias(self.link_params(params), q, still) + self.return_torque(params, q)
 
     def motors_at_rest(self, params: Any, q: Any) -> Any:
         """Return the motor angles that hold links still at q (N) [rad], on the flanks that
         carry the load.
         """
-        tau = self.arm.bias(self.link_params(params), q, ca.DM.zeros(self.joint_count))
-        K = self.stiffness * self.gear_number(params, "contact") ** 2
+        tau = self.holding_torque(params, q)
+        K = self.contact_stiffness(params)[0]
         flank = ca.sign(tau) * self.gear_number(params, "half")
         return q - self.gear_number(params, "centre") + flank + tau / K
 
@@ -304,18 +369,13 @@ def _require_gear_numbers(gears: Gears, N: int, key: str) -> dict[str, Floats]:
 
     Raises InputError, ShapeError.
     """
-    checks = {
-        "half": require_nonnegative,
-        "centre": require_vector,
-        "inertia": require_positive,
-        "friction": require_nonnegative,
-        "viscous": require_nonnegative,
-        "contact": require_positive,
-    }
     why = f"one per joint, there are {N}"
-    return {
-        name: check(f"{key}.{name}", getattr(gears, name), N, why) for name, check in checks.items()
-    }
+    numbers = {}
+    for name, check in GEAR_CHECKS.items():
+        numbers[name] = check(f"{key}.{name}", getattr(gears, name), N, why)
+    if gears.stiffness is None:
+        return numbers | {"winding": np.zeros(N)}
+    return numbers | {"winding": 1 / require_positive(f"{key}.stiffness", gears.stiffness, N, why)}
 
 
 def _drop_payload(body: Arm, values: Floats) -> Floats:

@@ -327,7 +327,7 @@ def select_joints(
         )
     moved = movable if joints is None else joints
     if tip is None:
-        tip = _find_arm_end(robot, moved)
+        tip = _find_arm_end(robot, moved, joints is None)
     way = [joint.name for joint in robot.joints_to_link(tip)]
     serial = [name for name in way if name in movable and name in moved]
     if not serial:
@@ -374,8 +374,17 @@ def _require_uncoupled(robot: Robot, serial: list[str]) -> None:
             )
 
 
-def _find_arm_end(robot: Robot, moved: Sequence[str]) -> str:
-    """Return the single link without children to which all of these joints lead."""
+def _find_arm_end(robot: Robot, moved: Sequence[str], whole: bool) -> str:
+    """Return the single link without children to which all of these joints lead.
+
+    Of a whole file whose joints branch it is the link at which they do, if no branch has more
+    joints than lead there: those of a gripper or of fingers stay at 0.
+
+    Args:
+        robot: the tree of links and joints.
+        moved: names of the moving joints.
+        whole: whether these are all that can move.
+    """
     parents = {joint.parent for joint in robot.joints}
     ends = []
     for link in robot.links:
@@ -383,15 +392,25 @@ def _find_arm_end(robot: Robot, moved: Sequence[str]) -> str:
         if link not in parents and set(moved) <= way:
             ends.append(link)
     if not ends:
+        palm = _find_branching_link(robot, moved)
+        stem = _count_joints(robot, palm, moved)
+        children = [joint.child for joint in robot.joints if joint.name in moved]
+        longest = max(_count_joints(robot, child, moved) for child in children) - stem
+        if whole and stem >= longest:
+            return palm
         raise InputError(
-            f"plant.arm.tip: the movable joints branch at {_find_branching_link(robot, moved)!r}: "
-            "the arm must "
-            "be a serial chain. Name the link in which it ends, such as that one (joints elsewhere "
-            "are fixed at 0)"
+            f"plant.arm.tip: the movable joints branch at {palm!r}: the arm must be a serial "
+            "chain. Name the link in which it ends, such as that one (joints elsewhere are fixed "
+            "at 0)"
         )
     if len(ends) > 1:
         raise InputError(f"plant.arm.tip: the arm ends in {', '.join(ends)}: name one of them")
     return ends[0]
+
+
+def _count_joints(robot: Robot, link: str, moved: Sequence[str]) -> int:
+    """Return how many of the joints lead to a link."""
+    return sum(joint.name in moved for joint in robot.joints_to_link(link))
 
 
 def _find_branching_link(robot: Robot, moved: Sequence[str]) -> str:
