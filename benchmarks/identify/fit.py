@@ -201,7 +201,8 @@ class Case(NamedTuple):
         z = np.array(move.mapaccum(len(u))(start, (pushed + w).T)[1]).T
         zone = resolve_zone(real)
         ahead = z + zone.noise_before * rng.standard_normal(z.shape)
-        y = cut(ahead, zone.right, zone.left) + zone.noise * rng.standard_normal(z.shape)
+        seen = ahead if zone.kind == "gears" else cut(ahead, zone.right, zone.left)
+        y = seen + zone.noise * rng.standard_normal(z.shape)
         return {"u": u[before:], "y": y[before:]}
 
 
