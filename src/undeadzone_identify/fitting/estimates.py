@@ -30,7 +30,6 @@ from undeadzone_identify.fitting.checks import FLAGGED, check_scores, score_read
 from undeadzone_identify.fitting.free import (
     DELAY,
     EXAMPLE,
-    WIDTHS,
     FreeNumber,
     Sizes,
     build_free_number,
