@@ -51,7 +51,7 @@ from undeadzone_identify.fitting.problem import (
 from undeadzone_identify.fitting.result import Fitted, FittedNumber, FittedSignals
 from undeadzone_identify.fitting.search import Peaks, search_maximum
 
-FARTHEST: Final = 3.0  # x(0) from the scenario's, in the largest output
+FARTHEST: Final = 6.0  # x(0) from the scenario's, in the largest output
 FEWEST: Final = 20  # readings for each number
 LATEST: Final = 1000  # samples of a delay
 ALIKE: Final = 2.0  # nats, within which another answer fits as well
@@ -250,14 +250,15 @@ def prepare_fit(
             f"logs: {readings} readings for {len(numbers)} numbers, fewer than {FEWEST} for each"
         )
     start = plants.initial_state(scenario.plant, model)
-    reach = FARTHEST * sizes.z * state_units(model.continuous, model.Ts)
+    largest = sizes.z / 2 * state_units(model.continuous, model.Ts)  # of x
+    reach = FARTHEST * largest
     fitted = x0 == "free" and model.nonlinear
     initial = []
     for k, i in np.ndindex(len(logs) * fitted, model.n):
         name = f"x0[{i}]" + f" of log {k + 1}" * (len(logs) > 1)
         ends = start[i] - reach[i], start[i] + reach[i], start[i]
         initial.append(free_within(name, *map(float, ends)))
-    spread = np.full(model.n, KNOWN) if fitted or x0 == "known" else reach
+    spread = np.full(model.n, KNOWN) if fitted or x0 == "known" else largest
     return build_problem(scenario, logs, list(numbers.values()), spread, initial, threads)
 
 
