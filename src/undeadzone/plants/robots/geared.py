@@ -105,8 +105,8 @@ class Geared(NamedTuple):
         return params[first : first + self.joint_count]
 
     def follow(self, params: Any) -> Geared:
-        """Return the gears whose contacts have the frequency and the ratio of damping that they
-        are to have, with the inertias in a column of parameters.
+        """Return the gears with contacts of the same frequency and ratio of damping at the
+        inertias in a column of parameters.
         """
         payload = self.arm.names.index("payload")
         links = ca.vertcat(params[:payload], 0.0, self.link_params(params)[payload + 1 :])
