@@ -48,7 +48,7 @@ class Log(NamedTuple):
 
 
 def join_logs(logs: Sequence[Log]) -> Log:
-    """Return logs one after the other."""
+    """Return logs joined in their order."""
     return Log("", *map(np.concatenate, zip(*(each[1:] for each in logs), strict=True)))
 
 
