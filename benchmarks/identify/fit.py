@@ -201,21 +201,29 @@ class Case(NamedTuple):
         z = np.array(move.mapaccum(len(u))(start, (pushed + w).T)[1]).T
         zone = resolve_zone(real)
         ahead = z + zone.noise_before * rng.standard_normal(z.shape)
-        y = cut(ahead, zone.right, zone.left) + zone.noise * rng.standard_normal(z.shape)
+        seen = ahead if zone.kind == "gears" else cut(ahead, zone.right, zone.left)
+        y = seen + zone.noise * rng.standard_normal(z.shape)
         return {"u": u[before:], "y": y[before:]}
 
 
+def draw_motor(rng: Generator) -> tuple[motors.Motor, Truth]:
+    """Draw a motor with a gap, and return it with its numbers."""
+    gap, ratio, samples = np.exp(rng.uniform(*np.log([[0.01, 0.5, 60], [0.04, 2.0, 200]])))
+    motor = motors.Motor(gap, ratio, samples, 0.0, False, False, False)
+    rotor = motors.INERTIA / (1 + ratio)
+    values = [gap / 2, rotor, motor.damping, motors.INERTIA - rotor, 0.005]
+    return motor, dict(zip(GEARED, map(float, values), strict=True))
+
+
 class Servo(Case):
-    """Servo with a gap behind its encoder, as MuJoCo moves it."""
+    """Servo with a gap behind its encoder, as MuJoCo moves it, without a disturbance."""
 
     def record(self, rng: Generator) -> tuple[Truth, Logs]:
         """Return the truth and its log."""
-        gap, ratio, samples = np.exp(rng.uniform(*np.log([[0.01, 0.5, 60], [0.04, 2.0, 200]])))
-        motor = motors.Motor(gap, ratio, samples, 0.0, False, False, False)
+        motor, truth = draw_motor(rng)
         u, y = motors.record(motor, int(rng.integers(2**31)))
-        rotor = motors.INERTIA / (1 + ratio)
-        values = [gap / 2, rotor, motor.damping, motors.INERTIA - rotor]
-        return dict(zip(self.free, values, strict=False)), [{"u": u, "y": y}]
+        del truth["disturbance.rms"]
+        return truth, [{"u": u, "y": y}]
 
 
 def cut(z: Any, right: Any, left: Any) -> Any:
@@ -299,6 +307,15 @@ CASES = {
         ),
         (2.5, 2.0, 1.5),
         (0.2, 0.53, 1.3),
+    ),
+    "servo, torque and motor encoder": Case(
+        SERVO,
+        (0.005, 0.005, 0.05),
+        GEARED,
+        lambda rng: draw_motor(rng)[1],
+        (0.25, 0.2, 0.15),
+        (0.7, 1.9, 3.3),
+        1600,
     ),
     "servo of MuJoCo, torque and motor encoder": Servo(SERVO, (0.005, 0.005, 0.05), GEARED, dict),
     "arm of two links, payload": Case(

@@ -6,7 +6,7 @@ import functools
 import hashlib
 import os
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -30,7 +30,6 @@ from undeadzone_identify.fitting.checks import FLAGGED, check_scores, score_read
 from undeadzone_identify.fitting.free import (
     DELAY,
     EXAMPLE,
-    WIDTHS,
     FreeNumber,
     Sizes,
     build_free_number,
@@ -52,9 +51,7 @@ from undeadzone_identify.fitting.problem import (
 from undeadzone_identify.fitting.result import Fitted, FittedNumber, FittedSignals
 from undeadzone_identify.fitting.search import Peaks, search_maximum
 
-FIRST: Final = 20  # readings that show x(0)
-LEAST_REACH: Final = 0.1  # of x(0), over the largest reading
-FARTHEST: Final = 3.0  # x(0) from the scenario's, in the first readings
+FARTHEST: Final = 6.0  # x(0) from the scenario's, in the largest output
 FEWEST: Final = 20  # readings for each number
 LATEST: Final = 1000  # samples of a delay
 ALIKE: Final = 2.0  # nats, within which another answer fits as well
@@ -253,14 +250,15 @@ def prepare_fit(
             f"logs: {readings} readings for {len(numbers)} numbers, fewer than {FEWEST} for each"
         )
     start = plants.initial_state(scenario.plant, model)
-    reach = _reach_of_start(model, sizes, logs, numbers.values())
+    largest = sizes.z / 2 * state_units(model.continuous, model.Ts)  # of x
+    reach = FARTHEST * largest
     fitted = x0 == "free" and model.nonlinear
     initial = []
     for k, i in np.ndindex(len(logs) * fitted, model.n):
         name = f"x0[{i}]" + f" of log {k + 1}" * (len(logs) > 1)
         ends = start[i] - reach[i], start[i] + reach[i], start[i]
         initial.append(free_within(name, *map(float, ends)))
-    spread = np.full(model.n, KNOWN) if fitted or x0 == "known" else reach
+    spread = np.full(model.n, KNOWN) if fitted or x0 == "known" else largest
     return build_problem(scenario, logs, list(numbers.values()), spread, initial, threads)
 
 
@@ -271,16 +269,6 @@ def _measure_sizes(zone: Zone, logs: Sequence[Log]) -> Sizes:
     largest = np.nanmax(np.abs(y), initial=0.0) + max(*zone.right, *zone.left)
     rms = [np.sqrt(np.nanmean(part**2)) or 1.0 for part in (y, u)]
     return Sizes(2 * float(largest) or 1.0, *map(float, rms))
-
-
-def _reach_of_start(
-    model: System, sizes: Sizes, logs: Sequence[Log], numbers: Iterable[FreeNumber]
-) -> Floats:
-    """Return the distance of x(0) from the scenario's that the first readings allow (n)."""
-    first = max(float(np.nanmax(np.abs(record.y[:FIRST]), initial=0.0)) for record in logs)
-    widths = [each.high for each in numbers if stem(each.name) in WIDTHS[:2]]
-    size = max(first + max(widths, default=0.0), LEAST_REACH * sizes.z)
-    return FARTHEST * size * state_units(model.continuous, model.Ts)
 
 
 def build_answer(
@@ -362,7 +350,7 @@ def _find_other_answers(
 def _write_numbers(problem: FitProblem, values: Floats, delay: int) -> Scenario:
     """Return the scenario with fitted numbers, x(0) too if there is one log."""
     found = dict(zip((each.name for each in problem.free), values.tolist(), strict=True))
-    start = [found.pop(name) for name in [*found] if name.startswith("x0[")]
+    start = [found.pop(each.name) for each in problem.free if each.is_start]
     scenario = problem.scenario
     for name, value in found.items():
         scenario = with_value(scenario, name, value)

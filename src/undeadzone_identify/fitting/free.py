@@ -62,6 +62,11 @@ class FreeNumber(NamedTuple):
         """Return whether it is a noise, which is fitted last."""
         return stem(self.name) in NOISES
 
+    @property
+    def is_start(self) -> bool:
+        """Return whether it is an entry of x(0)."""
+        return self.name.startswith("x0[")
+
 
 def free_within(
     name: str, low: float, high: float, start: float, std: float = math.inf

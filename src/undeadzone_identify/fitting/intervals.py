@@ -20,6 +20,7 @@ from undeadzone_identify.fitting.search import AT_END, DIFFERENCE, diagonal_of, 
 
 BLOCKS: Final = (60, 20)  # of a log, over each of which scores are summed
 SHORTEST: Final = 5  # readings of a block
+APART: Final = 0.3  # of a difference, in deviations: over a jump where a contact closes
 DROP: Final = HALF_95**2 / 2  # of the log likelihood at the ends of an interval
 WIDE: Final = 0.5  # share of its range from which an interval shows nothing
 POINTS: Final = 41  # of a scan of a range
@@ -58,10 +59,10 @@ def estimate_intervals(problem: FitProblem, point: Floats, value: float) -> Inte
     low, high = problem.low, problem.high
     span = high - low
     steps = 1e-6 * span
-    for _ in range(3):
+    for share in (DIFFERENCE, DIFFERENCE, APART):
         slope = measure_slope(problem, point, steps)
         deviations = 1 / np.sqrt(diagonal_of(problem, slope.information))
-        steps = np.minimum(DIFFERENCE * deviations, 2e-3 * span)
+        steps = np.minimum(share * deviations, 2e-3 * span)
     at_end = (point <= low + AT_END * span) | (point >= high - AT_END * span)
     free = np.flatnonzero(~at_end)
     inside = np.ix_(free, free)

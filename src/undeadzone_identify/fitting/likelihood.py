@@ -33,7 +33,6 @@ WRONG = 1e-9  # share of readings that mean nothing
 LEAST_AFTER = 0.02  # noise after the zone, at least, in noise ahead of it
 OPEN = 8.0  # a cut that cuts nothing
 DEEPEST = -5.0  # cut that is followed
-OPENING = 1.4  # by which fresh variance opens a cut, over the old variance
 LEAST = 1e-290  # chance of a piece, at least
 STEEPEST = 40.0  # deviations by which a cut moves a mean, at most
 RECORDED = 3  # numbers of a reading: log of its density, its prediction, log of the deviation
@@ -209,7 +208,7 @@ def build_step(model: System, kind: str, like: FilterNumbers) -> ca.Function:
     ends = []
     for (h, fresh), pair in zip(rows, cuts, strict=True):
         share = (h @ belief.cov @ h.T) / (h @ following.cov @ h.T + fresh)
-        opened = OPENING * (1.0 / ca.fmax(ca.fmin(share, 1.0), 1e-3) - 1.0)
+        opened = 1.0 / ca.fmax(ca.fmin(share, 1.0), 1e-3) - 1.0
         ends += [ca.fmin(cut + opened, OPEN) for cut in pair]
     state = ca.vertcat(following.mean, to_upper_entries(following.cov, entries), *ends)
     return ca.Function("fit", [s, w, column], [state, ca.vertcat(*outputs)], {"cse": True})

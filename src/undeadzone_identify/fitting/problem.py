@@ -47,6 +47,11 @@ class Log(NamedTuple):
     side: Floats
 
 
+def join_logs(logs: Sequence[Log]) -> Log:
+    """Return logs joined in their order."""
+    return Log("", *map(np.concatenate, zip(*(each[1:] for each in logs), strict=True)))
+
+
 class Recorded(NamedTuple):
     """Records of lanes along all logs.
 
@@ -154,6 +159,11 @@ class FitProblem(NamedTuple):
         sums = [self.record_lanes(part, heat).density.sum(axis=(1, 2)) for part in parts]
         return np.concatenate(sums) + self.log_prior(points)
 
+    def keep_first(self, count: int) -> FitProblem:
+        """Return the problem of the first samples of each log."""
+        logs = [Log(each.name, *(part[:count] for part in each[1:])) for each in self.logs]
+        return self._replace(logs=tuple(logs), whole=join_logs(logs))
+
     def log_prior(self, points: Floats) -> Floats:
         """Return the log of the normal priors at coordinates (lanes)."""
         return np.asarray(-0.5 * (((points - self.start) / self.prior_std) ** 2).sum(axis=1))
@@ -258,7 +268,7 @@ def build_problem(
         kernel=kernel,
         bound=bound,
         logs=tuple(logs),
-        whole=Log("", *map(np.concatenate, zip(*(each[1:] for each in logs), strict=True))),
+        whole=join_logs(logs),
         spread=spread,
         is_log=is_log,
         low=low,

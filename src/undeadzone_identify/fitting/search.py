@@ -19,8 +19,14 @@ from undeadzone_identify.fitting.problem import FitProblem
 
 STARTS: Final = 64  # points, of which the best are followed
 HOT: Final = 0.2  # heat of the first stage, in the rms of readings and inputs
-STAGES: Final = ((1.0, 8, 3), (1.0, 4, 6), (0.2, 4, 6), (0.04, 2, 6), (0.0, 2, 25))
-AGAIN: Final = ((0.04, 2, 6), (0.0, 2, 25))  # from the answer, once more
+STAGES: Final = (
+    *((1.0, 8, 3), (1.0, 4, 6), (0.2, 4, 6), (0.04, 2, 6), (0.008, 2, 6), (0.0, 2, 25)),
+)
+FIRST: Final = (  # samples that show x(0) ahead of all, and heat of noise and disturbance
+    *((20, (25.0, 0.2)), (20, (5.0, 0.2)), (20, (1.0, 0.2))),
+    *((20, (0.2, 0.2)), (60, (0.2, 0.2)), (60, (0.04, 0.04))),
+)
+AGAIN: Final = ((0.04, 2, 6), (0.008, 2, 6), (0.0, 2, 25))  # from the answer, once more
 DAMPINGS: Final = (1e-2, 1.0, 1e3)  # factors that each step tries
 STUCK: Final = 1e6  # damping beyond which a search ends, and its growth without a gain
 DIFFERENCE: Final = 0.02  # of a derivative, in deviations of the number
@@ -172,8 +178,14 @@ def search_maximum(
     points = low + (high - low) * qmc.Sobol(low.size, seed=seed).random(STARTS)
     points[0] = problem.start
     noises = np.array([each.is_noise for each in problem.free])
-    points[:, noises] = problem.start[noises]
     hot = HOT * np.array([np.nanstd(problem.whole.y), np.nanstd(problem.whole.u)])
+    started = np.array([each.is_start for each in problem.free])
+    point = problem.start
+    for count, share in FIRST if started.any() else ():
+        point, _ = climb(
+            problem.keep_first(count), point, np.array(share) * hot, 25, ~started, tick
+        )
+    points[:, noises | started] = point[noises | started]
 
     def run_stage(place: int, peaks: Peaks, share: float, count: int, most: int) -> Peaks:
         """Return the peaks of a stage, known or computed."""

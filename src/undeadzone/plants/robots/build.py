@@ -120,7 +120,8 @@ def _build_geared(plant: Plant, options: Rigid, chain: Chain, key: str) -> Syste
 
     def move(p: Any, x: Any, u: Any, contact: Any = None) -> Any:
         """Return x' (4 N)."""
-        return gears.motion(p, x, u, contact, hold(x[N : 2 * N], x[3 * N :]))[0]
+        load = hold(x[N : 2 * N], x[3 * N :])
+        return gears.follow(p).motion(p, x, u, contact, load)[0]
 
     def locked(p: Any, x: Any, u: Any) -> Any:
         """Return x' (4 N) with the gears on the flanks that carry the load."""

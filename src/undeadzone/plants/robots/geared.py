@@ -145,6 +145,17 @@ class Geared(NamedTuple):
         first = self.names.index(f"{name}1")
         return params[first : first + self.joint_count]
 
+    def follow(self, params: Any) -> Geared:
+        """Return the gears with contacts of the same frequency and ratio of damping at the
+        inertias in a column of parameters.
+        """
+        payload = self.arm.names.index("payload")
+        links = ca.vertcat(params[:payload], 0.0, self.link_params(params)[payload + 1 :])
+        link = ca.diag(self.arm.mass(links, ca.DM.zeros(self.joint_count)))
+        motor = self.gear_number(params, "inertia")
+        reduced = motor * link / (motor + link)
+        return self._replace(stiffness=reduced, damping=self.damping / self.stiffness * reduced)
+
     def gear_angle(self, params: Any, x: Any) -> Any:
         """Return xi, by which the motors are ahead of their links (N) [rad] (|xi| > half in
         contact).
