@@ -200,7 +200,9 @@ def _read_modes(
         E, box, wrong = map_step(reached, code, held, mode)
         modes.insert(0, (np.array(E, float), np.array(box, float)))
     outside = np.array([wrong, *proof["bounds"]["disturbance"]], float)
-    sizes = [float(proof["sensor"]["width_max"])] * 2 + [*np.maximum(outside, LEAST * outside.max())]
+    sizes = [float(proof["sensor"]["width_max"])] * 2 + [
+        *np.maximum(outside, LEAST * outside.max())
+    ]
     return modes, np.array(sizes)
 
 

@@ -35,11 +35,12 @@ def state_theorem(proof: Any) -> str:
             f"{to_words(proof['gains'])} has a V that falls faster than {margin} times 2 W e^2, "
             f"W = {W}."
         )
+    radius = to_words(proof["set"]["radius"])
     source, bounds = proof["source"], {k: to_words(x) for k, x in proof["bounds"].items()}
     return (
         f"{source['name']}.c in {source['format']} beside {plant}, {to_words(proof['sensor'])}: "
-        f"begun with x^ = x and any widths in their range, z^ stays within {to_words(proof['set']['radius'])} of "
-        "z, whatever the sequence of sides, missing readings and roundings, while |x| <= "
+        f"begun with x^ = x and any widths in their range, z^ stays within {radius} of z, "
+        "whatever the sequence of sides, missing readings and roundings, while |x| <= "
         f"{bounds['x']}, |u| <= {bounds['u']}, readings are wrong by {bounds['noise']} and "
         f"disturbances are at most {bounds['disturbance']}."
     )

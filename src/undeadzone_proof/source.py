@@ -60,7 +60,9 @@ class Number:
 
     def find_ends(self) -> tuple[Any, Any]:
         """Return its least and its largest value."""
-        spans = [(c * low, c * high) for c, (low, high) in zip(self.row, self.code.ranges)]
+        spans = [
+            (c * low, c * high) for c, (low, high) in zip(self.row, self.code.ranges, strict=True)
+        ]
         low, high = (sum(map(end, spans)) for end in (min, max))
         return low - self.error, high + self.error
 

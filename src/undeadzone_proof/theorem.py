@@ -60,7 +60,7 @@ def map_step(proof: Any, code: Code, held: Any, mode: str) -> tuple[list[Row], R
     n, side, D, least = len(C), SIDES[mode][0], sensor["width_max"], Fraction(1, 1 << code.least)
     require(bounds["noise"] <= sensor["threshold"], "bounds: noise shows no side")
     largest = sensor["slope"] * weigh(map(abs, C), bounds["x"]) + bounds["noise"]
-    wrong = largest / (1 << code.bits) + least
+    wrong = bounds["noise"] + largest / (1 << code.bits) + least
     above, top = sensor["threshold"] + least, sensor["threshold"] + least + largest + wrong
     reading = (
         sorted((side * above, side * top)) if side else (-sensor["threshold"], sensor["threshold"])

@@ -56,6 +56,11 @@ PARTS: dict[str, Any] = {
         ('title = "My plant"', "title = “My plant”", "write straight quotes"),
         ('method = "auto"', "method = auto", "put words in quotes"),
         ("[plant]", "[Plant]", "Did you mean 'plant'?"),
+        ("[observer]", "[filter]", "The table of the observer is [observer]"),
+        ("[reference]", "[setpoint]", "The table of the wanted output is [reference]"),
+        ('method = "auto"', 'method = "UnscentedKalman"', "Did you mean 'ukf'?"),
+        ('method = "auto"', 'method = "extended_kalman_filter"', "Did you mean 'ekf'?"),
+        ('method = "auto"', 'method = "kf"', "Did you mean 'kalman'?"),
     ],
 )
 def test_a_mistake_in_a_scenario_names_its_cure(old: str, new: str, expected: str) -> None:
@@ -118,6 +123,13 @@ def test_what_editors_do_changes_nothing(tmp_path: Path, content: bytes) -> None
         (["fly", "away"], "No such command 'fly'."),
         (["identify", "mine.toml"], "this is a scenario, no log"),
         (["estimate", "log.csv", "mine.toml"], "undeadzone estimate mine.toml log.csv"),
+        (
+            ["run", "mine"],
+            "mine: cannot read: No such file or directory. Did you mean 'mine.toml'?",
+        ),
+        (["export", "mine.toml", "--to", "rust"], "Expected one of c, arduino, fmu2"),
+        (["fit", "mine.toml", "log.csv", "--free", "width"], "The widths are sensor.right and"),
+        (["arm", "log.csv"], "A robot is a URDF file"),
     ],
 )
 def test_a_mistake_on_the_command_line_names_its_cure(
@@ -129,6 +141,27 @@ def test_a_mistake_on_the_command_line_names_its_cure(
     code = run_to_exit_code(lambda: group.main(words, standalone_mode=False))
     assert code == 2
     assert expected in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "expected"),
+    [
+        ("Sensor", {"width": 1.0}, "Sensor: .* 'width'. The widths are sensor.right and"),
+        ("Sensor", {"rigth": 1.0, "left": 1.0}, "Did you mean 'right'?"),
+        ("Simulation", {"dt": 0.01}, "The sample time is simulation.step"),
+        ("PID", {"Kp": 1.0}, "Did you mean 'k_p'?"),
+        ("Sine", {"amp": 1.0}, "Options: amplitude, frequency, offset, phase"),
+        ("UnscentedKalman", {}, "Did you mean 'UKF'?"),
+        ("load", {}, "uz.read reads a scenario"),
+    ],
+)
+def test_a_mistake_in_a_program_names_its_cure(
+    name: str, options: dict[str, Any], expected: str
+) -> None:
+    with pytest.raises((TypeError, AttributeError), match=expected.replace("?", "[?]")):
+        getattr(uz, name)(**options)
+    with pytest.raises(TypeError, match=r"Write names, Sensor\(right="):
+        uz.Sensor(1.0)  # type: ignore[misc]
 
 
 @pytest.mark.parametrize(
