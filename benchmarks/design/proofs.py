@@ -100,7 +100,7 @@ def attack(proof: Any, sequences: int, seed: int) -> Attack:
     with tempfile.TemporaryDirectory() as name:
         files = {"observer.c": text, "observer.h": header, "attack.c": HARNESS.read_text()}
         size, kind = f"-DN={len(bounds['x'])}", f"-DREAL={proof['source']['format']}"
-        options = ("-O2", "-std=gnu11", size, kind)
+        options = ("-O3", "-march=native", "-std=gnu11", size, kind)
         library = compile_library(write_sources(files, Path(name)), Path(name, "a.so"), options)
         for count, steps in ((sequences, SHORT), (sequences // 100 + 8, LONG)):
             ctypes.CDLL(str(library)).attack(

@@ -16,7 +16,7 @@ SERIES = Fraction(1, 1 << 100)
 
 def weigh(row: Any, sizes: Any) -> Any:
     """Return the sum of products of two rows."""
-    return sum((a * b for a, b in zip(row, sizes, strict=True)), ZERO)
+    return sum((a * b for a, b in zip(row, sizes, strict=True) if a and b), ZERO)
 
 
 def multiply(X: list[Row], Y: list[Row]) -> list[Row]:
