@@ -6,6 +6,7 @@ import os
 import re
 import shlex
 import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -33,9 +34,10 @@ class Walk:
         self.folder, self.printed = folder, dict[str, str]()
         (folder / "examples").symlink_to(ROOT / "examples")
         (folder / "bin").mkdir()
-        command = folder / "bin" / "undeadzone"
-        command.write_text(f'#!/bin/sh\nexec {shlex.join(COMMAND)} "$@"\n')
-        command.chmod(0o755)
+        for name, words in (("undeadzone", COMMAND), ("python", [sys.executable])):
+            command = folder / "bin" / name
+            command.write_text(f'#!/bin/sh\nexec {shlex.join(words)} "$@"\n')
+            command.chmod(0o755)
 
     def run(self, line: str, highest: int = 0) -> str:
         """Run a line as it stands and return its output. Its exit code is at most `highest`.
