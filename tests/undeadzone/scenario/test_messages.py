@@ -131,8 +131,8 @@ def follow_cure(words: list[str], message: str) -> list[str] | None:
         return [found[1] if word == wrong else word for word in words]
     if found := re.search(r"Leave (--\w+) out", message):
         return [word for word in words if word != found[1]]
-    if found := re.search(r"(?:Use|Give|with) (--\w+)", message):
-        return [*words, found[1], {"--resample": "0.02", "--out": "found"}.get(found[1], "1.5")]
+    if found := re.search(r"(?:Use|Give) (--\w+)", message):
+        return [*words, found[1], "0.02"]
     return None
 
 
@@ -146,11 +146,9 @@ def follow_cure(words: list[str], message: str) -> list[str] | None:
         ("run mine", "mine: cannot read: No such file or directory. Did you mean 'mine.toml'?"),
         ("estimate log.csv mine.toml", "undeadzone estimate mine.toml log.csv"),
         ("init --example pendulm", "Did you mean 'pendulum'?"),
-        ("export mine.toml --method UKF", "Did you mean 'ukf'?"),
-        ("design mine.toml --helpall", "Did you mean '--help-all'?"),
-        ("identify log.csv half.csv --order 1", "Use --resample STEP"),
+        ("design mine.toml --marginn 0.1", "Did you mean '--margin'?"),
+        ("identify log.csv half.csv --order 2", "Use --resample STEP"),
         ("identify log.csv --kind jump --order 1", "Give --threshold, "),
-        ("identify log.csv --resume --order 1", "Name it with --out"),
         ("identify log.csv --resume --out done --order 1", "Leave --resume out"),
         ("fly away", "No such command 'fly'."),
         ("identify mine.toml", "this is a scenario, no log"),
