@@ -42,9 +42,9 @@ class Walk:
     def run(self, line: str, highest: int = 0) -> str:
         """Run a line as it stands and return its output. Its exit code is at most `highest`.
 
-        A command of the package alone runs in this process.
+        A command of the package alone runs in this process, unless it restricts its process.
         """
-        if line.startswith("undeadzone ") and not set("|<>&;#$") & set(line):
+        if re.match(r"undeadzone (?!.*--untrusted)[^|<>&;#$]*$", line):
             return self._keep(line, undeadzone(*shlex.split(line)[1:], cwd=self.folder), highest)
         here = {"PATH": f"{self.folder / 'bin'}{os.pathsep}{os.environ['PATH']}"}
         here["PYTHONPATH"] = str(Path(errors.__file__).parents[1])

@@ -151,9 +151,12 @@ class Code:
             require(made and not re.search("<[^()]*<", line), f"source: {line} is understood")
             tokens = TOKEN.findall(made[2])
             parts = [
-                f"m[{number or name!r}]" if number or name else PYTHON[sign]
+                f"m[{number or name!r}]" if number or name else PYTHON.get(sign, "!")
                 for number, name, sign in tokens
             ]
             scope = {"__builtins__": {}, "m": memory, "pick": pick}
-            memory[made[1]] = eval(f"pick({''.join(parts)})", scope)
+            try:
+                memory[made[1]] = eval(f"pick({''.join(parts)})", scope)
+            except (LookupError, TypeError, AttributeError, SyntaxError):
+                raise Refused(f"source: {line} is understood") from None
         return [memory[key] for key in self.states]

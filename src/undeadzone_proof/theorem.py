@@ -83,9 +83,10 @@ def map_step(proof: Any, code: Code, held: Any, mode: str) -> tuple[list[Row], R
     seen += [ZERO] * len(bounds["u"])
     E, box = list[Row](), list[Fraction]()
     for k, form in enumerate(behind):
-        if k >= n:
+        end = None
+        if isinstance(form, dict):
             ((end, form),) = form.items()
-            require(end == D, "source: widths are clipped to their range")
+        require(end == (D if k >= n else None), "source: widths are clipped to their range")
         y = form.row[n + 3]
         require(side or not y, "source: silence has no reading")
         rest = weigh(map(abs, mix(mix([true[k]], [form.row], 1, -1), [seen], 1, -y)[0]), sizes)

@@ -52,6 +52,7 @@ GIVEN = {
 }
 MADE = {  # logs that a line's options are for
     "y=acceleration": "sed 's/^t,y,u/time,acceleration,torque/' examples/samples.csv > log.csv",
+    "--left inf": "awk -F, 'NR>1 && $2<0{$2=0}1' OFS=, examples/samples.csv > log.csv",
     "--kind jump": "awk -F, 'NR>1 && $2^2<1{$2=0}1' OFS=, examples/samples.csv > log.csv",
 }
 # Minutes to an hour: a robot, all methods with tuning. Words that stand for a reader's own choice.
