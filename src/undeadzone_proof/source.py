@@ -92,7 +92,7 @@ class Number:
         return low > 0
 
     def __mod__(self, top: Any) -> Any:
-        """Return it before a clip to [0, top], behind which nothing is computed."""
+        """Return the number ahead of a clip to [0, top], behind which nothing is computed."""
         return {top.row[0]: self}
 
 

@@ -288,7 +288,7 @@ def write_text(text: str, path: Name) -> Path:
 
 
 def unreadable_file(path: Name, error: Exception) -> FileError:
-    """Return the error of a file that cannot be read, with the reason, and one with a like name."""
+    """Return the error of a file that cannot be read, with the reason and the nearest name."""
     folder, name = os.path.split(path)
     missing = isinstance(error, FileNotFoundError) and os.path.isdir(folder or ".")
     near = difflib.get_close_matches(name, os.listdir(folder or "."), 1) if missing else []

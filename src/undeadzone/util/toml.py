@@ -80,7 +80,7 @@ def require_short_keys(text: str) -> str:
 
 
 def advise_on_name(name: str, known: Iterable[str], otherwise: str) -> str:
-    """Return the known name that is meant, the cure of another tool's word, or all known names.
+    """Return the known name that is meant, the cure of a foreign word, or all known names.
 
     Args:
         name: that is none of them.
@@ -98,7 +98,7 @@ def advise_on_name(name: str, known: Iterable[str], otherwise: str) -> str:
 
 
 def _flatten(name: str) -> str:
-    """Return a name without what people write in several ways."""
+    """Return a name in small letters, without _, - and "filter"."""
     return re.sub("[_-]|filter", "", name.lower())
 
 
