@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from undeadzone.plants.system import System
 
 
-class Options(OptionTable, tag_field="method"):
+class Options(OptionTable, frozen=True, tag_field="method"):
     """Options of an observer, a controller or a compensator, and the method that they build.
 
     `build(model, ...)` takes the model that the method computes with, for an observer the dead zone

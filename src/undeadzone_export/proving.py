@@ -195,7 +195,7 @@ def _read_modes(
         reach: how far each estimate is from its state, at most.
     """
     reached = proof | {"bounds": proof["bounds"] | {"reach": reach}}
-    modes = []
+    modes: list[tuple[Floats, Floats]] = []
     for mode in ("zone", "right"):
         E, box, wrong = map_step(reached, code, held, mode)
         modes.insert(0, (np.array(E, float), np.array(box, float)))

@@ -26,7 +26,7 @@ CHOICES = ("K", "poles", "alpha", "speed")
 SPEED = 5.0  # default speed of the closed loop, in mean poles of the plant
 
 
-class Robust(OptionTable, kw_only=True):
+class Robust(OptionTable, frozen=True, kw_only=True):
     """Robust term of references [16], [17] of the paper.
 
     Its value is -gain * tanh(B'P (x^ - x_ref) / width).

@@ -33,7 +33,7 @@ from undeadzone.util.toml import OptionTable
 Pairs = list[float | list[float]]
 
 
-class Actuator(OptionTable, kw_only=True):
+class Actuator(OptionTable, frozen=True, kw_only=True):
     """Actuator between the command u and the plant's m inputs: one number, or one per input.
 
     Example:
@@ -64,7 +64,7 @@ class Actuator(OptionTable, kw_only=True):
     rate: Pairs | None = None
 
 
-class ActuatorModel(OptionTable, kw_only=True):
+class ActuatorModel(OptionTable, frozen=True, kw_only=True):
     """The actuator as observer and compensator know it. Absent keys are the actuator's own.
 
     Attributes:

@@ -226,7 +226,7 @@ def noise_threshold(noise: Floats, step: float, rate: float) -> Floats:
     return np.asarray(noise * -NormalDist().inv_cdf(chance), float)
 
 
-class Sensor(OptionTable, kw_only=True):
+class Sensor(OptionTable, frozen=True, kw_only=True):
     """An output deadzone of p outputs; each array is one number or one per output.
 
     Example:

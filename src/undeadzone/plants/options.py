@@ -16,7 +16,7 @@ from undeadzone.util.arrays import Array, require_matrix, require_number, requir
 from undeadzone.util.toml import Kind, OptionTable
 
 
-class Rigid(OptionTable, kw_only=True):
+class Rigid(OptionTable, frozen=True, kw_only=True):
     """Options of every rigid arm of N joints. Its numbers stand in `plant.parameters`.
 
     Attributes:
@@ -95,7 +95,7 @@ ArmOptions = OneLink | TwoLink | URDF | ElasticJoint
 # --- A plant
 
 
-class SecondOrder(OptionTable, kw_only=True):
+class SecondOrder(OptionTable, frozen=True, kw_only=True):
     """Linear plant x'' + 2 zeta omega_n x' + omega_n^2 x = gain u, (37) with its square
     restored.
 
@@ -110,7 +110,7 @@ class SecondOrder(OptionTable, kw_only=True):
     gain: float = 1.0
 
 
-class TransferFunction(OptionTable, kw_only=True):
+class TransferFunction(OptionTable, frozen=True, kw_only=True):
     """Strictly proper transfer function, numerator / denominator.
 
     Attributes:
@@ -122,7 +122,7 @@ class TransferFunction(OptionTable, kw_only=True):
     denominator: Array
 
 
-class Plant(OptionTable, kw_only=True):
+class Plant(OptionTable, frozen=True, kw_only=True):
     """Plant in exactly one form.
 
     The forms are (A, B, C), second_order, companion, integrators, transfer_function, (f, h), and

@@ -12,7 +12,7 @@ from undeadzone.util.arrays import Array, Floats, describe_shape, require_array
 from undeadzone.util.toml import OptionTable
 
 
-class Region(OptionTable, kw_only=True):
+class Region(OptionTable, frozen=True, kw_only=True):
     """Domain on which a nonlinear model is certified.
 
     Attributes:

@@ -19,7 +19,7 @@ KINDS: Final = ("uniform", "normal", "log_normal")
 REACH: Final = 8.3  # standard deviations; the numbers drawn never lie further out
 
 
-class Distribution(OptionTable, kw_only=True):
+class Distribution(OptionTable, frozen=True, kw_only=True):
     """Distribution of a number that varies: exactly one of uniform, normal and log_normal.
 
     A normal distribution is cut off at impossible values, such as a width below 0. The probability
@@ -40,7 +40,7 @@ class Distribution(OptionTable, kw_only=True):
     shared: bool = False
 
 
-class Vary(OptionTable, kw_only=True):
+class Vary(OptionTable, frozen=True, kw_only=True):
     """Many runs of the scenario.
 
     A key in quotes is the address of what varies: `"sensor.right" = { uniform = [0.3, 2.0] }`.

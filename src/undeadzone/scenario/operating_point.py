@@ -23,7 +23,7 @@ LEVELS: Final = {  # signals that count from a level, by name
 }
 
 
-class OperatingPoint(OptionTable, kw_only=True):
+class OperatingPoint(OptionTable, frozen=True, kw_only=True):
     """Input and output at rest, from which every number of a scenario counts.
 
     Example:

@@ -91,7 +91,7 @@ def usual_controller(plant: Plant, sampled: bool) -> ControllerOptions:
     return CONTROLLERS.create_options("lqr" if sampled else "state_feedback")
 
 
-class Model(OptionTable, kw_only=True):
+class Model(OptionTable, frozen=True, kw_only=True):
     """The plant as observer and controller know it. Absent keys are the plant's.
 
     Example:
@@ -124,7 +124,7 @@ class Model(OptionTable, kw_only=True):
     delay: int | None = None
 
 
-class Simulation(OptionTable, kw_only=True):
+class Simulation(OptionTable, frozen=True, kw_only=True):
     """Duration of a run, and the method of its computation.
 
     Example:
@@ -156,7 +156,7 @@ class Simulation(OptionTable, kw_only=True):
     order: int = 4
 
 
-class Units(OptionTable, kw_only=True):
+class Units(OptionTable, frozen=True, kw_only=True):
     """Names of units for labels and columns. Numbers are never converted.
 
     Example:
@@ -177,7 +177,7 @@ class Units(OptionTable, kw_only=True):
     state: str | list[str] = "1"
 
 
-class Scenario(OptionTable, kw_only=True):
+class Scenario(OptionTable, frozen=True, kw_only=True):
     """Plant behind a dead zone, with its reference, observer and controller.
 
     Example:

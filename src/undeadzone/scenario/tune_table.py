@@ -11,7 +11,7 @@ from undeadzone.scenario.address_table import Table
 from undeadzone.util.toml import OptionTable
 
 
-class Range(OptionTable, kw_only=True):
+class Range(OptionTable, frozen=True, kw_only=True):
     """The range in which a number is searched.
 
     Attributes:
@@ -26,7 +26,7 @@ class Range(OptionTable, kw_only=True):
     start: float | None = None
 
 
-class Tune(OptionTable, kw_only=True):
+class Tune(OptionTable, frozen=True, kw_only=True):
     """Numbers to be tuned.
 
     A key in quotes is the address of one: `"observer.gamma" = { between = [0.1, 100.0], log = true

@@ -66,7 +66,7 @@ class Exosystem(NamedTuple):
         return self.state(t) @ (self.Q @ np.linalg.matrix_power(self.S, derivative)).T
 
 
-class Tone(OptionTable, kw_only=True):
+class Tone(OptionTable, frozen=True, kw_only=True):
     """Sine amplitude * sin(2 pi frequency t + phase).
 
     Attributes:

@@ -54,7 +54,7 @@ class Quintic(Kind, frozen=True, kw_only=True, tag="quintic"):
     space: Space = "joint"
 
 
-class Swing(OptionTable, kw_only=True):
+class Swing(OptionTable, frozen=True, kw_only=True):
     """Motion of an arm's joints before a path of its tip begins: through points, and back.
 
     Attributes:
@@ -69,7 +69,7 @@ class Swing(OptionTable, kw_only=True):
     until: float
 
 
-class _Turn(OptionTable, kw_only=True):
+class _Turn(OptionTable, frozen=True, kw_only=True):
     """Path around a centre in a plane, in two or three coordinates.
 
     Attributes:

@@ -83,7 +83,7 @@ def advise_on_name(name: str, known: Iterable[str], otherwise: str) -> str:
     """Return the known name that is meant, the cure of a foreign word, or all known names.
 
     Args:
-        name: that is none of them.
+        name: unknown.
         known: the names.
         otherwise: words ahead of all names.
     """
@@ -123,7 +123,7 @@ class OptionTable(msgspec.Struct, metaclass=_Named, frozen=True, forbid_unknown_
     """Table of a scenario."""
 
 
-class Kind(OptionTable, tag_field="kind"):
+class Kind(OptionTable, frozen=True, tag_field="kind"):
     """Table of a scenario with several kinds, chosen by the key `kind`."""
 
 

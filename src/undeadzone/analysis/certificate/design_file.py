@@ -41,7 +41,7 @@ UNITS: Final = {
 }
 
 
-class Point(OptionTable, kw_only=True):
+class Point(OptionTable, frozen=True, kw_only=True):
     """Certified gains and their scores, see `synthesis.task.Scores`.
 
     Attributes:
@@ -63,7 +63,7 @@ class Point(OptionTable, kw_only=True):
     noise: float
 
 
-class Design(OptionTable, kw_only=True):
+class Design(OptionTable, frozen=True, kw_only=True):
     """Gains for a model A, B, C, and the proof P, W that V never rises.
 
     Attributes:
@@ -268,7 +268,7 @@ def _require_sizes(design: Design, n: int, p: int) -> None:
         require_vector(f"front[{i}].gamma", point.gamma, p)
 
 
-class Knowledge(OptionTable, kw_only=True):
+class Knowledge(OptionTable, frozen=True, kw_only=True):
     """Identifiability of the dead zone of a single output, as stored in a file.
 
     Attributes:

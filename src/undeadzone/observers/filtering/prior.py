@@ -361,7 +361,7 @@ def outlier_probability(assumed: float) -> float:
     return share
 
 
-class Assumptions(OptionTable, kw_only=True):
+class Assumptions(OptionTable, frozen=True, kw_only=True):
     """Assumptions about a plant and its sensor.
 
     A quantity without an assumption is uncertain. The value 0 is an assumption.

@@ -40,7 +40,7 @@ EVEN = 2.0  # coupling up to which what other joints do to a link is mere noise
 TINY = 1e-3  # speed at which friction is linear, over that at which it fades
 
 
-class Gears(OptionTable, kw_only=True):
+class Gears(OptionTable, frozen=True, kw_only=True):
     """Gears with a gap between motors and links, each array a number or a value per joint (N).
 
     Attributes:
