@@ -30,11 +30,12 @@ static wide output(const setup *s, const wide *x)
     return z;
 }
 
-static wide storage(const setup *s, const pair *now)
+static double storage(const setup *s, const pair *now)
 {
-    wide v = 0;
+    double v = 0, e[N + 2];
+    for (int i = 0; i < N + 2; i++) e[i] = (double)now->e[i];
     for (int i = 0; i < N + 2; i++)
-        for (int j = 0; j < N + 2; j++) v += s->s[i * (N + 2) + j] * now->e[i] * now->e[j];
+        for (int j = 0; j < N + 2; j++) v += s->s[i * (N + 2) + j] * e[i] * e[j];
     return v;
 }
 
@@ -115,7 +116,7 @@ void attack(const setup *s, long sequences, long steps, unsigned long long seed,
                 }
                 now = best;
             }
-            double v = (double)storage(s, &now), z = (double)fabsl(output(s, now.e));
+            double v = storage(s, &now), z = (double)fabsl(output(s, now.e));
             found->seen = fmax(found->seen, z);
             found->fullest = fmax(found->fullest, v);
             if (v > 1 || z > s->radius) {

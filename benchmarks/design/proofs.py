@@ -34,7 +34,9 @@ from undeadzone_export.code import build_code
 from undeadzone_export.compiler import compile_library, write_sources
 from undeadzone_export.exported_step import build_step
 from undeadzone_export.source import Labels, build_source
-from undeadzone_proof import Refused, hold_exactly, state_theorem, to_numbers, verify_proof
+from undeadzone_proof import state_theorem, to_numbers, verify_proof
+from undeadzone_proof.source import Refused
+from undeadzone_proof.theorem import hold_exactly
 
 OPTIONS = {"designs": 50, "sequences": 1_000_000, "seed": 0}
 MARGINS = (1e-3, 1e-2, 0.1, 0.5)
@@ -98,7 +100,7 @@ def attack(proof: Any, sequences: int, seed: int) -> Attack:
     with tempfile.TemporaryDirectory() as name:
         files = {"observer.c": text, "observer.h": header, "attack.c": HARNESS.read_text()}
         size, kind = f"-DN={len(bounds['x'])}", f"-DREAL={proof['source']['format']}"
-        options = ("-O2", "-std=gnu11", size, kind)
+        options = ("-O3", "-march=native", "-std=gnu11", size, kind)
         library = compile_library(write_sources(files, Path(name)), Path(name, "a.so"), options)
         for count, steps in ((sequences, SHORT), (sequences // 100 + 8, LONG)):
             ctypes.CDLL(str(library)).attack(

@@ -20,6 +20,7 @@ import msgspec
 from undeadzone.errors import InputError
 from undeadzone.util import arrays
 from undeadzone.util.installed import list_registered_places, load_object
+from undeadzone.util.toml import OptionTable, advise_on_name
 
 if TYPE_CHECKING:
     from undeadzone.interfaces import Compensator, Controller, Observer
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
     from undeadzone.plants.system import System
 
 
-class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="method"):
+class Options(OptionTable, frozen=True, tag_field="method"):
     """Options of an observer, a controller or a compensator, and the method that they build.
 
     `build(model, ...)` takes the model that the method computes with, for an observer the dead zone
@@ -258,8 +259,12 @@ def find_options_class(name: str, *catalogues: Registry) -> type[Options]:
     Raises:
         AttributeError: there are none.
     """
+    known = []
     for catalogue in catalogues or REGISTRIES.values():
         for place in [*catalogue.own.values(), *list_registered_places(catalogue.group).values()]:
-            if place.rpartition(":")[2] == name:
+            known.append(place.rpartition(":")[2])
+            if known[-1] == name:
                 return load_object(f"{catalogue.group}: {name}", place)
-    raise AttributeError(f"undeadzone has no {name!r}, and no package registers such options")
+    advice = advise_on_name(name, known, "?").partition("? ")[0]
+    words = f"undeadzone has no {name!r}, and no package registers such options"
+    raise AttributeError(f"{words}. {advice}".removesuffix(". "))

@@ -305,7 +305,9 @@ def change_method(scenario: Scenario, method: str) -> tuple[Scenario, list[str]]
 def _require_known_word(key: str, value: str, known: tuple[str, ...]) -> None:
     """Raise InputError for an unknown word."""
     if value not in known:
-        raise InputError(f"{key}: found {value!r}. {suggest_name(value, known, 'Expected one of')}")
+        raise InputError(
+            f"{key}: found {value!r}. {suggest_name(value, known, 'Expected one of', 0.7)}"
+        )
 
 
 def _require_page_options(

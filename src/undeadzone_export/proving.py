@@ -35,15 +35,9 @@ from undeadzone.util.files import write_text
 from undeadzone_export.code import build_code
 from undeadzone_export.exported_step import build_step
 from undeadzone_export.source import Labels, Source, build_source
-from undeadzone_proof import (
-    Code,
-    Refused,
-    hold_exactly,
-    list_modes,
-    map_step,
-    state_theorem,
-    verify_proof,
-)
+from undeadzone_proof import state_theorem, verify_proof
+from undeadzone_proof.source import Code, Refused
+from undeadzone_proof.theorem import hold_exactly, map_step
 
 FILE: Final = "proof.json"
 ROOM: Final = 1 + 1e-5  # by which proposed numbers exceed those that are needed
@@ -51,10 +45,10 @@ SLACK: Final = 1e-6  # of the balanced inequality, which the exact one needs
 SIDES: Final = (0.02, 0.06, 0.18, 0.56)  # of the plant's decay, that V may have on a side
 SILENCES: Final = (0.03, 0.3)  # of it, that V may have in silence
 NEAR: Final = 1e-6  # of a state, that its set spans at least, at the start of the search
-QUIET: Final = 0.4  # of a step's decay, that rounding may take
+QUIET: Final = 0.8  # of a step's decay, that rounding may take
 SPREAD: Final = 0.5  # of it, of the set at the start of the search
 DIGITS: Final = 4  # of a bound that is printed
-PASSES: Final = 4  # of a set's rounding, which grows with the set, at most
+PASSES: Final = 20  # of a set's rounding, which grows with the set, at most
 LEAST: Final = 1e-9  # of the largest bound from outside, that the others count as, at least
 SIGMAS: Final = 4.0  # of a random disturbance, that its bound spans
 RANGE: Final = 2.0  # of states and inputs, in multiples of the largest along the run
@@ -159,9 +153,9 @@ def propose_sampled(problem: Problem, text: Source, single: bool) -> dict[str, A
     proof = _to_exact(content)
     try:
         code = Code(proof, [text.code, text.header])
-        proof |= {"constants": code.constants, "operations": code.bodies["step"]}
+        proof |= {"constants": code.constants, "operations": code.step}
         held = hold_exactly(proof["plant"])
-        E, _ = map_step(proof, code, held, *list_modes(proof, code)[0][1:4])
+        E, *_ = map_step(proof, code, held, "right")
         proof["gains"] = list(list(zip(*E, strict=True))[n])
         P = block_diag(certificate.P / certificate.W / Ts, 1 / (1 - float(E[n][n])))
         proof["storage"] = {"P": _to_exact(P)}
@@ -201,13 +195,14 @@ def _read_modes(
         reach: how far each estimate is from its state, at most.
     """
     reached = proof | {"bounds": proof["bounds"] | {"reach": reach}}
-    right, _, silent, _ = list_modes(proof, code)
-    modes = []
-    for mode in (right, silent):
-        E, box = map_step(reached, code, held, *mode[1:4])
-        modes.append((np.array(E, float), np.array(box, float)))
-    outside = np.array([right[-1], *proof["bounds"]["disturbance"]], float)
-    sizes = [float(code.widest)] * 2 + [*np.maximum(outside, LEAST * outside.max())]
+    modes: list[tuple[Floats, Floats]] = []
+    for mode in ("zone", "right"):
+        E, box, wrong = map_step(reached, code, held, mode)
+        modes.insert(0, (np.array(E, float), np.array(box, float)))
+    outside = np.array([wrong, *proof["bounds"]["disturbance"]], float)
+    sizes = [float(proof["sensor"]["width_max"])] * 2 + [
+        *np.maximum(outside, LEAST * outside.max())
+    ]
     return modes, np.array(sizes)
 
 

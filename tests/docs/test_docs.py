@@ -100,8 +100,7 @@ def test_scenario_page_is_up_to_date() -> None:
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_a_page_has_at_most_3000_words(page: Path) -> None:
-    limit = 7800 if page.name == "identify.md" else 3000  # KNOWN_GAPS.md
-    assert len(page.read_text(encoding="utf-8").split()) <= limit
+    assert len(page.read_text(encoding="utf-8").split()) <= 3000
 
 
 def test_the_first_keys_are_25_that_a_scenario_has() -> None:

@@ -37,25 +37,53 @@ def reader(tmp_path_factory: pytest.TempPathFactory) -> Walk:
 
 # Files that readers have, by the pages that use them, and what makes each.
 GIVEN = {
-    "cp examples/samples.csv FILE": ("log.csv", "first.csv", "second.csv", "samples.csv"),
-    "undeadzone init --force FILE": ("mine.toml", "scenario.toml"),
+    "cp examples/samples.csv FILE": (
+        *("log.csv", "first.csv", "second.csv", "samples.csv", "next_log.csv", "position.csv"),
+    ),
+    f"cp {ROOT}/docs/trades/valve.csv FILE": ("loop.csv",),
+    f"cp {ROOT}/docs/trades/load_cell.csv FILE": ("load_cell.csv",),
+    "cp examples/ur5.urdf FILE": ("robot.urdf",),
+    "sed 's/step = 0.002/step = 0.01/' examples/pendulum.toml > FILE": ("pendulum.toml",),
+    "undeadzone init --force FILE": ("mine.toml", "scenario.toml", "SCENARIO.toml", "s.toml"),
+    "mkdir -p upload; cp examples/paper_5sin.toml FILE": ("upload/s.toml",),
     f"PYTHONPATH={ROOT}:$PYTHONPATH {sys.executable} -m benchmarks.end_to_end.cases FILE": (
         "logs/",
     ),
 }
-# A robot of an hour, files that stand for a reader's own, and a log of a motor.
+MADE = {  # logs that a line's options are for
+    "y=acceleration": "sed 's/^t,y,u/time,acceleration,torque/' examples/samples.csv > log.csv",
+    "--left inf": "awk -F, 'NR>1 && $2<0{$2=0}1' OFS=, examples/samples.csv > log.csv",
+    "--kind jump": "awk -F, 'NR>1 && $2^2<1{$2=0}1' OFS=, examples/samples.csv > log.csv",
+}
+# Minutes to an hour: a robot, all methods with tuning. Words that stand for a reader's own choice.
 OWN = re.compile(
-    r"ur5|upload/|position\.csv|--columns|identify.*--(?:resume|kind jump)|panda|arena mine"
+    r"run examples/ur5|export examples/ur5|ensemble examples/ur5|ur5/|panda|\barena|\.\.\."
 )
-PAGES = sorted([ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")])
+PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")])
+TUTORIALS = sorted((ROOT / "docs/tutorials").glob("*.py"))
+INLINE = re.compile(
+    r"(?:`|[$] )(undeadzone \w+ [^`\n]*?(?:[\w/]+\.(?:toml|csv|urdf)|--example )[^`]*?)(?=`|$)",
+    re.M,
+)
 HELP = {
     f"{path.parts[-2]}/{path.stem} --help": re.split(r", then look|; on W| && ", found[1])
     for path in sorted((ROOT / "src").rglob("*.py"))
     if (found := re.search(r'"Example: (.*)', path.read_text(encoding="utf-8")))
 }
-SHOWN = {path.relative_to(ROOT).as_posix(): shell_lines(path) for path in PAGES} | HELP
+
+
+def read_lines(page: Path) -> list[str]:
+    """The lines of a page's blocks and those inside its sentences, each once."""
+    text = page.read_text(encoding="utf-8")
+    text = re.sub(r"```console.*?```", "", text, flags=re.S)  # test_docs.py runs these
+    inside = re.sub(r"(?m)^# ", "", text) if page.suffix == ".py" else text
+    found = [" ".join(line.split()) for line in INLINE.findall(inside)]
+    return [*dict.fromkeys([*shell_lines(page), *found])]
+
+
+SHOWN = {path.relative_to(ROOT).as_posix(): read_lines(path) for path in PAGES + TUTORIALS} | HELP
 LINES = {
-    name: [one for one in map(str.strip, lines) if re.match(r"undeadzone \w", one)]
+    name: [one for one in map(str.strip, lines) if re.match(r"(python -m )?undeadzone\w* \w", one)]
     for name, lines in SHOWN.items()
 }
 LINES = {
@@ -75,6 +103,9 @@ def test_the_shell_lines_of_a_page_run(page: str, tmp_path: Path) -> None:
             if re.search(rf"(?<![\w/]){name}\b", " ; ".join(lines)) and "init" not in lines[0]:
                 walk.run(make.replace("FILE", name))
     for line in lines:
+        for words, make in MADE.items():
+            if words in line:
+                walk.run(make)
         walk.run(line, highest=1)
 
 

@@ -68,7 +68,7 @@ FLOORS = {
         ("report",),
         ("commands",),
     ),
-    undeadzone_proof: (),
+    undeadzone_proof: (("source",), ("theorem",)),
     undeadzone_export: (
         ("compiler", "exported_step", "template"),
         ("boards", "code"),

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import casadi as ca
-import msgspec
 import numpy as np
 
 from undeadzone.errors import InputError
@@ -21,12 +20,13 @@ from undeadzone.linalg.riccati import (
 from undeadzone.plants.system import System, mean_pole, plant_pace, state_units
 from undeadzone.registry import Options
 from undeadzone.util.arrays import Array, Floats, require_array, require_matrix, require_number
+from undeadzone.util.toml import OptionTable
 
 CHOICES = ("K", "poles", "alpha", "speed")
 SPEED = 5.0  # default speed of the closed loop, in mean poles of the plant
 
 
-class Robust(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Robust(OptionTable, frozen=True, kw_only=True):
     """Robust term of references [16], [17] of the paper.
 
     Its value is -gain * tanh(B'P (x^ - x_ref) / width).

@@ -28,11 +28,12 @@ from undeadzone.util.arrays import (
     require_nonnegative,
     require_ranges,
 )
+from undeadzone.util.toml import OptionTable
 
 Pairs = list[float | list[float]]
 
 
-class Actuator(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Actuator(OptionTable, frozen=True, kw_only=True):
     """Actuator between the command u and the plant's m inputs: one number, or one per input.
 
     Example:
@@ -63,7 +64,7 @@ class Actuator(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     rate: Pairs | None = None
 
 
-class ActuatorModel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class ActuatorModel(OptionTable, frozen=True, kw_only=True):
     """The actuator as observer and compensator know it. Absent keys are the actuator's own.
 
     Attributes:

@@ -30,6 +30,7 @@ from undeadzone.util.arrays import (
     require_number,
     require_vector,
 )
+from undeadzone.util.toml import OptionTable
 
 # sides; 0 is silent, twice a side is at the limit of its readings
 RIGHT = 1.0
@@ -225,7 +226,7 @@ def noise_threshold(noise: Floats, step: float, rate: float) -> Floats:
     return np.asarray(noise * -NormalDist().inv_cdf(chance), float)
 
 
-class Sensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Sensor(OptionTable, frozen=True, kw_only=True):
     """An output deadzone of p outputs; each array is one number or one per output.
 
     Example:

@@ -7,17 +7,16 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
-import msgspec
 import numpy as np
 
 from undeadzone.errors import InputError
 from undeadzone.linalg.matrices import Matrices, companion_form
 from undeadzone.plants.robots.geared import Gears
 from undeadzone.util.arrays import Array, require_matrix, require_number, require_series
-from undeadzone.util.toml import Kind
+from undeadzone.util.toml import Kind, OptionTable
 
 
-class Rigid(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Rigid(OptionTable, frozen=True, kw_only=True):
     """Options of every rigid arm of N joints. Its numbers stand in `plant.parameters`.
 
     Attributes:
@@ -96,7 +95,7 @@ ArmOptions = OneLink | TwoLink | URDF | ElasticJoint
 # --- A plant
 
 
-class SecondOrder(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class SecondOrder(OptionTable, frozen=True, kw_only=True):
     """Linear plant x'' + 2 zeta omega_n x' + omega_n^2 x = gain u, (37) with its square
     restored.
 
@@ -111,7 +110,7 @@ class SecondOrder(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     gain: float = 1.0
 
 
-class TransferFunction(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class TransferFunction(OptionTable, frozen=True, kw_only=True):
     """Strictly proper transfer function, numerator / denominator.
 
     Attributes:
@@ -123,7 +122,7 @@ class TransferFunction(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     denominator: Array
 
 
-class Plant(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Plant(OptionTable, frozen=True, kw_only=True):
     """Plant in exactly one form.
 
     The forms are (A, B, C), second_order, companion, integrators, transfer_function, (f, h), and

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import msgspec
 import numpy as np
 
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.plants.system import System
 from undeadzone.util.arrays import Array, Floats, describe_shape, require_array
+from undeadzone.util.toml import OptionTable
 
 
-class Region(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Region(OptionTable, frozen=True, kw_only=True):
     """Domain on which a nonlinear model is certified.
 
     Attributes:

@@ -22,8 +22,7 @@ from undeadzone.registry import decode_field
 from undeadzone.scenario import ensemble_table, tune_table
 from undeadzone.scenario.messages import CHOOSERS, explain
 from undeadzone.util.arrays import Array, Floats
-from undeadzone.util.text import suggest_name
-from undeadzone.util.toml import to_tables
+from undeadzone.util.toml import advise_on_name, to_tables
 
 TUNABLE: Final = ("observer", "controller")  # the tables whose numbers have addresses
 TABLES: Final = (ensemble_table.TABLE, tune_table.TABLE)  # those whose keys may be addresses
@@ -84,7 +83,7 @@ def similar(address: str, names: Iterable[str], otherwise: str) -> str:
         otherwise: words ahead of all their keys.
     """
     keys = sorted(set(map(stem, names)))
-    return suggest_name(stem(address), keys, otherwise)
+    return advise_on_name(stem(address), keys, otherwise)
 
 
 def child(parent: Any, name: str) -> Any:

@@ -7,19 +7,19 @@ from __future__ import annotations
 
 from typing import Final, Literal, NamedTuple
 
-import msgspec
 import numpy as np
 
 from undeadzone.errors import InputError
 from undeadzone.scenario.address_table import Table
 from undeadzone.util.arrays import LARGEST, Floats, require_number
+from undeadzone.util.toml import OptionTable
 
 POSITIVE: Final = float(np.finfo(float).tiny)
 KINDS: Final = ("uniform", "normal", "log_normal")
 REACH: Final = 8.3  # standard deviations; the numbers drawn never lie further out
 
 
-class Distribution(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Distribution(OptionTable, frozen=True, kw_only=True):
     """Distribution of a number that varies: exactly one of uniform, normal and log_normal.
 
     A normal distribution is cut off at impossible values, such as a width below 0. The probability
@@ -40,7 +40,7 @@ class Distribution(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     shared: bool = False
 
 
-class Vary(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Vary(OptionTable, frozen=True, kw_only=True):
     """Many runs of the scenario.
 
     A key in quotes is the address of what varies: `"sensor.right" = { uniform = [0.3, 2.0] }`.

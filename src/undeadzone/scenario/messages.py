@@ -13,7 +13,7 @@ import msgspec
 
 from undeadzone.errors import InputError
 from undeadzone.registry import REGISTRIES
-from undeadzone.util.text import suggest_name
+from undeadzone.util.toml import advise_on_name
 
 _CURES = {  # admissible values of a part, if its type does not show them
     "plant": "uz.Plant(A=..., B=..., C=...), or uz.from_control(system)",
@@ -34,47 +34,6 @@ _WORDS = {
     "bool": "true or false",
     "null": "nothing",
 }
-_SYNONYMS = {  # words of other tools, and their names here
-    "UnscentedKalman": "Write ukf",
-    "UnscentedKalmanFilter": "Write ukf",
-    "ExtendedKalman": "Write ekf",
-    "ExtendedKalmanFilter": "Write ekf",
-    "filter": "The table of the observer is [observer]",
-    "estimator": "The table of the observer is [observer]",
-    "dt": "The sample time is simulation.step",
-    "Ts": "The sample time is simulation.step",
-    "sample_time": "The sample time is simulation.step",
-    "fs": "The sample time is simulation.step = 1 / fs",
-    "d_r": "Write right",
-    "d_l": "Write left",
-    "range_right": "Write right = [least, largest]",
-    "Kp": "Write k_p",
-    "Ki": "Write k_i",
-    "Kd": "Write k_d",
-    "kp": "Write k_p",
-    "ki": "Write k_i",
-    "kd": "Write k_d",
-    "controller": "The controller has a table of its own, [controller]",
-    "discrete": "Write sampled",
-    "discrete-time": "Write sampled",
-    "T": "The length of a run is simulation.duration, the sample time simulation.step",
-    "num": "Write numerator",
-    "den": "Write denominator",
-    "tf": "Write transfer_function = { numerator = [...], denominator = [...] }",
-    "D": "Direct feedthrough is not supported. Leave D out if it is 0",
-    "upper": "The upper edge of the zone is sensor.right",
-    "lower": "The lower edge of the zone is -sensor.left",
-    "deadband": "The widths are sensor.right and sensor.left, from 0 to each edge",
-    "deadzone": "The widths are sensor.right and sensor.left, from 0 to each edge",
-    "width": "The widths are sensor.right and sensor.left, from 0 to each edge",
-    "gain": "L and gamma are the observer's gains, K the controller's, slope the sensor's",
-    "type": "Write kind or method",
-    "freq": "Write frequency, in Hz",
-    "omega": "Write frequency, in Hz",
-    "saturation": "Write range = [least, largest]",
-    "sigma": "Write noise, the rms of white noise on the reading",
-}
-NEAR = 0.65  # likeness from which on a name may be meant
 CHOOSERS = ("kind", "method")  # keys that choose among the variants of a table
 _Structs = list[type[msgspec.Struct]]
 
@@ -94,9 +53,7 @@ def explain(message: str, data: dict[str, Any], root: type[msgspec.Struct]) -> s
     unknown = re.match(r"(?s)Object contains unknown field `(.*)`", body)
     if unknown:
         name = unknown[1]
-        advice = _advice(name, _fields(root, key, data), "Known keys:")
-        if name in _SYNONYMS and not advice.startswith("Did you mean"):
-            advice = f"{advice}. {_SYNONYMS[name]}"
+        advice = advise_on_name(name, _fields(root, key, data), "Known keys:")
         return f"{_join(key, name)}: unknown key. {advice}"
     missing = re.match(r"Object missing required field `(.*)`", body)
     if missing:
@@ -153,9 +110,7 @@ def require_words(key: str, options: Any, kind: type[msgspec.Struct]) -> None:
 
 def _unknown_choice(key: str, word: Any, choices: list[str]) -> str:
     """Return the message about a word that is not a choice of a key."""
-    advice = _advice(str(word), choices, "Expected one of")
-    if str(word) in _SYNONYMS:
-        advice = f"{advice}. {_SYNONYMS[str(word)]}"
+    advice = advise_on_name(str(word), choices, "Expected one of")
     return f"{key}: unknown choice {word!r}. {advice}"
 
 
@@ -191,11 +146,6 @@ def _in_words(types: re.Match[str]) -> str:
 def _join(key: str, name: str) -> str:
     """Return the dotted key of a name in the table at `key`."""
     return f"{key}.{name}" if key else name or "''"
-
-
-def _advice(name: str, known: list[str], otherwise: str) -> str:
-    """Return the nearest known name, or all of them. Upper and lower case count as the same."""
-    return suggest_name(name, sorted(known), otherwise, NEAR)
 
 
 def _walk(key: str, data: Any) -> Any:

@@ -11,12 +11,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
-import msgspec
-
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Estimate
 from undeadzone.plants.system import System
 from undeadzone.util.arrays import Array, Floats, require_vector
+from undeadzone.util.toml import OptionTable
 
 LEVELS: Final = {  # signals that count from a level, by name
     **dict.fromkeys(("z", "z_hat", "z_inverse", "z_smooth", "level"), "z"),
@@ -24,7 +23,7 @@ LEVELS: Final = {  # signals that count from a level, by name
 }
 
 
-class OperatingPoint(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class OperatingPoint(OptionTable, frozen=True, kw_only=True):
     """Input and output at rest, from which every number of a scenario counts.
 
     Example:

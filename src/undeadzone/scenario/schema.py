@@ -37,6 +37,7 @@ from undeadzone.util import shown, toml
 from undeadzone.util.arrays import Array, require_array
 from undeadzone.util.earlier import ASSUMPTION_TABLES, SCHEMA
 from undeadzone.util.files import write_text
+from undeadzone.util.toml import OptionTable
 
 VAGUE: Final = 3.0  # in largest widths: upper end of the default range of the widths
 SMALL: Final = 0.01  # least half of a gap of gears, if its range is not declared [rad]
@@ -90,7 +91,7 @@ def usual_controller(plant: Plant, sampled: bool) -> ControllerOptions:
     return CONTROLLERS.create_options("lqr" if sampled else "state_feedback")
 
 
-class Model(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Model(OptionTable, frozen=True, kw_only=True):
     """The plant as observer and controller know it. Absent keys are the plant's.
 
     Example:
@@ -123,7 +124,7 @@ class Model(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     delay: int | None = None
 
 
-class Simulation(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Simulation(OptionTable, frozen=True, kw_only=True):
     """Duration of a run, and the method of its computation.
 
     Example:
@@ -155,7 +156,7 @@ class Simulation(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     order: int = 4
 
 
-class Units(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Units(OptionTable, frozen=True, kw_only=True):
     """Names of units for labels and columns. Numbers are never converted.
 
     Example:
@@ -176,7 +177,7 @@ class Units(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     state: str | list[str] = "1"
 
 
-class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Scenario(OptionTable, frozen=True, kw_only=True):
     """Plant behind a dead zone, with its reference, observer and controller.
 
     Example:

@@ -7,12 +7,11 @@ from __future__ import annotations
 
 from typing import Final, Literal
 
-import msgspec
-
 from undeadzone.scenario.address_table import Table
+from undeadzone.util.toml import OptionTable
 
 
-class Range(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Range(OptionTable, frozen=True, kw_only=True):
     """The range in which a number is searched.
 
     Attributes:
@@ -27,7 +26,7 @@ class Range(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     start: float | None = None
 
 
-class Tune(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Tune(OptionTable, frozen=True, kw_only=True):
     """Numbers to be tuned.
 
     A key in quotes is the address of one: `"observer.gamma" = { between = [0.1, 100.0], log = true

@@ -14,14 +14,13 @@ from collections.abc import Callable
 from fractions import Fraction
 from typing import NamedTuple
 
-import msgspec
 import numpy as np
 
 from undeadzone.errors import FileError, InputError
 from undeadzone.signals.paths import Circle, FigureEight, Path, Quintic, build_curve
 from undeadzone.util.arrays import Array, Floats, require_number, require_vector
 from undeadzone.util.files import LARGEST_TABLE, failure_reason, read_text
-from undeadzone.util.toml import Kind
+from undeadzone.util.toml import Kind, OptionTable
 
 Derivatives = Callable[[Floats], Floats]
 
@@ -67,7 +66,7 @@ class Exosystem(NamedTuple):
         return self.state(t) @ (self.Q @ np.linalg.matrix_power(self.S, derivative)).T
 
 
-class Tone(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Tone(OptionTable, frozen=True, kw_only=True):
     """Sine amplitude * sin(2 pi frequency t + phase).
 
     Attributes:

@@ -9,7 +9,6 @@ from collections.abc import Callable
 from math import comb
 from typing import Literal, NamedTuple
 
-import msgspec
 import numpy as np
 
 from undeadzone.errors import InputError, ShapeError
@@ -22,7 +21,7 @@ from undeadzone.util.arrays import (
     require_series,
     require_vector,
 )
-from undeadzone.util.toml import Kind
+from undeadzone.util.toml import Kind, OptionTable
 
 Space = Literal["joint", "task"]
 ORDER = 4  # derivatives of a turning path
@@ -55,7 +54,7 @@ class Quintic(Kind, frozen=True, kw_only=True, tag="quintic"):
     space: Space = "joint"
 
 
-class Swing(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Swing(OptionTable, frozen=True, kw_only=True):
     """Motion of an arm's joints before a path of its tip begins: through points, and back.
 
     Attributes:
@@ -70,7 +69,7 @@ class Swing(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     until: float
 
 
-class _Turn(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class _Turn(OptionTable, frozen=True, kw_only=True):
     """Path around a centre in a plane, in two or three coordinates.
 
     Attributes:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import io
 import os
 import stat
@@ -287,8 +288,12 @@ def write_text(text: str, path: Name) -> Path:
 
 
 def unreadable_file(path: Name, error: Exception) -> FileError:
-    """Return the error of a file that cannot be read, with the reason."""
-    return FileError(f"{path}: cannot read: {failure_reason(error)}")
+    """Return the error of a file that cannot be read, with the reason and the nearest name."""
+    folder, name = os.path.split(path)
+    missing = isinstance(error, FileNotFoundError) and os.path.isdir(folder or ".")
+    near = difflib.get_close_matches(name, os.listdir(folder or "."), 1) if missing else []
+    meant = "".join(f". Did you mean {os.path.join(folder, each)!r}?" for each in near)
+    return FileError(f"{path}: cannot read: {failure_reason(error)}{meant}")
 
 
 def failure_reason(error: Exception) -> str:

@@ -1,8 +1,9 @@
-"""Structs as TOML text, with exact numbers. Fields with value None are left out."""
+"""Tables of scenarios, cures of mistakes in them, their text (fields with None are left out)."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from typing import Any, Final
 
 import msgspec
@@ -10,8 +11,54 @@ import numpy as np
 import tomli_w
 
 from undeadzone.errors import InputError
+from undeadzone.util.text import suggest_name
 
 MOST_PARTS: Final = 64  # of a dotted key; tomllib takes time with the square of them
+SYNONYMS: Final = {  # words of other tools, and the cure
+    "filter": "The table of the observer is [observer]",
+    "estimator": "The table of the observer is [observer]",
+    "setpoint": "The table of the wanted output is [reference]",
+    "sim": "The table of the run is [simulation]",
+    "system": "The table of the plant is [plant]",
+    "Q": "Write disturbance, an rms",
+    "R": "Write noise, an rms",
+    "load": "uz.read reads a scenario, uz.Run.load a run",
+    "run": "uz.simulate runs a scenario",
+    "dt": "The sample time is simulation.step",
+    "Ts": "The sample time is simulation.step",
+    "sample_time": "The sample time is simulation.step",
+    "fs": "The sample time is simulation.step = 1 / fs",
+    "d_r": "Write right",
+    "d_l": "Write left",
+    "range_right": "Write right = [least, largest]",
+    "controller": "The controller has a table of its own, [controller]",
+    "discrete": "Write sampled",
+    "discrete-time": "Write sampled",
+    "T": "The length of a run is simulation.duration, the sample time simulation.step",
+    "num": "Write numerator",
+    "den": "Write denominator",
+    "tf": "Write transfer_function = { numerator = [...], denominator = [...] }",
+    "D": "Direct feedthrough is not supported. Leave D out if it is 0",
+    "upper": "The upper edge of the zone is sensor.right",
+    "lower": "The lower edge of the zone is -sensor.left",
+    "deadband": "The widths are sensor.right and sensor.left, from 0 to each edge",
+    "deadzone": "The widths are sensor.right and sensor.left, from 0 to each edge",
+    "width": "The widths are sensor.right and sensor.left, from 0 to each edge",
+    "gain": "L and gamma are the observer's gains, K the controller's, slope the sensor's",
+    "type": "Write kind or method",
+    "freq": "Write frequency, in Hz",
+    "omega": "Write frequency, in Hz",
+    "saturation": "Write range = [least, largest]",
+    "sigma": "Write noise, the rms of white noise on the reading",
+}
+METHODS: Final = {  # other names of methods, as `_flatten` has them
+    "unscentedkalman": "ukf",
+    "extendedkalman": "ekf",
+    "kf": "kalman",
+    "pf": "particle",
+    "smc": "slidingmode",
+}
+NEAR: Final = 0.65  # likeness from which on a name may be meant
 _PART: Final = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+"""
 _LONG_KEY: Final = re.compile(rf"(?<![\w-])(?:{_PART}){{{MOST_PARTS}}}")
 
@@ -32,7 +79,51 @@ def require_short_keys(text: str) -> str:
     )
 
 
-class Kind(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind"):
+def advise_on_name(name: str, known: Iterable[str], otherwise: str) -> str:
+    """Return the known name that is meant, the cure of a foreign word, or all known names.
+
+    Args:
+        name: unknown.
+        known: the names.
+        otherwise: words ahead of all names.
+    """
+    names = sorted(known)
+    plain = dict(zip(map(_flatten, names), names, strict=True))
+    flat = _flatten(name)
+    meant = plain.get(METHODS.get(flat, flat))
+    if meant:
+        return f"Did you mean {meant!r}?"
+    advice = suggest_name(name, names, otherwise, NEAR)
+    return advice if advice.startswith("Did") else SYNONYMS.get(name, advice)
+
+
+def _flatten(name: str) -> str:
+    """Return a name in small letters, without _, - and "filter"."""
+    return re.sub("[_-]|filter", "", name.lower())
+
+
+class _Named(msgspec.StructMeta):
+    """Class of all tables, whose calls name the cure of a mistake."""
+
+    def __call__(self, *values: Any, **options: Any) -> Any:
+        """Return a table. Raises TypeError for an option that it does not have."""
+        try:
+            return super().__call__(*values, **options)
+        except TypeError as error:
+            known = self.__struct_fields__
+            unknown = [name for name in options if name not in known]
+            if not unknown and not values:
+                raise
+            advice = f"Write names, {self.__name__}({known[0]}=...)" if values else ""
+            advice = advise_on_name(unknown[0], known, "Options:") if unknown else advice
+            raise TypeError(f"{self.__name__}: {error}. {advice}") from None
+
+
+class OptionTable(msgspec.Struct, metaclass=_Named, frozen=True, forbid_unknown_fields=True):
+    """Table of a scenario."""
+
+
+class Kind(OptionTable, frozen=True, tag_field="kind"):
     """Table of a scenario with several kinds, chosen by the key `kind`."""
 
 

@@ -150,7 +150,8 @@ def _fit_without_glitches(
         fits = fit_orders(data, prepared.orders, limits, held_out, advance, integrators, begun)
         if not fits:
             raise InputError(
-                "log: no stable plant of these orders fits. Try another --order, or another input"
+                "log: no stable plant of these orders fits. Try --integrators 1 if y is a "
+                "position, another --order, or another input"
             )
         glitches = _find_glitches(best_order(fits))
         if not glitches.size:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import re
 from importlib.resources import files
 from pathlib import Path
@@ -10,9 +11,8 @@ from typing import Any
 import pytest
 
 import undeadzone as uz
+from commands import undeadzone
 from documents import EXAMPLES
-from undeadzone.cli import group
-from undeadzone.cli.ending import run_to_exit_code
 from undeadzone.errors import InputError
 from undeadzone.scenario.reader import parse, read, read_for_logs
 
@@ -56,6 +56,11 @@ PARTS: dict[str, Any] = {
         ('title = "My plant"', "title = “My plant”", "write straight quotes"),
         ('method = "auto"', "method = auto", "put words in quotes"),
         ("[plant]", "[Plant]", "Did you mean 'plant'?"),
+        ("[observer]", "[filter]", "The table of the observer is [observer]"),
+        ("[reference]", "[setpoint]", "The table of the wanted output is [reference]"),
+        ('method = "auto"', 'method = "UnscentedKalman"', "Did you mean 'ukf'?"),
+        ('method = "auto"', 'method = "extended_kalman_filter"', "Did you mean 'ekf'?"),
+        ('method = "auto"', 'method = "kf"', "Did you mean 'kalman'?"),
     ],
 )
 def test_a_mistake_in_a_scenario_names_its_cure(old: str, new: str, expected: str) -> None:
@@ -108,27 +113,88 @@ def test_what_editors_do_changes_nothing(tmp_path: Path, content: bytes) -> None
     assert str(read(path)) == str(parse(TEMPLATE))
 
 
+IN_WORDS = {  # whose cure is a choice
+    "fly away",
+    "identify mine.toml",
+    "export mine.toml --to rust",
+    "fit mine.toml log.csv --free width",
+    "arm log.csv",
+}
+
+
+def follow_cure(words: list[str], message: str) -> list[str] | None:
+    """The call that a message proposes: a command, a name in place of a like one, an option."""
+    if found := re.search(r"undeadzone ((?:run|estimate) .*)", message):
+        return found[1].split()
+    if found := re.search(r"Did you mean '(.+?)'", message):
+        (wrong,) = difflib.get_close_matches(found[1], words, 1, 0.0)
+        return [found[1] if word == wrong else word for word in words]
+    if found := re.search(r"Leave (--\w+) out", message):
+        return [word for word in words if word != found[1]]
+    if found := re.search(r"(?:Use|Give) (--\w+)", message):
+        return [*words, found[1], "0.02"]
+    return None
+
+
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["mine.toml"], "To run this scenario: undeadzone run mine.toml"),
-        (["simulate", "mine.toml"], "Did you mean 'run'?"),
-        (["indentify", "log.csv"], "Did you mean 'identify'?"),
-        (["arenas"], "No such command 'arenas'. Did you mean 'arena'?"),
-        (["fly", "away"], "No such command 'fly'."),
-        (["identify", "mine.toml"], "this is a scenario, no log"),
-        (["estimate", "log.csv", "mine.toml"], "undeadzone estimate mine.toml log.csv"),
+        ("mine.toml", "To run this scenario: undeadzone run mine.toml"),
+        ("simulate mine.toml", "Did you mean 'run'?"),
+        ("indentify log.csv --order 1", "Did you mean 'identify'?"),
+        ("arenas --help", "No such command 'arenas'. Did you mean 'arena'?"),
+        ("run mine", "mine: cannot read: No such file or directory. Did you mean 'mine.toml'?"),
+        ("estimate log.csv mine.toml", "undeadzone estimate mine.toml log.csv"),
+        ("init --example pendulm", "Did you mean 'pendulum'?"),
+        ("design mine.toml --marginn 0.1", "Did you mean '--margin'?"),
+        ("identify log.csv half.csv --order 2", "Use --resample STEP"),
+        ("identify log.csv --kind jump --order 1", "Give --threshold, "),
+        ("identify log.csv --resume --out done --order 1", "Leave --resume out"),
+        ("fly away", "No such command 'fly'."),
+        ("identify mine.toml", "this is a scenario, no log"),
+        ("export mine.toml --to rust", "Expected one of c, arduino, fmu2"),
+        ("fit mine.toml log.csv --free width", "The widths are sensor.right and sensor.left"),
+        ("arm log.csv", "A robot is a URDF file"),
     ],
 )
-def test_a_mistake_on_the_command_line_names_its_cure(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any, words: list[str], expected: str
+def test_a_mistake_on_the_command_line_names_a_cure_that_works(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: str, expected: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mine.toml").write_text(TEMPLATE)
-    (tmp_path / "log.csv").write_text("t,u,y\n0,1,2\n0.01,1,2\n")
-    code = run_to_exit_code(lambda: group.main(words, standalone_mode=False))
-    assert code == 2
-    assert expected in capsys.readouterr().err
+    rows = (EXAMPLES / "samples.csv").read_text().splitlines(keepends=True)
+    (tmp_path / "log.csv").write_text("".join(rows))
+    (tmp_path / "half.csv").write_text("".join(rows[:1] + rows[1::2]))
+    if "done" in words:
+        undeadzone("identify", "log.csv", "--out", "done", "--order", "1")
+    wrong = undeadzone(*words.split())
+    assert wrong.returncode == 2
+    assert expected in wrong.stderr
+    cured = follow_cure(words.split(), wrong.stderr)
+    if cured is not None:
+        assert undeadzone(*cured).returncode <= 1
+    assert (cured is None) == (words in IN_WORDS)
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "expected"),
+    [
+        ("Sensor", {"width": 1.0}, "Sensor: .* 'width'. The widths are sensor.right and"),
+        ("Sensor", {"rigth": 1.0, "left": 1.0}, "Did you mean 'right'?"),
+        ("Simulation", {"dt": 0.01}, "The sample time is simulation.step"),
+        ("PID", {"Kp": 1.0}, "Did you mean 'k_p'?"),
+        ("Sine", {"amp": 1.0}, "Options: amplitude, frequency, offset, phase"),
+        ("UnscentedKalman", {}, "Did you mean 'UKF'?"),
+        ("load", {}, "uz.read reads a scenario"),
+    ],
+)
+def test_a_mistake_in_a_program_names_its_cure(
+    name: str, options: dict[str, Any], expected: str
+) -> None:
+    with pytest.raises((TypeError, AttributeError), match=expected.replace("?", "[?]")):
+        getattr(uz, name)(**options)
+    with pytest.raises(TypeError, match=r"Write names, Sensor\(right="):
+        uz.Sensor(1.0)  # type: ignore[misc]
 
 
 @pytest.mark.parametrize(

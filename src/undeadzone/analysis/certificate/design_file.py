@@ -24,7 +24,7 @@ from undeadzone.util.arrays import Floats, require_matrix, require_vector
 from undeadzone.util.earlier import SCHEMA, translate_stds
 from undeadzone.util.files import read_text, unreadable_file, write_text
 from undeadzone.util.own_files import mark_toml
-from undeadzone.util.toml import require_short_keys
+from undeadzone.util.toml import OptionTable, require_short_keys
 
 Matrix = list[list[float]]
 
@@ -41,7 +41,7 @@ UNITS: Final = {
 }
 
 
-class Point(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Point(OptionTable, frozen=True, kw_only=True):
     """Certified gains and their scores, see `synthesis.task.Scores`.
 
     Attributes:
@@ -63,7 +63,7 @@ class Point(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     noise: float
 
 
-class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Design(OptionTable, frozen=True, kw_only=True):
     """Gains for a model A, B, C, and the proof P, W that V never rises.
 
     Attributes:
@@ -268,7 +268,7 @@ def _require_sizes(design: Design, n: int, p: int) -> None:
         require_vector(f"front[{i}].gamma", point.gamma, p)
 
 
-class Knowledge(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Knowledge(OptionTable, frozen=True, kw_only=True):
     """Identifiability of the dead zone of a single output, as stored in a file.
 
     Attributes:

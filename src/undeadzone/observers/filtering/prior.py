@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import msgspec
 import numpy as np
 
 from undeadzone.errors import InputError, ShapeError
@@ -23,6 +22,7 @@ from undeadzone.util.arrays import (
     require_ranges,
     require_vector,
 )
+from undeadzone.util.toml import OptionTable
 
 FLOOR = 1e-3  # least noise, in assumed ranges of the widths
 SILENT = 4.0  # noise, in its rms, that is surely not beyond it
@@ -361,7 +361,7 @@ def outlier_probability(assumed: float) -> float:
     return share
 
 
-class Assumptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Assumptions(OptionTable, frozen=True, kw_only=True):
     """Assumptions about a plant and its sensor.
 
     A quantity without an assumption is uncertain. The value 0 is an assumption.

@@ -24,7 +24,6 @@ from types import MappingProxyType
 from typing import Any, Literal, NamedTuple
 
 import casadi as ca
-import msgspec
 import numpy as np
 
 from undeadzone.linalg.matrices import spectral_radius
@@ -44,6 +43,7 @@ from undeadzone.util.arrays import (
     require_positive,
     require_vector,
 )
+from undeadzone.util.toml import OptionTable
 
 PLACES = 50  # of a motion at which masses are looked at
 EVEN = 2.0  # coupling up to which what other joints do to a link is mere noise
@@ -65,7 +65,7 @@ GEAR_NUMBERS = (*GEAR_CHECKS, "winding")
 TINY = 1e-3  # speed at which friction is linear, over that at which it fades
 
 
-class Gears(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Gears(OptionTable, frozen=True, kw_only=True):
     """Gears with a gap between motors and links, each array a number or a value per joint (N).
 
     Attributes:

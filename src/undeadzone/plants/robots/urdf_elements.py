@@ -274,7 +274,9 @@ def read_urdf(path: Path) -> Robot:
     except (OSError, ValueError, LookupError) as error:
         raise FileError(f"plant.arm.path: {path}: cannot read: {failure_reason(error)}") from None
     except ParseError as error:
-        raise FileError(f"plant.arm.path: {path}: not XML: {error}") from None
+        raise FileError(
+            f"plant.arm.path: {path}: not XML: {error}. A robot is a URDF file"
+        ) from None
     try:
         return _parse_robot(root)
     except ValueError as error:
@@ -284,7 +286,7 @@ def read_urdf(path: Path) -> Robot:
 def _parse_robot(root: Element) -> Robot:
     """Return the tree under <robot>. Raises ValueError."""
     if root.tag != "robot":
-        raise ValueError("not a URDF: its first element is not <robot>")
+        raise ValueError("not a URDF: its first element is not <robot>. Convert it to URDF first")
     if any("xacro" in element.tag for element in root.iter()):
         raise ValueError("holds xacro macros: expand them first (xacro arm.xacro > arm.urdf)")
     elements = root.findall("link")
