@@ -311,13 +311,13 @@ class _Header(NamedTuple):
         if "r" in self.chosen:
             return [self.column_of_name("r")]
         kinds = self.kinds
-        is_text = [] if self.values is None else np.flatnonzero(~self.values.any(axis=0))
         has_goal = "goal" in [kinds[k] for k in used]  # beside which another is another's
         goals = [
             k
             for k, title in enumerate(self.titles)
             if kinds[k] in ("sp", "goal")
-            and k not in (*used, *is_text)
+            and k not in used
+            and (self.values is None or self.values[:, k].any())  # of a text no number is known
             and (rank_of(title) == REFERENCE or not has_goal)
         ]
         near = self.likeness()[:, y]
