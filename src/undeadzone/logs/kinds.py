@@ -69,7 +69,8 @@ _TABLE: Final = tuple(
         (r"^(reading|measured|measurement|istwert|mesure)$", "", -18.0),
         (
             r"\bbatt|\bvbat|supply|counter\b|star mass\b|\bcalculated\b|\bsnr\b|delta|\bdt\b"
-            r"|^stat(e|us) \d|moving|\bpin\b|\bbus\b|\bvcc\b|\berror\b|\bwanted time\b|\bindex\b|\bid\b|^(n|no|nr)$",
+            r"|^stat(e|us) \d|moving|\bpin\b|\bbus\b|\bvcc\b|\berror\b|\bwanted time\b|\bindex\b"
+            r"|\bid\b|^(n|no|nr)$",
             "aside",
             0.0,
         ),

@@ -240,7 +240,7 @@ def _flat_parts(levels: Levels, legs: list[Levels]) -> list[FlatPart]:
             low, high = part.ends
             if all(high < one.ends[0] or low > one.ends[1] for one in parts):
                 parts.append(part)
-    widths = np.array([np.ptp(part.ends) if part.kind == "band" else np.inf for part in parts])
+    widths = np.array([float(np.ptp(part.ends)) for part in parts])  # infinite for an end
     counts = widths >= STAIR * widths[np.isfinite(widths)].max(initial=0.0)
     if np.isfinite(widths[counts]).sum() > 1:  # steps of the reading, and no effect
         return []
