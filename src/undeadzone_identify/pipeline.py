@@ -28,6 +28,7 @@ from undeadzone_identify.logs.prepare import (
     PreparedLog,
     feasible_orders,
     find_silent_level,
+    has_jump_edges,
     prepare_log,
     require_readings,
 )
@@ -557,7 +558,7 @@ def _raw_part(prepared: PreparedLog, one: orders.OrderFit) -> ZoneFit:
 def _has_unread_edges(case: Case) -> bool:
     """Return whether the edges of a jump sensor can be read off but were not."""
     is_open = case.options.kind == "auto" and case.jump_edges is None
-    return is_open and case.record_data.silent_zeros and not case.options.integrators
+    return is_open and not case.options.integrators and has_jump_edges(case.record_data)
 
 
 # --- Hypotheses, in the order of their tests

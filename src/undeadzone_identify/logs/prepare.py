@@ -472,6 +472,16 @@ def to_dead_zone_data(
     return data._replace(y=(data.y - shift) * (data.side != 0)), limits, (right, left)
 
 
+def has_jump_edges(data: RecordData) -> bool:
+    """Return whether readings show the edges of a jump sensor: each side is never met, or often.
+
+    Args:
+        data: records, scaled.
+    """
+    passages = [_least_by_passage(data, sign).size for sign in SIDES.values()]
+    return data.silent_zeros and all(not size or size >= FEWEST for size in passages)
+
+
 def _estimate_edge(data: RecordData, name: str, options: Options) -> JumpEdge:
     """Estimate an edge with its intervals, scaled. Raise InputError."""
     least = _least_by_passage(data, SIDES[name])

@@ -107,6 +107,7 @@ class CachedMaxima:
         return Maximum(np.array(theta), value)
 
 
+@np.errstate(over="ignore", invalid="ignore")  # a step that is not finite is none
 def maximise_likelihood(
     target: Target, start: Floats, steps: int, gain: float | None = None
 ) -> Maximum:

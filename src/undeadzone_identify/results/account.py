@@ -25,6 +25,7 @@ LEADS = {MEASURED: "Measured: ", INDICATED: "Indicated, not certain: "}
 
 SURE, LESS, SHOWS = 3.0, 0.9, 0.75  # deviations and share of the straight plant's rms, or a share
 # alone, below which an effect is worth a number
+SEEN = 1.96  # deviations, two-sided at 95 %
 
 INPUT, OUTPUT, TIME, NONE = range(4)  # ends of whose units numbers are
 STEPS = "steps of several sizes up and down past both edges, each held until the reading rests"
@@ -164,6 +165,11 @@ class Buys(NamedTuple):
         """Return whether the effect improves the simulation so much that its number counts."""
         is_sure = self.deviations > SURE and self.remaining < LESS * self.without
         return is_sure or self.remaining < SHOWS * self.without
+
+    @property
+    def is_seen(self) -> bool:
+        """Return whether a test at 95 % finds the effect."""
+        return self.deviations > SEEN
 
 
 Numbers = dict[str, Interval]

@@ -301,7 +301,8 @@ def _account_of_fits(answer: Answer, units: tuple[str, str]) -> Account:
     there = filter(None, (_compare(answer, word) for word in words))
     rows = [one for one in there if _is_comparable(one, line)]
     rows = [one for one in rows if not _moves_below_friction(answer, one)]
-    worth = [one for one in rows if one.compare_to(line, answer.scale).is_worth]
+    buys = [one.compare_to(line, answer.scale) for one in rows]
+    worth = [one for one, own in zip(rows, buys, strict=True) if own.is_worth and own.is_seen]
     positive = sorted((one for one in worth if one.is_positive), key=lambda one: one.rms)
     if not positive:
         return _bound(answer, units, line)
@@ -313,9 +314,9 @@ def _account_of_fits(answer: Answer, units: tuple[str, str]) -> Account:
         effect = EFFECT_OF[one.word]
         if effect != EFFECT_OF[first.word] and len(others) < OTHERS:
             others.setdefault(effect, one.numbers)
-    buys = first.compare_to(line, answer.scale)
     effects = {EFFECT_OF[first.word]: first.numbers}
-    return Account(INDICATED, effects, DYNAMICS, units, buys, others, tuple(answer.reasons))
+    gain = first.compare_to(line, answer.scale)
+    return Account(INDICATED, effects, DYNAMICS, units, gain, others, tuple(answer.reasons))
 
 
 def _moves_below_friction(answer: Answer, one: Compared) -> bool:

@@ -310,9 +310,10 @@ def _describe_held_out(answer: Answer, unit: str) -> str:
     chosen = answer.chosen
     share = f"{100 * answer.case.options.held_out:.0f} % in blocks"
     white = "white" if chosen.white else "not white"
+    fit = f"{100 * chosen.share:.1f} %" if chosen.share > -1 else "below -100 %"
     return (
         f"{share}: rms error {chosen.error * answer.scale:.3g}{unit},"
-        f" fit {100 * chosen.share:.1f} %, one-step residual {white}"
+        f" fit {fit}, one-step residual {white}"
     )
 
 
