@@ -101,6 +101,8 @@ AT_REST = "".join(f"{0.02 * k:g},{k},41.7\n" for k in range(20))
         (["[key]; [value]\n", *(f"{k}.Variable; {name}\n{k}.Data;\n"
                                 + "".join(f"; {1e3 * row[0]:g}; {row[k]:g}\n" for row in ROWS)
                                 for k, name in ((1, "X.cmd"), (2, "X.pos")))], "X.pos", "u=X.cmd"),
+        (["t,duty,speed,command\n", *(f"{t:g},{u:g},{y:g},idle\n" for t, u, y in ROWS)],
+         "speed", "u=duty"),
         (["t,cmd,speed\ns,%,rpm\n", *(f"{t:g},{u:g},{y:g}\n" for t, u, y in ROWS)],
          "speed", "u=cmd"),
         (["x-axis,1,2\nsecond,Volt,Volt\n", *(f"{t:g},{u:g},{y:g}\n" for t, u, y in ROWS)],
@@ -128,6 +130,15 @@ def test_a_table_without_an_answer_has_a_reason(tmp_path: Path) -> None:
     answer = identify(path)
     assert answer.verdict == "unclear"
     assert "too few" in answer.account.doubts[-1]
+
+
+def test_even_commands_of_a_table_are_no_times(tmp_path: Path) -> None:
+    path = tmp_path / "table.csv"
+    rows = (f"{2 * k},{0.02 * k * k},{k}\n" for k in range(24))
+    path.write_text("gain_dB,detector,remark\n" + "".join(rows))
+    log = read_log(path)
+    assert log.inputs == ("gain_dB",)
+    assert not log.has_clock
 
 
 def test_columns_of_lists_and_dates_in_parquet(tmp_path: Path) -> None:
