@@ -682,7 +682,7 @@ def combine_sizes(records: Sequence[Sizes], expected: float) -> tuple[Interval, 
         own = np.log(one.stick)
         away = np.clip(values, own.min(), own.max())[:, None, None] - own
         near = np.exp(-0.5 * (away / spreads[:, None]) ** 2)
-        total += np.log(near @ one.weight / near.mean(axis=-1))
+        total += np.log(near @ one.weight / near.mean(axis=-1) + 1e-300)
     stick = np.exp(_quantiles(values, softmax(total).sum(axis=1)))
     weights = [
         one.weight * np.exp(-0.5 * (np.log(one.stick / stick[0]) / NEAR) ** 2) for one in records
