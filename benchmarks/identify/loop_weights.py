@@ -127,15 +127,15 @@ def table() -> str:
         if part.any():
             areas = (area_under_curve(s, causes[part] == 0) for s in (odds[part], x[part, 0]))
             first = np.unique(at[part], return_index=True)[1]
-            cause, word = causes[part][first], names[part][first]
-            false = (word > 0) & (word != cause) & (cause >= 0)
-            counts = (cause == 0, (cause == 0) & (word == 0), (cause != 0) & (word == 0), false)
+            cause, said = causes[part][first], names[part][first]
+            false = (said > 0) & (said != cause) & (cause >= 0)
+            counts = (cause == 0, (cause == 0) & (said == 0), (cause != 0) & (said == 0), false)
             cells = [*(f"{area:.3f}" for area in areas), *(str(one.sum()) for one in counts)]
             shown.append(row(name, str(part.sum()), str(first.size), *cells))
     about = (
         "Each loop is judged by weights of other valves: the records valve by valve, generated"
         f" loops in ten parts. Ridge {RIDGE:g}; a valve of the records counts {OF_RECORDS:g} times."
-        f" AUC is that of single records; a valve is named by the odds of all its records, from"
+        " AUC is that of single records; a valve is named by the odds of all its records, from"
         f" {NAMED:g} on."
     )
     return "\n".join(["## Weights of loops", "", about, "", *shown, ""])

@@ -351,9 +351,10 @@ def _identify_logs(
 def _find_swing(logs: list[Log], one: Identified) -> LoopFindings | None:
     """Return why a loop without a loop's names swings, if no plant is named but a cause is."""
     loop, servo = one.answer.loop, one.answer.servo
-    is_given = loop.answered is None and logs[0].r.size > 0
-    if one.verdict not in UNDECIDED or servo is not None or not (loop.is_closed or is_given):
-        return None
+    is_open = one.verdict in UNDECIDED and servo is None
+    is_fed_back = loop.is_closed or (loop.answered is None and logs[0].r.size > 0)
+    if not (is_open and is_fed_back and logs[0].input_kinds in (("other",), ("op",))):
+        return None  # names of a machine's input are no valve's
     try:
         found = find_loop_cause(logs)
     except InputError:  # OP rests, or too many readings are missing
