@@ -2,8 +2,8 @@
 
 LOOPS_RECORDS: a folder of records whose names begin with S_ where the valve sticks and with N_
 where it does not, or hold _S_ or _N_, with the tag behind; LOOPS_FITTED: how many generated loops
-besides (300), of seeds from 20000. Records of one valve stay together, and count as one. A record
-that is fitted is judged by the weights of all other valves.
+besides (300), of seeds from 20000. Records of one valve stay together, and count as one. A valve
+is judged by the weights of all others, by the odds of all its records together.
 """
 
 from __future__ import annotations
@@ -25,9 +25,15 @@ from benchmarks.markdown import head, row
 from benchmarks.results import commit
 from undeadzone_identify.logs.log import Log, read_log
 from undeadzone_identify.selection import loop as selection
-from undeadzone_identify.selection.loop import CAUSES, FEATURES, find_loop_cause
+from undeadzone_identify.selection.loop import (
+    CAUSES,
+    FEATURES,
+    NAMED,
+    combine_odds,
+    find_loop_cause,
+)
 
-FIRST, RIDGE, OF_RECORDS = 20000, 1.0, 3.0  # seed; of the weights; weight of a valve of the records
+FIRST, RIDGE, OF_RECORDS = 20000, 2.0, 3.0  # seed; of the weights; weight of a valve of the records
 STORED = Path("build/loop_features.jsonl")
 WRITTEN = Path(selection.__file__).with_suffix(".toml")
 
@@ -95,34 +101,42 @@ def table() -> str:
     is_record = np.arange(len(rows)) < len(rows) - count
     _, at, times = np.unique(valve, return_inverse=True, return_counts=True)
     share = np.where(is_record, OF_RECORDS, 1.0) / times[at]
-    odds = np.empty(len(rows))
+    tags = [{*valve[is_record & ((causes == 0) == so)]} for so in (True, False)]
+    valves = list(map(len, tags)) if is_record.any() else [1, 1]
+    odds, names = np.empty(len(rows)), np.empty(len(rows), int)
     groups = np.where(is_record, at, at % 10 + at.max() + 1)
     for group in np.unique(groups):
         out = groups == group
-        odds[out] = sticking_odds(fit_weights(x[~out], causes[~out], share[~out]), x[out])
+        others = fit_weights(x[~out], causes[~out], share[~out])
+        odds[out] = sticking_odds(others, x[out])
+        for one in np.unique(at[out]):
+            word, likely = next(
+                iter(combine_odds(x[at == one], others | {"valves": valves}).items())
+            )
+            names[at == one] = CAUSES.index(word) if likely >= NAMED else -1
     fitted = fit_weights(x, causes, share)
-    tags = [{*valve[is_record & ((causes == 0) == so)]} for so in (True, False)]
-    valves = list(map(len, tags)) if is_record.any() else [1, 1]
     texts = {"causes": CAUSES, "features": list(FEATURES), "valves": valves, **fitted}
     lines = [f"# Written by `python -m benchmarks loop_weights` from {len(rows)} loops: {of}."]
     lines += [f"{key} = {json.dumps(rounded(value))}" for key, value in texts.items()]
     WRITTEN.write_text("\n".join(lines) + "\n", encoding="utf-8")
     shown = head(
-        "loops", "records", "valves", "AUC, all", "AUC, ellipse", "sticks > 0.9", "false > 0.9"
-    )
+        "loops", "records", "valves", "AUC, all", "AUC, ellipse", "stick", "so named",
+        "others so named", "other false names",
+    )  # fmt: skip
     for name, part in (("records", is_record), ("generated", ~is_record)):
         if part.any():
-            so, own = causes[part] == 0, odds[part]
-            areas = (area_under_curve(s, so) for s in (own, x[part, 0]))
-            cells = (
-                *(f"{area:.3f}" for area in areas),
-                str((own[so] > 0.9).sum()),
-                str((own[~so] > 0.9).sum()),
-            )
-            shown.append(row(name, str(part.sum()), str(len({*valve[part]})), *cells))
+            areas = (area_under_curve(s, causes[part] == 0) for s in (odds[part], x[part, 0]))
+            first = np.unique(at[part], return_index=True)[1]
+            cause, said = causes[part][first], names[part][first]
+            false = (said > 0) & (said != cause) & (cause >= 0)
+            counts = (cause == 0, (cause == 0) & (said == 0), (cause != 0) & (said == 0), false)
+            cells = [*(f"{area:.3f}" for area in areas), *(str(one.sum()) for one in counts)]
+            shown.append(row(name, str(part.sum()), str(first.size), *cells))
     about = (
         "Each loop is judged by weights of other valves: the records valve by valve, generated"
         f" loops in ten parts. Ridge {RIDGE:g}; a valve of the records counts {OF_RECORDS:g} times."
+        " AUC is that of single records; a valve is named by the odds of all its records, from"
+        f" {NAMED:g} on."
     )
     return "\n".join(["## Weights of loops", "", about, "", *shown, ""])
 

@@ -87,6 +87,7 @@ from undeadzone_identify.selection.alternatives import (
 )
 from undeadzone_identify.selection.decision import (
     LEAST,
+    LOOP,
     MEMORY,
     Case,
     build_verdict,
@@ -100,7 +101,12 @@ from undeadzone_identify.selection.delays import (
 )
 from undeadzone_identify.selection.location import find_zone_locations, is_rounding_play
 from undeadzone_identify.selection.loop import LEAST as LEAST_OF_LOOP
-from undeadzone_identify.selection.loop import find_loop_cause, is_loop, is_named_loop
+from undeadzone_identify.selection.loop import (
+    LoopFindings,
+    find_loop_cause,
+    is_loop,
+    is_named_loop,
+)
 from undeadzone_identify.selection.lost_motion import (
     find_lost_motion,
     is_motor_position,
@@ -328,6 +334,9 @@ def _identify_logs(
         if len(answers) > 1:
             return IdentifiedOutputs(names, tuple(answers))
         (one,) = answers
+        swing = _find_swing(logs, one) if is_plain and is_long else None
+        if swing is not None:
+            return IdentifiedLoop(tuple(logs), swing)
         spoken = choose_account(one.account, seen, looks, lambda: knows_the_end(one.answer))
         return dataclasses.replace(one, spoken=spoken)
     if seen is None and is_one and is_plain and not logs[0].has_clock:  # a table needs no plant
@@ -338,6 +347,20 @@ def _identify_logs(
         raise failure
     no_plant = f"no plant was fitted: {failure}"
     return IdentifiedMotion(motion._replace(reasons=[*motion.reasons, no_plant]))
+
+
+def _find_swing(logs: list[Log], one: Identified) -> LoopFindings | None:
+    """Return why a loop without a loop's names swings, if no plant is named but a cause is."""
+    loop, servo = one.answer.loop, one.answer.servo
+    is_open = one.verdict in UNDECIDED and servo is None
+    is_fed_back = loop.is_closed or (loop.answered is None and logs[0].r.size > 0)
+    if not (is_open and is_fed_back and logs[0].input_kinds in (("other",), ("op",))):
+        return None  # names of a machine's input are no valve's
+    try:
+        found = find_loop_cause(logs)
+    except InputError:  # OP rests, or too many readings are missing
+        return None
+    return found if found.word in LOOP else None
 
 
 def _collect_logs(

@@ -56,6 +56,7 @@ COMMANDS: dict[str, list[list[str]]] = {
         ["identify", LOG, "--order", "3", "--delay", "0", "--chain", "chain", *COMMON],
         ["identify", "axis.csv", *COMMON],
     ],
+    "loops": [["loops", str(ROOT / "docs/trades/valve.csv"), *COMMON]],
     "estimate": [
         ["estimate", "examples/asymmetric_noise.toml", LOG, *COMMON],
         ["estimate", "examples/load_cell_limited.toml", LOG, "--columns", "t=t,y=y,u=u", *COMMON],

@@ -180,6 +180,17 @@ def test_a_report_is_whole_on_a_telephone(
     assert found_faults(screen, [tmp_path / "report.html"]) == {}
 
 
+def test_pages_of_ranked_loops_are_whole_on_a_telephone(screen: Browser, tmp_path: Path) -> None:
+    for name in ("FIC1", "FIC1_0613", "LIC20102-of-the-second-column"):
+        (tmp_path / f"{name}.csv").symlink_to(ROOT / "docs/trades/valve.csv")
+    out = tmp_path / "out"
+    done = undeadzone("loops", tmp_path, "--out", str(out))
+    assert done.returncode == 0, done.stderr
+    pages = sorted(out.rglob("report.html"))
+    assert len(pages) == 3
+    assert found_faults(screen, pages) == {}
+
+
 def test_the_live_page_is_whole_on_a_telephone(screen: Browser, tmp_path: Path) -> None:
     live = tmp_path / "live.html"
     assert not undeadzone("export", SCENARIO, "--to", "page", "--out", str(live)).returncode

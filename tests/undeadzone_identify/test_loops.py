@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import signal
+import subprocess
+import time
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +14,10 @@ import pytest
 from benchmarks.identify.logs.valves import make
 
 import undeadzone as uz
-from commands import undeadzone
+from commands import COMMAND, undeadzone
 from records import write_log
 from undeadzone_identify.logs.loops import find_loops, read_loops
+from undeadzone_identify.models.valve import Sizes, combine_sizes
 from undeadzone_identify.selection import loop as selection
 
 SIZE = 500
@@ -123,6 +127,44 @@ def test_a_stopped_ranking_goes_on_where_it_stood(
     assert undeadzone(*words).returncode == 130
     assert undeadzone(*words, "--resume").returncode == 1
     assert asked == ["FIC1", "LIC2", "LIC2"]
+
+
+def test_a_killed_ranking_is_resumed(plant: Path, tmp_path: Path) -> None:
+    out, words = tmp_path / "o", ("loops", plant, "--no-figures", "--out", tmp_path / "o")
+    kept = out / "loops.json.partial"
+    with subprocess.Popen([*COMMAND, *map(str, words)]) as process:
+        while not (kept.exists() and kept.read_bytes().count(b"\n") > 1):
+            assert process.poll() is None
+            time.sleep(0.002)
+        process.kill()
+    assert process.returncode == -signal.SIGKILL
+    first = kept.read_text()
+    assert undeadzone(*words, "--resume").returncode == 0
+    rows = json.loads((out / "loops.json").read_text())["loops"]
+    assert {row["loop"] for row in rows} == {"FIC1", "LIC2"}
+    assert json.dumps(next(row for row in rows if row["loop"] == "FIC1")) in first
+    assert not kept.exists()
+
+
+@pytest.mark.parametrize(("seed", "cause"), [(1, "stiction"), (3, "none")])
+def test_a_loop_without_names_has_its_cause_where_no_plant_has_a_name(
+    seed: int, cause: str
+) -> None:
+    loop = make(seed, cause, SIZE)
+    found = uz.identify(t=np.arange(SIZE), u=loop.op, y=loop.pv, r=loop.sp)
+    assert found.verdict == cause
+    assert isinstance(found, uz.IdentifiedLoop) == (cause == "stiction")
+
+
+def test_a_record_that_shows_nothing_has_no_say_in_the_size() -> None:
+    """Records of small swings, whose pairs end below S, pulled the median down."""
+    stick = np.geomspace(0.01, 5.0, 40)
+    telling = np.exp(-0.5 * (np.log(stick / 2) / 0.1) ** 2)
+    ratio, flat = np.zeros(40), np.full(40, 1 / 40)
+    one = Sizes(stick, ratio, telling / telling.sum())
+    alone = combine_sizes([one] * 3, 2.0)[0]
+    more = combine_sizes([*[one] * 3, *[Sizes(0.3 * stick, ratio, flat)] * 9], 2.0)[0]
+    assert more == pytest.approx(alone, rel=0.02)
 
 
 def test_stored_exceptions_withhold_a_name_and_say_the_cure() -> None:

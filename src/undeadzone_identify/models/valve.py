@@ -664,7 +664,9 @@ def combine_sizes(records: Sequence[Sizes], expected: float) -> tuple[Interval, 
     """Return S and J of one valve by its records, medians with 95 % intervals [u].
 
     ln S of a record is normal about that of the valve. The spread between records is one of a few,
-    all of which count by their likelihood: a random effect by day.
+    all of which count by their likelihood: a random effect by day. A record tells S by the weight
+    of its pairs near S over that of pairs of equal weight, so that one that shows nothing has no
+    say. An S above all its pairs leaves the valve at rest, as the largest of them does.
 
     Args:
         records: pairs with weights.
@@ -677,14 +679,16 @@ def combine_sizes(records: Sequence[Sizes], expected: float) -> tuple[Interval, 
         ((values - math.log(expected) - ELLIPSE_LESS) / ELLIPSE_OFF)[:, None] ** 2
     )
     for one in records:
-        away = (values[:, None, None] - np.log(one.stick)) / spreads[:, None]
-        total += np.log(np.exp(-0.5 * away**2) @ one.weight / spreads + 1e-300)
+        own = np.log(one.stick)
+        away = np.clip(values, own.min(), own.max())[:, None, None] - own
+        near = np.exp(-0.5 * (away / spreads[:, None]) ** 2)
+        total += np.log(near @ one.weight / near.mean(axis=-1) + 1e-300)
     stick = np.exp(_quantiles(values, softmax(total).sum(axis=1)))
-    near = [
+    weights = [
         one.weight * np.exp(-0.5 * (np.log(one.stick / stick[0]) / NEAR) ** 2) for one in records
     ]
     ratios = np.concatenate([one.ratio for one in records])
-    jump = stick[0] * _quantiles(ratios, np.concatenate(near) / np.sum(near))
+    jump = stick[0] * _quantiles(ratios, np.concatenate(weights) / np.sum(weights))
     return Interval(*stick.tolist()), Interval(*jump.tolist())
 
 

@@ -126,7 +126,7 @@ class IdentifiedLoop(Spoken):
 
     def scenario(self, title: str = "Identified log") -> str:
         """Raise InputError: no plant was fitted."""
-        raise InputError("scenario: a loop's swing needs no plant: --order 2 fits one, with a zone")
+        raise InputError("scenario: a loop's answer says why it swings, and holds no plant")
 
     def numbers(self) -> dict[str, Any]:
         """Return all numbers of the answer, as `--json` prints."""

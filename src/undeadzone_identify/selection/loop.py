@@ -11,7 +11,7 @@ import math
 import tomllib
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import log_softmax
@@ -183,7 +183,7 @@ def _name_cause(odds: dict[str, float], swings: tuple[Swing, ...], exception: fl
     return top if top == "none" and share >= NAMED and not exception else "undecided"
 
 
-def combine_odds(features: Floats) -> dict[str, float]:
+def combine_odds(features: Floats, table: dict[str, Any] | None = None) -> dict[str, float]:
     """Return the odds of the causes by the features of all records, largest first.
 
     Records of one valve are alike, so that n of them count as n / (1 + (n - 1) ALIKE). Odds end at
@@ -191,8 +191,9 @@ def combine_odds(features: Floats) -> dict[str, float]:
 
     Args:
         features: of each record (n x F).
+        table: of weights; None: those that are fitted.
     """
-    table = load_weights()
+    table = table or load_weights()
     prior, bias, weights = (np.array(table[name]) for name in ("prior", "bias", "weights"))
     terms = log_softmax(features @ weights.T + bias, axis=1) - np.log(prior)
     count = len(features)
@@ -205,7 +206,7 @@ def combine_odds(features: Floats) -> dict[str, float]:
 
 
 @cache
-def load_weights() -> dict[str, list[float]]:
+def load_weights() -> dict[str, Any]:
     """Return the fitted weights with the number of valves that they rest on."""
     return tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 
