@@ -160,32 +160,6 @@ def test_a_dead_zone_leaves_nothing() -> None:
 # --- Everyday truths
 
 
-@pytest.mark.parametrize(
-    "kind", ["fan", *further("exponential valve", "cubic input", "root of the input")]
-)
-def test_a_curve_of_the_input_is_no_zone(kind: str) -> None:
-    """It has neither widths nor a scenario whose inverse would add at each reversal."""
-    answer = of_kind(kind, 1)
-    assert answer.verdict == "input_curve"
-    assert answer.width is None
-    assert not answer.zone
-    assert "smooth curve" in answer.answer.reasons[0]
-    with pytest.raises(InputError, match="no inverse"):
-        answer.scenario()
-
-
-@pytest.mark.parametrize(
-    ("kind", "gap"), [("play ahead, 12", 0.5), *further(("play ahead, 2", 0.9))]
-)
-def test_play_ahead_of_the_plant_has_its_gap(kind: str, gap: float) -> None:
-    answer = of_kind(kind, 1)
-    assert answer.verdict == "input_play"
-    assert holds(answer.width, gap)
-    assert answer.width.value == pytest.approx(gap, rel=0.03)
-    assert answer.headline().startswith("Backlash ahead of the plant: gap ")
-    assert len(answer.answer.poles) == answer.order
-
-
 def test_a_filter_behind_the_zone_is_no_friction(tmp_path: Path) -> None:
     """It has widths with intervals, and a scenario whose observer runs along the log."""
     log = ALL["zone, mean of 4"].make(np.random.default_rng(1))
@@ -250,16 +224,6 @@ def test_pulses_count_from_the_middle_of_their_zone() -> None:
     assert answer.left is not None
     assert middle + answer.right.low < 1527 < middle + answer.right.high
     assert middle - answer.left.high < 1478 < middle - answer.left.low
-
-
-@pytest.mark.long("test_a_joint_that_rubs_is_named_with_its_friction")
-def test_friction_that_falls_has_an_interval() -> None:
-    """Stribeck's curve is none of the models; the level that a stop needs is in the interval."""
-    answer = of_kind("friction that falls", 3)
-    assert answer.verdict == "friction"
-    level, low, high = answer.numbers()["friction"]
-    assert low < level < high
-    assert answer.numbers()["right"][1] < level < answer.numbers()["right"][2]
 
 
 def test_an_undecided_log_has_an_effect_and_an_option_that_decides() -> None:

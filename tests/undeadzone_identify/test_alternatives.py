@@ -148,19 +148,6 @@ def test_noisy_readings_have_no_ticks() -> None:
     assert not are_exact(data.y, data.ok, data.start)
 
 
-def test_what_has_no_play_is_given_none() -> None:
-    rng, u, z = driven(20, 500)
-    e = 0.01 * rng.standard_normal(z.size)
-    zone = uz.identify(t=STEP, u=u, y=through(z, (0.0, 0.0), (0.3, 0.2)) + e, order=2, delay=0)
-    assert zone.verdict == "dead_zone"
-    assert zone.answer.element is None
-    none = uz.identify(t=STEP, u=u, y=z + e, order=2, kind="play", delay=0)
-    assert none.verdict == "none"
-    assert none.width is None
-    with pytest.raises(InputError, match="no zone to write"):
-        none.scenario()
-
-
 def test_a_play_with_a_dead_zone_is_both() -> None:
     rng, u, z = driven(21)
     y = through(z, (0.25, 0.15), (0.2, 0.3)) + 0.01 * rng.standard_normal(z.size)
@@ -302,22 +289,6 @@ def valve(seed: int, **more: Any) -> tuple[Any, tuple[float, float]]:
     z = lfilter(np.append(0.0, B), np.append(1.0, A), passed)
     y = z + disturbed(rng, 0.02) + 0.01 * rng.standard_normal(z.size)
     return uz.identify(t=STEP, u=u, y=y, order=2, delay=0, **more), widths
-
-
-@pytest.mark.long("test_commands_take_the_scenario_of_an_actuator")
-def test_the_widths_of_an_actuator_are_found() -> None:
-    """Of the first it is asked, too, whether it is a play; of the others only its widths count."""
-    covered = []
-    for seed, more in ((1, {}), *((seed, {"kind": "deadzone"}) for seed in (2, 3, 4))):
-        found, truth = valve(30 + seed, **more)
-        assert found.verdict == "input_zone"
-        assert not found.zone
-        assert found.width.half_width < 0.15
-        assert any("of the input" in remark for remark in found.answer.remarks)
-        for interval, width in zip((found.right, found.left), truth, strict=True):
-            covered.append(interval.low <= width <= interval.high)
-            assert abs(interval.value - width) < 2 * interval.half_width
-    assert sum(covered) >= len(covered) - 1  # of eight 95 % intervals
 
 
 def test_commands_take_the_scenario_of_an_actuator(
