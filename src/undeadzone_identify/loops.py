@@ -21,16 +21,16 @@ HEAD = ("loop", "cause", "odds", "S [% of OP]", "J [% of OP]", "cost", "travel a
 
 
 @click.command(epilog="Example: undeadzone loops plant --out ranked")
-@click.argument("source", type=READ, metavar="FOLDER|TABLE")
+@click.argument("source", type=READ, metavar="PLANT")
 @value_option("--workers", "N", "Judge N loops at once.", type=click.IntRange(1), default=1)
 @flag_option("--resume", "Go on from what an interrupted command left in DIR.")
 @add_output_options
 def loops(source: Path, workers: int, resume: bool, output: Output) -> int:
     """Rank the control loops of a plant by the cost of their swing, with the cause of each.
 
-    FOLDER holds a CSV file for each record, named by the valve and a date: FIC101_0612.csv. TABLE
-    has columns or tags such as FIC101.PV, FIC101.OP, FIC101.SP (MV, SV, CV, OUT.CV as well), a
-    column each or a line a value.
+    PLANT is a folder, with a CSV file for each record, named by the valve and a date, as in
+    FIC101_0612.csv, or a table of columns or tags such as FIC101.PV, FIC101.OP, FIC101.SP (MV, SV,
+    CV, OUT.CV as well), a column each or a line a value.
 
     Prints a line a loop: cause, odds, S and J with 95 % intervals, rms of PV - SP, travel of the
     stem, what to do. The valve's S stands there whether it is named or not. Writes loops.json, a

@@ -123,6 +123,7 @@ OPENERS = {
     "undeadzone_identify/chain.py": 1,  # the snippet that it wrote itself
     "undeadzone_identify/command.py": 1,
     "undeadzone_identify/results/to_scenario.py": 1,
+    "undeadzone_identify/selection/loop.py": 1,  # its own weights
     "undeadzone_studies/ensemble/saved.py": 1,
 }
 

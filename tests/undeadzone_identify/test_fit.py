@@ -313,18 +313,16 @@ def test_fitted_gears_become_those_of_a_joint(tmp_path: Path) -> None:
         where = ("plant.parameters." if name == "m" else "plant.arm.gears.") + name
         numbers.append(FittedNumber(where, value, 0.9 * value, value, 0.0, 1.0, 0.5, shown))
     found: Any = SimpleNamespace(numbers=numbers)
-    place = read_place(f"{arm}:q2")
+    place = read_place(arm, "q2")
     written = read(write_arm(found, place, tmp_path, False))
     gears = written.plant.arm.gears
     assert np.array_equal(gears.half, [0.05, 0.02])
     assert np.array_equal(gears.inertia, place.arm.plant.arm.gears.inertia)
     assert np.array_equal(written.observer.half, place.arm.observer.half)
-    with pytest.raises(InputError, match=r"q3: .*The arm has|q3: Did you mean"):
-        read_place(f"{arm}:q3")
-    with pytest.raises(InputError, match=r"expected a scenario and a joint of its arm"):
-        read_place("q2")
+    with pytest.raises(InputError, match=r"q3: The arm has q1, q2"):
+        read_place(arm, "q3")
     with pytest.raises(InputError, match=r"two_link\.toml: plant\.arm\.gears: missing"):
-        read_place(f"{EXAMPLES / 'two_link.toml'}:q1")
+        read_place(EXAMPLES / "two_link.toml", "q1")
     found.numbers = numbers[1:]
     with pytest.raises(InputError, match="the logs determine no number of plant"):
         put_gears(found, place)

@@ -333,12 +333,7 @@ class _Header(NamedTuple):
             change = np.diff(self.values[:, best], axis=0)
             runs = np.maximum(np.mean(change >= 0, axis=0), np.mean(change <= 0, axis=0)) > 0.9
             best = best[runs] if runs.any() else best[:1][ranks[best[:1]] < VAGUE]
-            is_log = len(self.values) >= TABLE  # in a table a name that is no time's is a command
-            unknown = [
-                k
-                for k, one in enumerate(self.titles)
-                if not (rank_of(one) or one.unit) and (is_log or not one.name.strip(DIGIT))
-            ]
+            unknown = [k for k in self.may_count() if not self.titles[k].unit]
             if not best.size and self.moves().sum() > 2:
                 best = np.array([k for k in unknown if is_regular_time(self.values[:, k])], int)
         if best.size > 1 and not self.is_open:
@@ -361,7 +356,8 @@ class _Header(NamedTuple):
         free = np.array([k not in used and time_rank(t) < 0 for k, t in enumerate(self.titles)])
         read = free
         if self.is_open and self.values is not None:
-            counts = np.array(list(map(increases_evenly, self.values.T))) & (ranks == 0)
+            counts = np.isin(np.arange(ranks.size), self.may_count())
+            counts &= np.array(list(map(increases_evenly, self.values.T)))
             aside = np.array(self.kinds) == "aside"
             x = np.nan_to_num(self.values)
             for out in (~self.moves(), counts, aside):
@@ -403,6 +399,16 @@ class _Header(NamedTuple):
         if self.values is None:
             return np.ones(len(self.titles), bool)
         return np.asarray(np.nanmax(self.values, axis=0) > np.nanmin(self.values, axis=0))
+
+    def may_count(self) -> list[int]:
+        """Return the columns that may be a time or an index; in a table only those without a name.
+
+        Any other even column of a table is a command.
+        """
+        is_log = self.values is None or len(self.values) >= TABLE
+        every = enumerate(self.titles)
+        free = [k for k, one in every if is_log or not one.name.strip(DIGIT)]
+        return [k for k in free if not rank_of(self.titles[k])]
 
     def ranks(self, given: list[int]) -> Floats:
         """Return the rank of each column (K), by its name and by the names of its neighbours."""

@@ -35,8 +35,9 @@ from undeadzone.util.progress import terminal_progress as progress
 )
 @value_option("--seed", "N", "Seed of the starts of the search.", type=int, default=1)
 @value_option(
-    "--arm", "ARM.toml:JOINT", "Write the gears found for a joint of this arm to DIR/ARM.toml."
+    "--arm", "ARM.toml", "Write the gears found for a joint of this arm to DIR/ARM.toml.", type=READ
 )
+@value_option("--joint", "NAME", "Joint of --arm.")
 @columns_option
 @strict_option
 @flag_option("--resume", "Continue a search that was stopped, from DIR/fitted.toml.partial.")
@@ -49,7 +50,8 @@ def fit(
     free: str,
     x0: Literal["free", "known"],
     seed: int,
-    arm: str | None,
+    arm: Path | None,
+    joint: str | None,
     columns: str | None,
     strict: bool,
     resume: bool,
@@ -77,7 +79,9 @@ def fit(
     from undeadzone_identify.fitting.joint import read_place, write_arm
 
     folder = output.choose_folder(f"{scenario.stem}-fit")
-    place = None if arm is None else read_place(arm)
+    if (arm is None) is not (joint is None):
+        raise click.UsageError("--arm and --joint name a joint of an arm together")
+    place = None if arm is None else read_place(arm, joint or "")
     if place is not None and folder is None:
         raise click.UsageError("--arm writes a file to DIR: give --out DIR")
     if folder is not None:

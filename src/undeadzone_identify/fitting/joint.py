@@ -36,27 +36,25 @@ class Place(NamedTuple):
     size: int
 
 
-def read_place(where: str) -> Place:
+def read_place(path: Path, joint: str) -> Place:
     """Read the scenario of an arm with gears, and which of its joints is meant.
 
     Args:
-        where: file of the scenario and name of the joint, after a colon.
+        path: of the scenario.
+        joint: name of the joint.
 
     Raises:
         FileError: the file cannot be read.
         InputError: it lacks gears, or this joint.
     """
-    path, _, joint = where.rpartition(":")
-    if not path:
-        raise InputError(f"--arm {where}: expected a scenario and a joint of its arm, ARM.toml:q1")
     arm = read(path)
     gears = systems(arm)[0].gears
     if gears is None:
         raise InputError(f"{path}: plant.arm.gears: missing. undeadzone arm ROBOT --gears has them")
     joints = gears.arm.chain.joints
     if joint not in joints:
-        raise InputError(f"--arm {where}: {suggest_name(joint, joints, 'The arm has')}")
-    return Place(Path(path).name, arm, joints.index(joint), len(joints))
+        raise InputError(f"--joint {joint}: {suggest_name(joint, joints, 'The arm has')}")
+    return Place(path.name, arm, joints.index(joint), len(joints))
 
 
 def put_gears(found: Fitted, place: Place) -> Scenario:

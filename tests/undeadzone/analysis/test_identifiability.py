@@ -497,6 +497,7 @@ def test_a_run_says_what_its_constant_disturbance_hides() -> None:
             "std",
             "second",
             "crossings",
+            "narrowed",
         }
         assert (verdict["width"], verdict["centre"]) == (True, not hides)
 
