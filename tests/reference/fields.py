@@ -13,6 +13,7 @@ SKIPPED = {  # pattern of keys: why their values are no answer
     **dict.fromkeys(("schema", "*version", "*hash", "title", "numbers"), "of program and file"),
     **dict.fromkeys(("files", "written", "source"), "paths"),
     "claims.*.id": "part of the key",
+    "*narrowed": "follows from the deviation and the declared range",
     **dict.fromkeys(("boards.*.flash", "boards.*.measured"), "of the compilers that are here"),
     **dict.fromkeys(("*seconds", "leaderboard.*.cost", "results.*.cost"), "times"),
     **dict.fromkeys(

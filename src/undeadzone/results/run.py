@@ -369,7 +369,7 @@ def lost_motion_rows(run: Run) -> list[Row]:
             continue
         torque = float(np.abs(run.u[:, i]).max())
         wound, std = 2 * torque * found["estimate"], 2 * torque * found["std"]
-        parts = ": gap and wind-up are not told apart"
+        parts = ": gap and wind-up are not separated"
         if interval_95(wound, std)[0] > 0:
             parts = f": gap {gap.value:.4g}, wind-up {wound:.3g} +- {std:.2g}"
         note = f" at {torque:.3g} N m{parts}"

@@ -126,7 +126,9 @@ class IdentifiedLoop(Spoken):
 
     def scenario(self, title: str = "Identified log") -> str:
         """Raise InputError: no plant was fitted."""
-        raise InputError("scenario: a loop's answer says why it swings, and holds no plant")
+        raise InputError(
+            "scenario: the answer to a loop is the cause of its swing, without a plant"
+        )
 
     def numbers(self) -> dict[str, Any]:
         """Return all numbers of the answer, as `--json` prints."""
