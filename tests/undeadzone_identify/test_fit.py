@@ -298,11 +298,16 @@ def test_a_log_of_a_motor_leads_to_its_gap(tmp_path: Path) -> None:
     write_log(tmp_path / "motor.csv", log, "t,torque [N m],motor angle [rad]")
     found = walk.run("undeadzone identify motor.csv --out out --no-figures", 1)
     (line,) = commands_in(found)
-    fitted = walk.run(f"{line} --no-figures --json")
+    arm = EXAMPLES / "two_link_gears.toml"
+    fitted = walk.run(f"{line} --no-figures --json --out arm --arm {arm} --joint q2")
     assert json.loads(fitted)["consistent"]
     for number in json.loads(fitted)["numbers"][:5]:
         if number["name"] in truth:
             assert number["value"] == pytest.approx(truth[number["name"]], rel=0.05)
+    ran = json.loads(walk.run("undeadzone run arm/two_link_gears.toml --no-figures --json"))
+    assert ran["rms_tip_estimation"] > 0
+    (half,) = [one for one in json.loads(fitted)["numbers"] if "half" in one["name"]]
+    assert read(tmp_path / "arm" / "two_link_gears.toml").plant.arm.gears.half[1] == half["value"]
 
 
 def test_fitted_gears_become_those_of_a_joint(tmp_path: Path) -> None:

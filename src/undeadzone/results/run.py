@@ -358,13 +358,14 @@ def final_parameter_rows(run: Run) -> list[Row]:
 def lost_motion_rows(run: Run) -> list[Row]:
     """Return the lost motion of each joint whose wind-up is estimated: gap + 2 T / k.
 
-    T is the largest torque of its motor. Gap and wind-up are told apart if the interval of 1 / k
+    T is the largest torque of its motor. Gap and wind-up are separated if the interval of 1 / k
     leaves out 0.
     """
     rows = []
+    gaps = final_width_rows(run) if run.info.joints else []
     for i, name in enumerate(run.info.joints):
         found = run.parameters.get(f"winding{i + 1}")
-        gap = final_width_rows(run)[i][0]
+        gap = gaps[i][0]
         if found is None or gap.withheld or gap.value is None:
             continue
         torque = float(np.abs(run.u[:, i]).max())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import itertools
 import re
 from collections import defaultdict
 from pathlib import Path
@@ -14,11 +13,16 @@ from undeadzone.errors import FileError, InputError
 from undeadzone.logs.kinds import Title, split_unit, time_rank
 from undeadzone.logs.samples import FIRST, numbers_of_texts
 from undeadzone.logs.stamps import stamps_of
-from undeadzone.logs.text import Text, blocks_of, dialect_of, is_content, parse_cell
+from undeadzone.logs.text import dialect_of, parse_cell
 from undeadzone.util.arrays import Floats
-from undeadzone.util.files import LARGEST_TABLE
 from undeadzone_identify.logs.log import Log, log_from_arrays, read_log
-from undeadzone_identify.logs.tables import Arrays, _columns_of_lines, read_long_table, read_parquet
+from undeadzone_identify.logs.tables import (
+    Arrays,
+    columns_of_lines,
+    read_lines,
+    read_parquet,
+    signals_of_lines,
+)
 
 ROLES = {  # of the last word of a tag, or of its first
     **dict.fromkeys(("OP", "MV", "CO", "OUT", "OUTPUT"), "u"),
@@ -107,16 +111,15 @@ def _read_arrays(path: Path) -> Arrays:
     """Return the columns of a table by name, a long one by its signals."""
     if path.suffix.lower() == ".parquet":
         return read_parquet(path)
-    blocks = itertools.starmap(Text(str(path)).feed, blocks_of(path, LARGEST_TABLE))
-    lines = list(filter(is_content, itertools.chain.from_iterable(blocks)))
+    lines = read_lines(path)
     if not lines:
         return {}
     dialect = dialect_of(lines[:FIRST])
     if not any(TAGGED.search(line) for line in lines[:FIRST]):
         return {}
     if not dialect.titles or sum(bool(TAGGED.fullmatch(one.name)) for one in dialect.titles) < 2:
-        return read_long_table(path) or {}
-    titles, columns = _columns_of_lines(lines)
+        return signals_of_lines(lines) or {}
+    titles, columns = columns_of_lines(lines)
     arrays = {}
     for title, cells in zip(titles, columns, strict=True):
         mark = dialect.mark if stamps_of(cells[:FIRST]) is None else "."

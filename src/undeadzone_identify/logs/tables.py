@@ -54,10 +54,22 @@ def read_long_table(path: Path) -> Arrays | None:
     A trace of a PLC names its values ahead of them. Other signals count at the times of the one
     that has most values, as they last were.
     """
-    text = Text(str(path))
-    blocks = itertools.starmap(text.feed, blocks_of(path, LARGEST_TABLE))
-    lines = list(filter(is_content, itertools.chain.from_iterable(blocks)))
-    titles, columns = _columns_of_lines(lines)
+    return signals_of_lines(read_lines(path))
+
+
+def read_lines(path: Path) -> list[str]:
+    """Read the lines with content of a text. Raises FileError."""
+    blocks = itertools.starmap(Text(str(path)).feed, blocks_of(path, LARGEST_TABLE))
+    return list(filter(is_content, itertools.chain.from_iterable(blocks)))
+
+
+def signals_of_lines(lines: Sequence[str]) -> Arrays | None:
+    """Return the signals of a long table; None for any other table. See `read_long_table`.
+
+    Args:
+        lines: with content.
+    """
+    titles, columns = columns_of_lines(lines)
     numbers = [numbers_of_texts(x, functools.partial(parse_cell, mark=".")) for x in columns]
     stamped = [stamps_of(x[:FIRST]) is not None for x in columns]
     is_time = [stamped[k] or time_rank(split_unit(titles[k])) >= 0 for k in range(len(columns))]
@@ -85,7 +97,7 @@ def read_long_table(path: Path) -> Arrays | None:
     return arrays
 
 
-def _columns_of_lines(lines: Sequence[str]) -> tuple[list[str], list[tuple[str, ...]]]:
+def columns_of_lines(lines: Sequence[str]) -> tuple[list[str], list[tuple[str, ...]]]:
     """Return the titles of columns, "" without a header, and their cells."""
     dialect = dialect_of(lines[:FIRST])
     width = dialect.width
