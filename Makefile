@@ -33,9 +33,9 @@ times: .venv/tested           ## CPU seconds of each file of tests to tests/cpu.
 test-wheel: .venv/tested      ## the tests against an installed wheel in place of src
 	$(BIN)/python tests/packed.py -n 2
 
-wheel: .venv/tested           ## the wheels of both distributions in dist/, and a bill of materials (CycloneDX)
+wheel: .venv/tested           ## the wheels of all distributions in dist/, and a bill of materials (CycloneDX)
 	rm -rf dist
-	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-build-isolation --no-deps --wheel-dir dist . ./packages/deadzone_update
+	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-build-isolation --no-deps --wheel-dir dist . ./packages/deadzone_update ./packages/undeadzone_arena
 	$(BIN)/python -m tools.supply sbom dist/undeadzone-*.whl
 
 fuzz: .venv/tested            ## random inputs for everything that reads something, FUZZ_SECONDS=600
@@ -61,9 +61,9 @@ docs: .venv/documented         ## the documentation site, in site/
 clean:
 	rm -rf .venv site dist *-results *-check *-design *-ensemble *-tune *-identify .pytest_cache .mypy_cache .ruff_cache .hypothesis
 
-.venv/installed: pyproject.toml constraints.txt
+.venv/installed: pyproject.toml packages/undeadzone_arena/pyproject.toml constraints.txt
 	test -x $(BIN)/python$(if $(filter Windows_NT,$(OS)),.exe) || $(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e .
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e . -e packages/undeadzone_arena
 	touch $@
 
 .venv/tested: .venv/installed

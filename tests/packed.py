@@ -53,24 +53,35 @@ def wheel(source: Path, **variables: str) -> Path:
     return path
 
 
+def install(packed: Path, programs: Path) -> None:
+    """Install a wheel into the environment that has these programs, without its dependencies."""
+    options = ["--python", programs / "python", "install", *QUIET, "--no-warn-script-location"]
+    run(sys.executable, "-m", "pip", *options, packed, cwd=programs)
+
+
 def environment(packed: Path, folder: Path) -> Path:
     """The programs of an environment in a folder, with a wheel.
 
     Its dependencies are those of this environment, so that nothing is fetched.
     """
     run(sys.executable, "-m", "venv", "--without-pip", folder, cwd=folder.parent)
-    python = folder / "bin" / "python"
-    install = ["--python", python, "install", *QUIET, "--no-warn-script-location", packed]
-    run(sys.executable, "-m", "pip", *install, cwd=folder.parent)
+    install(packed, folder / "bin")
     (packages,) = folder.glob("lib/python*/site-packages")
-    (packages / "others.pth").write_text(f"{Path(click.__file__).parents[1]}\n")
+    others = folder / "others"
+    others.mkdir()
+    for path in Path(click.__file__).parents[1].iterdir():
+        if "undeadzone" not in path.name:
+            (others / path.name).symlink_to(path)
+    (packages / "others.pth").write_text(f"{others}\n")
     return folder / "bin"
 
 
 def main() -> int:
-    """Run pytest on this checkout's tests with the wheel in place of src."""
+    """Run pytest on this checkout's tests with the wheels in place of src."""
     with tempfile.TemporaryDirectory() as folder:
-        programs = environment(wheel(copied(Path(folder))), Path(folder) / "venv")
+        source = copied(Path(folder))
+        programs = environment(wheel(source), Path(folder) / "venv")
+        install(wheel(source / "packages" / "undeadzone_arena"), programs)
         others = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
         where = [programs / "python", "-c", "import undeadzone; print(undeadzone.__file__)"]
         print("testing", run(*where, cwd=Path(folder)), end="", flush=True)  # noqa: T201

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from benchmarks.identify import strangers
+from benchmarks.identify import labelled_records as bench
 from benchmarks.identify.logs.strangers import ALL, EARLIER, KINDS, LATER
 
 import undeadzone as uz
@@ -42,19 +42,19 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         (tmp_path / f"{name}.csv").write_text("time,OP,PV\n")
     (tmp_path / "labels.csv").write_text("file,options,right\nservo.csv,integrators=1,play both\n")
     monkeypatch.setattr(uz, "identify", identify)
-    monkeypatch.setenv("STRANGERS_RECORDS", str(tmp_path))
+    monkeypatch.setenv("RECORDS_FOLDER", str(tmp_path))
     return tmp_path
 
 
 def test_records_are_scored_by_their_labels_and_need_few_options(folder: Path) -> None:
-    every = {one.kind: one for one in strangers.records(folder)}
+    every = {one.kind: one for one in bench.records(folder)}
     assert set(every) == set(EXPECTED)
     right = {name for name, one in every.items() if one.is_right}
     assert right == {"S_1", "isdb_N_3", "servo"}
     assert not any(one.is_wrong for one in every.values())
     expected = {name: {} for name in EXPECTED} | {"servo": {"integrators": "1"}}
     assert expected == REQUESTED
-    assert "| 5 | 3 | 2 | 0 | 0 |" in strangers.table()
+    assert "| 5 | 3 | 2 | 0 | 0 |" in bench.table()
 
 
 @pytest.mark.parametrize("odds", [{"stiction": 0.81, "none": 0.19}, {}])
@@ -64,9 +64,9 @@ def test_a_false_name_stops_the_gate(
     """A name beside which no odds stand is said for certain."""
     monkeypatch.setitem(EXPECTED, "N_2", ("stiction", odds))
     with pytest.raises(SystemExit, match="false names: N_2"):
-        strangers.table()
+        bench.table()
     monkeypatch.setitem(EXPECTED, "N_2", ("stiction", {"stiction": 0.79, "none": 0.21}))
-    assert "WRONG" in strangers.table()
+    assert "WRONG" in bench.table()
 
 
 def test_each_kind_of_strangers_is_counted_once() -> None:

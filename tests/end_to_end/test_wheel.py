@@ -7,6 +7,7 @@ import hashlib
 import json
 import os
 import re
+import subprocess
 import tomllib
 import zipfile
 from pathlib import Path
@@ -15,10 +16,11 @@ from typing import Any
 import pytest
 from tools.supply import hashes, parts, sbom, sizes
 
-from packed import ROOT, copied, environment, run
+from packed import ROOT, copied, environment, install, run
 from packed import wheel as built
 from requirements import import_package
 
+ARENA = "undeadzone_arena"  # a distribution of its own
 OTHERS = ("IPython", "casadi", "dask", "distributed", "matplotlib", "numpy", "scipy")
 LARGEST = 1_650_000  # bytes
 BUILT = ("pyproject.toml",)  # the builder adds it
@@ -34,6 +36,12 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
+def arena(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The wheel of the methods of the literature."""
+    return built(copied(tmp_path_factory.mktemp("wheels")) / "packages" / ARENA)
+
+
+@pytest.fixture(scope="module")
 def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An environment with the wheel; its dependencies are those of this one."""
     return environment(wheel, tmp_path_factory.mktemp("environment") / "venv")
@@ -46,13 +54,14 @@ def text_in(wheel: Path, name: str) -> str:
         return archive.read(path).decode("utf-8")
 
 
-def test_the_wheel_holds_every_file_of_the_package_and_the_examples(wheel: Path) -> None:
-    members = set(zipfile.ZipFile(wheel).namelist())
+def test_the_wheels_hold_every_file_of_the_packages(
+    wheel: Path, arena: Path
+) -> None:
+    members, apart = (set(zipfile.ZipFile(path).namelist()) for path in (wheel, arena))
     for path in (ROOT / "src").rglob("*"):
         if path.is_file() and "__pycache__" not in path.parts:
-            assert str(path.relative_to(ROOT / "src")) in members
-    for path in (ROOT / "examples").glob("*.*"):
-        assert f"undeadzone/examples/{path.name}" in members
+            member = str(path.relative_to(ROOT / "src"))
+            assert (member in members, member in apart) == (ARENA not in member, ARENA in member)
 
 
 def test_the_wheel_is_small(wheel: Path) -> None:
@@ -163,7 +172,9 @@ def test_the_citation_is_valid() -> None:
     assert cited.keys() == {"license", "message", "title", "version"}
 
 
-@pytest.mark.parametrize("folder", [ROOT, ROOT / "packages/deadzone_update"])
+@pytest.mark.parametrize(
+    "folder", [ROOT, ROOT / "packages/deadzone_update", ROOT / "packages" / ARENA]
+)
 def test_classifiers_name_the_tested_versions(folder: Path) -> None:
     text = (folder / "pyproject.toml").read_text(encoding="utf-8")
     named = ", ".join(re.findall(r'"Programming Language :: Python :: (3\.\d+)"', text))
@@ -215,8 +226,26 @@ def test_commands_run_from_the_wheel(installed: Path, tmp_path: Path) -> None:
     printed = run(command, "run", "mine.toml", "--json", "--out", "out", cwd=tmp_path)
     assert json.loads(printed)["diverged_at"] is None
     assert (tmp_path / "out" / "report.html").stat().st_size > 10_000
-    arena = ["arena", "mine.toml", "--methods", "certified", "--seeds", "1", "--processes", "1"]
-    assert "full_state" in run(command, *arena, cwd=tmp_path)
+
+
+def test_the_methods_of_the_literature_are_named_until_they_are_installed(
+    installed: Path, arena: Path, tmp_path: Path
+) -> None:
+    """A command and a method of the other wheel: their message names it, and it is enough."""
+    command = installed / "undeadzone"
+    text = (ROOT / "examples/tune.toml").read_text(encoding="utf-8")
+    ranges = "right = [0.3, 2.0]\nleft = [0.3, 2.0]"
+    tables = re.sub(r"L = .*?width_max = 3.0", ranges, text.split("[ensemble]")[0], flags=re.S)
+    (tmp_path / "mine.toml").write_text(tables.replace("certified", "ekf"))
+    contest = ["arena", "mine.toml", "--methods", "ekf", "--seeds", "1", "--processes", "1"]
+    for words in (contest, ["check", "mine.toml"]):
+        done = subprocess.run(
+            [command, *words], cwd=tmp_path, capture_output=True, env={}, text=True
+        )
+        assert done.returncode == 2
+        assert f"pip install {ARENA}" in done.stderr
+    install(arena, installed)
+    assert "full_state" in run(command, *contest, cwd=tmp_path)
 
 
 def test_every_example_comes_from_the_wheel(installed: Path, tmp_path: Path) -> None:

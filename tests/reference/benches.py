@@ -14,10 +14,10 @@ from unittest import mock
 
 import numpy as np
 from benchmarks.identify import (
+    labelled_records,
     lost_motion,
     motors,
     names,
-    strangers,
     valves,
 )
 from benchmarks.identify.logs.lost_motion import KINDS as MOTIONS
@@ -100,7 +100,7 @@ def word_of(is_right: bool, is_wrong: bool) -> str:
 def judge_word(verdict: str, right: Iterable[str]) -> str:
     """Return right, withheld or wrong, by the words of the benchmarks that withhold."""
     is_right = verdict in right
-    return word_of(is_right, not is_right and verdict not in strangers.NO_NAME)
+    return word_of(is_right, not is_right and verdict not in labelled_records.NO_NAME)
 
 
 def ask_named(name: str) -> Answer:
@@ -128,17 +128,17 @@ def ask_strange(kind: str) -> Answer:
     """
     log, right = ALL[kind].make(np.random.default_rng(SEED)), ALL[kind].right
     with noted_answers() as noted:
-        one = strangers.ask(kind, right, log.width, t=STEP, u=log.u, y=log.y, **log.options)
+        one = labelled_records.ask(kind, right, log.width, t=STEP, u=log.u, y=log.y, **log.options)
     word = word_of(one.is_right, one.is_wrong)
     return with_false_odds(judged(noted, word, right, one.holds, {"width": log.width}), one)
 
 
-def with_false_odds(answer: Answer, one: strangers.Outcome) -> Answer:
+def with_false_odds(answer: Answer, one: labelled_records.Outcome) -> Answer:
     """Return an answer with the odds of a false word, of which none is best.
 
     Args:
         answer: to a log.
-        one: what `strangers` makes of it.
+        one: what `labelled_records` makes of it.
     """
     odds = float(f"{one.false_odds:.3g}")
     return Answer(answer.fields | {"false_odds": odds}, answer.truth | {"false_odds": 0.0})

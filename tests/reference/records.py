@@ -6,7 +6,7 @@ import random
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from benchmarks.identify import strangers
+from benchmarks.identify import labelled_records
 
 from .benches import judged, noted_answers, with_false_odds, word_of
 from .fields import Answer
@@ -74,7 +74,7 @@ def truth_of(name: str) -> Truth:
     if not name.startswith("loops/"):
         return TRUTHS.get(name, Truth())
     label = name.removeprefix("loops/").removeprefix("isdb_")
-    return Truth(strangers.STICKS if label.startswith("S_") else strangers.MOVES)
+    return Truth(labelled_records.STICKS if label.startswith("S_") else labelled_records.MOVES)
 
 
 def ask_record(name: str) -> Answer:
@@ -85,7 +85,7 @@ def ask_record(name: str) -> Answer:
     """
     path, truth = find_paths()[name], truth_of(name)
     with noted_answers() as noted:
-        one = strangers.ask(path.stem, truth.right or (), None, log=path, **truth.options)
+        one = labelled_records.ask(path.stem, truth.right or (), None, log=path, **truth.options)
     answer = judged(noted, word_of(one.is_right, one.is_wrong), truth.right or (), None, {})
     if truth.right is None:
         fields = {key: value for key, value in answer.fields.items() if key != "word"}

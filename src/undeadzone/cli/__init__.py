@@ -28,7 +28,7 @@ from undeadzone.cli.init import init
 from undeadzone.cli.run import run
 from undeadzone.cli.watch import watch
 from undeadzone.errors import InputError
-from undeadzone.util.installed import list_registered_places, load_object
+from undeadzone.util.installed import advise_on_arena, list_registered_places, load_object
 
 # In the order in which they are met.
 BLOCKS = {
@@ -68,7 +68,10 @@ class Commands(click.Group):
         if self.get_command(ctx, name) is None and not name.startswith("-"):
             near = get_close_matches(name, self.list_commands(ctx), 1)
             meant = OTHER_NAMES.get(name, "".join(near))
-            ctx.fail(f"No such command {name!r}." + f" Did you mean {meant!r}?" * bool(meant))
+            advice = f". Did you mean {meant!r}?" if meant else "."
+            if "arena" in (name, meant):
+                advice = advise_on_arena() or advice
+            ctx.fail(f"No such command {name!r}{advice}")
         return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: click.Context) -> object:

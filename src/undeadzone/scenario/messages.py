@@ -13,6 +13,7 @@ import msgspec
 
 from undeadzone.errors import InputError
 from undeadzone.registry import REGISTRIES
+from undeadzone.util.installed import advise_on_arena
 from undeadzone.util.toml import advise_on_name
 
 _CURES = {  # admissible values of a part, if its type does not show them
@@ -111,7 +112,8 @@ def require_words(key: str, options: Any, kind: type[msgspec.Struct]) -> None:
 def _unknown_choice(key: str, word: Any, choices: list[str]) -> str:
     """Return the message about a word that is not a choice of a key."""
     advice = advise_on_name(str(word), choices, "Expected one of")
-    return f"{key}: unknown choice {word!r}. {advice}"
+    elsewhere = advise_on_arena() if key.endswith(".method") else ""
+    return f"{key}: unknown choice {word!r}. {advice}{elsewhere}"
 
 
 def _missing(key: str, name: str, root: type[msgspec.Struct]) -> str:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
 PACKAGES = ("casadi", "llvmlite", "numpy", "scipy")  # they decide the last bits of results
+ARENA = "undeadzone_arena has the methods of the literature: pip install undeadzone_arena"
 
 
 def package_versions() -> dict[str, str]:
@@ -57,15 +58,16 @@ def list_registered_places(group: str) -> dict[str, str]:
 
 @functools.lru_cache
 def _find_entry_points(group: str, searched: tuple[tuple[str, int], ...]) -> dict[str, str]:
-    """Return the `module:Class` of a group by method. They are cached while the searched folders
-    are unchanged.
+    """Return the `module:Class` of a group by method, sorted: the order of packages is a folder's.
+    They are cached while the searched folders are unchanged.
     """
     from importlib.metadata import entry_points
 
     try:
-        return {point.name: point.value for point in entry_points(group=group)}
+        points = [*entry_points(group=group)]
     except Exception:  # any error of the reader of one damaged file
-        return {point.name: point.value for point in _readable_entry_points(group)}
+        points = [*_readable_entry_points(group)]
+    return {point.name: point.value for point in sorted(points)}
 
 
 def _readable_entry_points(group: str) -> Iterator[EntryPoint]:
@@ -79,6 +81,11 @@ def _readable_entry_points(group: str) -> Iterator[EntryPoint]:
             name = getattr(package, "name", None) or "a package"
             words = f"{name}: its entry points cannot be read. It is left out"
             warnings.warn(words, DamagedPackage, stacklevel=2)
+
+
+def advise_on_arena() -> str:
+    """Return which package has the methods of the literature, if it is not installed."""
+    return "" if "arena" in list_registered_places("undeadzone.commands") else f". {ARENA}"
 
 
 def load_object(what: str, place: str) -> Any:

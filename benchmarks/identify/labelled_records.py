@@ -1,14 +1,12 @@
-"""Logs of strangers: is a name right, or withheld, where the truth is none of the candidates?
+"""Records of real machines and loops with labels: is a name right, or withheld?
 
-`python -m benchmarks strangers` makes logs of the kinds of `logs.strangers`; STRANGERS_LOGS: of
-each kind (2), STRANGERS_FIRST: the first seed (1), STRANGERS_KINDS: kinds, separated by semicolons.
-STRANGERS_RECORDS: a folder of records to ask of in place of these, without options. The answers are
-as sure as the labels: files `S_*.csv`, `isdb_S_*.csv` are loops whose valve sticks, `N_*.csv`,
-`isdb_N_*.csv` of valves that do not; STRANGERS_LABELS: a table of others (columns file, options,
-right; words that are right, separated by spaces), by default `labels.csv` in the folder. Nothing of
-the records is kept. A false name above .8 is an error: exit code 1.
+RECORDS_FOLDER: the records, asked without options. The answers are as sure as the labels: files
+`S_*.csv`, `isdb_S_*.csv` are loops whose valve sticks, `N_*.csv`, `isdb_N_*.csv` of valves that do
+not; RECORDS_LABELS: a table of others (columns file, options, right; words that are right,
+separated by spaces), by default `labels.csv` in the folder. Nothing of the records is kept. A
+false name above .8 is an error: exit code 1.
 
-A false name with odds above .9 costs 10, another one 5, a withheld one 1.
+A false name with odds above .8 costs 10, another one 5, a withheld one 1.
 """
 
 from __future__ import annotations
@@ -23,11 +21,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import undeadzone as uz
-from benchmarks.identify.logs.strangers import ALL, LATER, STEP
 from benchmarks.markdown import head, row
 
 NO_NAME = ("undecided", "unclear", "unreached", "refused")
-SURE, SURE_OF_RECORDS = 0.9, 0.8  # odds above which no name may be wrong
+SURE = 0.8  # odds above which no name may be wrong
 SURELY_WRONG, WRONG, WITHHELD = 10, 5, 1  # prices
 ODDS_OF = {"operating_point": "none"}
 STICKS = ("stiction", "input_play", "friction")
@@ -60,10 +57,10 @@ class Outcome(NamedTuple):
         """Whether another name is given."""
         return not self.is_right and self.verdict not in NO_NAME
 
-    def price(self, sure: float) -> int:
+    def price(self) -> int:
         """What it costs."""
         if self.is_wrong:
-            return SURELY_WRONG if self.false_odds > sure else WRONG
+            return SURELY_WRONG if self.false_odds > SURE else WRONG
         return 0 if self.is_right else WITHHELD
 
 
@@ -96,26 +93,13 @@ def ask(kind: str, right: tuple[str, ...], width: float | None, **log: Any) -> O
     return Outcome(kind, answer.verdict, is_right, max(false, default=0.0), holds, spent, why)
 
 
-def strangers() -> Iterator[Outcome]:
-    """Yield the outcomes of logs of every kind."""
-    count, first = (
-        int(os.environ.get(f"STRANGERS_{k}", n)) for k, n in (("LOGS", 2), ("FIRST", 1))
-    )
-    names = os.environ.get("STRANGERS_KINDS", "")
-    for name in filter(None, names.split(";")) if names else ALL:
-        for seed in range(first, first + count):
-            log = ALL[name].make(np.random.default_rng(seed))
-            given = {"t": STEP, "u": log.u, "y": log.y, **log.options}
-            yield ask(name, ALL[name].right, log.width, **given)
-
-
 def records(folder: Path) -> Iterator[Outcome]:
     """Yield the outcomes of the labelled records of a folder and its folders.
 
     Args:
         folder: where the records are.
     """
-    named = os.environ.get("STRANGERS_LABELS")
+    named = os.environ.get("RECORDS_LABELS")
     labels = {}
     for table in [Path(named)] if named else folder.rglob("labels.csv"):
         with table.open(newline="") as file:
@@ -133,30 +117,25 @@ def records(folder: Path) -> Iterator[Outcome]:
         yield ask(path.stem, right, None, log=path, **options)
 
 
-def table_lines(every: list[Outcome], sure: float) -> list[str]:
-    """Return the sums of outcomes.
-
-    Args:
-        every: outcomes.
-        sure: odds above which a false name costs most.
-    """
+def table_lines(every: list[Outcome]) -> list[str]:
+    """Return the sums of outcomes."""
     count, holds = len(every), [one.holds for one in every if one.holds is not None]
     right = sum(one.is_right for one in every)
     wrong = [one for one in every if one.is_wrong]
-    surely = sum(one.false_odds > sure for one in wrong)
-    printed = sum(one.false_odds > sure and not one.is_right for one in every)
+    surely = sum(one.false_odds > SURE for one in wrong)
+    printed = sum(one.false_odds > SURE and not one.is_right for one in every)
     names = (
         "logs",
         "right",
         "withheld",
         "wrong",
-        f"wrong above {sure}",
+        f"wrong above {SURE}",
         "printed so",
         "widths held",
     )
     cells = [count, right, count - right - len(wrong), len(wrong), surely, printed]
     hits = f"{sum(holds)} of {len(holds)}"
-    price = sum(one.price(sure) for one in every) / max(count, 1)
+    price = sum(one.price() for one in every) / max(count, 1)
     spent = float(np.mean([one.seconds for one in every])) if every else 0.0
     numbers = (*(str(cell) for cell in cells), hits, f"{price:.2f}", f"{spent:.1f}")
     return [*head(*names, "price a log", "CPU s"), row(*numbers)]
@@ -173,26 +152,10 @@ def each(every: list[Outcome]) -> list[str]:
 
 
 def table() -> str:
-    """Return the section of RESULTS.md."""
-    if "STRANGERS_RECORDS" in os.environ:
-        return table_of_records(Path(os.environ["STRANGERS_RECORDS"]))
-    every = list(strangers())
-    later = [one for one in every if one.kind in LATER]
-    last = "Of the kinds that were chosen last, for some of which the code was changed since:"
-    lines = [*table_lines(every, SURE), "", last, ""]
-    lines += [*table_lines(later, SURE), "", *each(every), ""]
-    return "\n".join(["## Strangers", "", *lines])
-
-
-def table_of_records(folder: Path) -> str:
-    """Return the section of RESULTS.md on a folder of records. Raise SystemExit: a false name.
-
-    Args:
-        folder: where the records are.
-    """
-    every = list(records(folder))
-    lines = ["## Records", "", *table_lines(every, SURE_OF_RECORDS), "", *each(every), ""]
-    false = [one.kind for one in every if one.is_wrong and one.false_odds > SURE_OF_RECORDS]
+    """Return the section of RESULTS.md. Raise SystemExit: a false name."""
+    every = list(records(Path(os.environ["RECORDS_FOLDER"])))
+    lines = ["## Records", "", *table_lines(every), "", *each(every), ""]
+    false = [one.kind for one in every if one.is_wrong and one.false_odds > SURE]
     if false:
         raise SystemExit("\n".join([*lines, f"false names: {', '.join(false)}"]))
     return "\n".join(lines)
