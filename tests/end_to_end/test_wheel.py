@@ -54,9 +54,7 @@ def text_in(wheel: Path, name: str) -> str:
         return archive.read(path).decode("utf-8")
 
 
-def test_the_wheels_hold_every_file_of_the_packages(
-    wheel: Path, arena: Path
-) -> None:
+def test_the_wheels_hold_every_file_of_the_packages(wheel: Path, arena: Path) -> None:
     members, apart = (set(zipfile.ZipFile(path).namelist()) for path in (wheel, arena))
     for path in (ROOT / "src").rglob("*"):
         if path.is_file() and "__pycache__" not in path.parts:
