@@ -235,15 +235,14 @@ def _measure_swing(grid: Grid, part: slice) -> Swing:
     r = grid.r[part, 0] if grid.r.shape[1] else None
     log = LoopLog(u, y, ok, r)
     fits = fit_loop(log)
-    family = fits.family
-    none, sticks, plays = (family[word].bic for word in ("none", "stiction", "input_play"))
+    none, sticks, plays = (fits.bic[word] for word in ("none", "stiction", "input_play"))
     shape = ellipse_width(log)
     features = [
         shape,
         math.asinh(none - min(sticks, plays)),
-        math.asinh(none - family.get("external", family["none"]).bic),
+        math.asinh(none - fits.bic.get("external", none)),
         math.log(max(log.regularity, 1e-3)),
-        math.log(max(fits.sensitivity(log.u, fits.structure.oscillation), 1e-3)),
+        math.log(max(fits.sensitivity(), 1e-3)),
         compare_half_waves(log.y, log.period)[0],
         compare_half_waves(log.u, log.period)[1],
     ]
