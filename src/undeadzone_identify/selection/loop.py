@@ -264,7 +264,7 @@ def _measure_swing(grid: Grid, part: slice) -> Swing:
         rms / max(size, 1e-12),
         float(np.abs(np.diff(u)).sum()) / (u.size * grid.step) * 86400,
         bool(np.unique(u).size > LEVELS and at_end > END),
-        bool(noise > LOUD or 1 < np.unique(y[ok]).size < LEVELS / 2),
+        bool(noise > LOUD or np.unique(y[ok]).size < LEVELS / 2),
     )
 
 
