@@ -8,7 +8,6 @@ import subprocess
 import time
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -104,27 +103,6 @@ def test_a_plant_is_ranked_with_a_page_for_each_loop(plant: Path, tmp_path: Path
     assert found["odds"] == pytest.approx(first["odds"])
     assert (out / first["page"]).exists()
     assert first["page"] in (out / "report.html").read_text()
-
-
-def test_a_stopped_ranking_goes_on_where_it_stood(
-    plant: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The second loop is not asked at first; the first one is not asked again."""
-    import undeadzone_identify.loops as command
-
-    asked = []
-
-    def ask(tag: str, *rest: Any) -> dict[str, Any]:
-        asked.append(tag)
-        if tag == "LIC2" and len(asked) == 2:
-            raise KeyboardInterrupt
-        return {"loop": tag, "cost": 0.0, "page": None, "verdict": "refused", "found": "-"}
-
-    monkeypatch.setattr(command, "judge_loop", ask)
-    words = ("loops", plant, "--out", tmp_path / "o")
-    assert undeadzone(*words).returncode == 130
-    assert undeadzone(*words, "--resume").returncode == 1
-    assert asked == ["FIC1", "LIC2", "LIC2"]
 
 
 def test_a_killed_ranking_is_resumed(plant: Path, tmp_path: Path) -> None:
