@@ -1,15 +1,21 @@
 """Why a control loop swings, by OP, PV and SP of generated loops of known cause.
 
 Every answer is kept in build/valves.jsonl with the commit of the code that gave it. VALVES_LOOPS:
-how many loops (60); VALVES_FIRST: seed of the first (900), below those of `loop_weights`.
+how many loops (60); VALVES_FIRST: seed of the first (900), below those of `loop_weights`;
+VALVES_FOLDER: loops of a folder that `undeadzone loops` ranks, killed half way and resumed (0).
 """
 
 from __future__ import annotations
 
+import json
 import os
+import resource
+import subprocess
+import sys
 import time
 from collections import Counter
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -59,6 +65,31 @@ def outcome_of_seed(seed: int) -> Outcome:
     }
 
 
+def rank_folder(count: int, first: int) -> str:
+    """What the command takes for a folder of loops, killed after half of them and resumed."""
+    with TemporaryDirectory() as room:
+        plant, kept = Path(room, "plant"), Path(room, "o", "loops.json.partial")
+        plant.mkdir()
+        for seed in range(first, first + count):
+            columns = np.column_stack(make(seed)[:3])
+            path = plant / f"FIC{seed}_0612.csv"
+            np.savetxt(path, columns, delimiter=",", header="OP,PV,SP", comments="")
+        words = [sys.executable, "-m", "undeadzone", "loops", "plant", "--no-figures", "--out", "o"]
+        with subprocess.Popen(words, cwd=room) as process:
+            while not kept.exists() or kept.read_bytes().count(b"\n") <= count // 2:
+                time.sleep(0.1)
+            process.kill()
+        before = kept.read_text(encoding="utf-8")
+        subprocess.run([*words, "--resume"], cwd=room, check=True)
+        rows = json.loads(Path(room, "o", "loops.json").read_text(encoding="utf-8"))["loops"]
+        same = sum(json.dumps(one) in before for one in rows)
+    seconds = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
+    return (
+        f"A folder of {count} of these loops by `undeadzone loops`, killed after {same} answers and"
+        f" resumed: {len(rows)} lines, the {same} as they were, {seconds:.0f} CPU s in all."
+    )
+
+
 def area_under_curve(score: list[float], is_so: list[bool]) -> float:
     """Share of pairs of a loop that is so and one that is not which a score puts in order."""
     so, value = np.array(is_so), np.array(score)
@@ -103,6 +134,8 @@ def table() -> str:
         f" {np.median(over):.1f} apart."
         f" CPU s a loop: {np.mean([one['seconds'] for one in every]):.2f}.",
     ]
+    if count := int(os.environ.get("VALVES_FOLDER", 0)):
+        lines += ["", rank_folder(count, first)]
     about = (
         f"{len(every)} loops at commit {of}: 500 to 4000 samples, one lag or two or an integrator,"
         " delays of 1 to 11 samples, PI or PID, a third of them sluggish; valves by three accounts"

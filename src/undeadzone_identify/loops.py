@@ -15,7 +15,7 @@ from undeadzone.errors import InputError
 from undeadzone.util.progress import terminal_progress as progress
 
 if TYPE_CHECKING:
-    from undeadzone_identify.logs.log import Log
+    from undeadzone_identify.logs.loops import Record
 
 HEAD = ("loop", "cause", "odds", "S [% of OP]", "J [% of OP]", "cost", "travel a day", "what to do")
 
@@ -82,12 +82,12 @@ def loops(source: Path, workers: int, resume: bool, output: Output) -> int:
     return int(any(row["verdict"] == "refused" for row in rows))
 
 
-def judge_loop(tag: str, records: list[Log | Path], folder: Path | None) -> dict[str, Any]:
+def judge_loop(tag: str, records: list[Record], folder: Path | None) -> dict[str, Any]:
     """Return the line of a loop, and write its page.
 
     Args:
         tag: name of the loop.
-        records: logs or files of it.
+        records: of it.
         folder: of the pages; None: none is written.
     """
     from undeadzone_identify.logs.loops import read_record

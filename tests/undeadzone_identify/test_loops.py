@@ -6,75 +6,72 @@ import json
 import signal
 import subprocess
 import time
+from datetime import datetime, timedelta
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from benchmarks.identify.logs.valves import make
+from benchmarks.identify.valves import log_of_loop
 
 import undeadzone as uz
 from commands import COMMAND, undeadzone
 from records import write_log
-from undeadzone_identify.logs.loops import find_loops, read_loops
+from undeadzone_identify.logs.loops import find_loops, read_loops, read_record
 from undeadzone_identify.models.valve import Sizes, combine_sizes
 from undeadzone_identify.selection import loop as selection
 
 SIZE = 500
 LOOP = make(25, "stiction", SIZE)
-COLUMNS = {"OP": LOOP.op, "PV": LOOP.pv, "SP": LOOP.sp}
+COLUMNS = {"op": LOOP.op, "pv": LOOP.pv, "sp": LOOP.sp}
 
 
-def write_table(path: Path, head: str, *columns: Any, mark: str = ".") -> None:
-    """Write a table of numbers and texts."""
-    rows = [",".join(map(str, row)) for row in zip(*columns, strict=True)]
-    text = "\n".join([head, *rows]) + "\n"
-    path.write_text(text if mark == "." else text.replace(",", ";").replace(".", mark))
-
-
-def write_long(path: Path, names: dict[str, str], head: str, changes: bool = False) -> None:
-    """Write a line for each value, or for each value that differs from the one before."""
-    lines = []
-    for k in range(SIZE):
-        for key, name in names.items():
-            if not changes or k == 0 or COLUMNS[key][k] != COLUMNS[key][k - 1]:
-                stamp = f"2024-06-09 {k // 3600:02d}:{k // 60 % 60:02d}:{k % 60:02d}"
-                lines.append(f"{stamp},{name},{COLUMNS[key][k]:.6g}")
-    path.write_text("\n".join([head, *lines]) + "\n")
-
-
-T = np.arange(SIZE)
-WIDE = {
-    "tags": "time,FIC101.OP,FIC101.PV,FIC101.SP",
-    "yokogawa": "time,FIC101.MV,FIC101.PV,FIC101.SV",
-    "siemens": "time,FIC101.MV,FIC101.CV,FIC101.SV",
-    "deltav": "time,FIC101/PID1/OUT.CV,FIC101/PID1/PV.CV,FIC101/PID1/SP.CV",
-    "underscores": "time,FIC101_OP,FIC101_PV,FIC101_SP",
-    "ahead": "time,OP_FIC101,PV_FIC101,SP_FIC101",
-}
-LONG = {
-    "lines": "timestamp,tag,value",
-    "changes": "timestamp,tag,value",
+# Header and line of a table: a name with _ is empty where nothing changed.
+LINE, TAGGED = "{k},{op},{pv},{sp}", "time,FIC101.OP,FIC101.PV,FIC101.SP"
+LONG = "{t},FIC101.MV,{op_}\n{t},FIC101.PV,{pv_}\n{t},FIC101.SV,{sp_}"
+SHAPES = {
+    "tags": (TAGGED, LINE),
+    "yokogawa": ("time,FIC101.MV,FIC101.PV,FIC101.SV", LINE),
+    "siemens": ("time,FIC101.MV,FIC101.CV,FIC101.SV", LINE),
+    "pcs7": ('"Datum","W1//F/P.MV.Value [%]","W1//F/P.PV.Value [t]","W1//F/P.SP.Value [t]"', LINE),
+    "deltav": ("time,F/PID1/OUT.CV,F/PID1/PV.CV,F/PID1/SP.CV", "{t:%d-%b-%Y %X}" + LINE[3:]),
+    "honeywell": ("Date,Time,F.PIDA.OP,F.PIDA.PV,F.PIDA.SP", "{t:%m/%d/%Y},{t:%X}" + LINE[3:]),
+    "foxboro": ("time,CP01:F.OUT,CP01:F.MEAS,CP01:F.SPT", LINE),
+    "phd": ("Tag,F.OP,F.PV,F.SP\nText,a,b,c\nUnits,%,t,t", "{t:%m/%d/%Y %I:%M:%S %p}" + LINE[3:]),
+    "underscores": ("time,FIC101_OP [%],FIC101_PV [t/h],FIC101_SP [t/h]", LINE),
+    "ahead": ("time,OP_FIC101,PV_FIC101,SP_FIC101", LINE),
+    "blanks": ("time,FIC101.OP,FIC101.SP,FIC101.PV", "{k},{op_},{sp_},{pv}"),
+    "mode": (f"{TAGGED},FIC101.MODE", LINE + ",AUTO"),
+    "lines": ("timestamp,tag,value", LONG.replace("_", "")),
+    "changes": ("timestamp,tag,value", LONG),
+    "status": ("Time,Tag,Quality,Value", LONG.replace(",{", ",Good,{")),
+    "pairs": (
+        "F.PV,,F.OP,,F.SP,",
+        "{t:%d-%b-%y %X},{pv},{t:%d-%b-%y %X},{op},{t:%d-%b-%y %X},{sp}",
+    ),
+    "two loops": (f"{TAGGED},FIC102.OP,FIC102.PV,FIC102.SP", LINE + ",{op},{pv},{sp}"),
+    "German": ("Zeit;F Stellgröße;F Istwert;F Sollwert", LINE.replace(",", ";")),
+    "German lines": ("Zeitstempel;Variable;Wert", LONG.replace(",", ";")),
 }
 
 
-@pytest.mark.parametrize("shape", [*WIDE, *LONG, "two loops", "German"])
+@pytest.mark.parametrize("shape", SHAPES)
 def test_a_table_of_tags_is_read_at_the_first_call(shape: str, tmp_path: Path) -> None:
-    path, columns = tmp_path / "table.csv", (T, *COLUMNS.values())
-    expected = 1
-    if shape in WIDE:
-        write_table(path, WIDE[shape], *columns)
-    elif shape in LONG:
-        names = {"OP": "FIC101.MV", "PV": "FIC101.PV", "SP": "FIC101.SV"}
-        write_long(path, names, LONG[shape], shape == "changes")
-    elif shape == "two loops":
-        expected = 2
-        head = f"{WIDE['tags']},FIC102.OP,FIC102.PV,FIC102.SP"
-        write_table(path, head, *columns, *(2 * one for one in columns[1:]))
-    else:
-        write_table(path, WIDE["tags"], *columns, mark=",")
-    logs = [*read_loops(path).values()]
-    assert len(logs) == expected
+    head, line = SHAPES[shape]
+    path, lines, before = tmp_path / "table.csv", [head], dict.fromkeys(COLUMNS, "")
+    for k in range(SIZE):
+        now = {name: f"{column[k]:.6g}" for name, column in COLUMNS.items()}
+        new = {f"{name}_": text if text != before[name] else "" for name, text in now.items()}
+        texts = {
+            name: text.replace(".", "," if ";" in head else ".")
+            for name, text in (now | new).items()
+        }
+        t = datetime(2024, 6, 13, 8) + timedelta(seconds=k)
+        lines += [one for one in line.format(k=k, t=t, **texts).split("\n") if one[-1] not in ",;"]
+        before = now
+    path.write_text("\n".join(lines) + "\n", encoding="cp1252")
+    logs = list(map(read_record, read_loops(path).values()))
+    assert len(logs) == 1 + ("FIC102" in head)
     np.testing.assert_allclose(logs[0].u[:, 0], LOOP.op, rtol=1e-5)
     np.testing.assert_allclose(logs[0].y[:, 0], LOOP.pv, rtol=1e-5)
     assert logs[0].r[:, 0] == pytest.approx(LOOP.sp, rel=1e-5)
@@ -106,27 +103,6 @@ def test_a_plant_is_ranked_with_a_page_for_each_loop(plant: Path, tmp_path: Path
     assert found["odds"] == pytest.approx(first["odds"])
     assert (out / first["page"]).exists()
     assert first["page"] in (out / "report.html").read_text()
-
-
-def test_a_stopped_ranking_goes_on_where_it_stood(
-    plant: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The second loop is not asked at first; the first one is not asked again."""
-    import undeadzone_identify.loops as command
-
-    asked = []
-
-    def ask(tag: str, *rest: Any) -> dict[str, Any]:
-        asked.append(tag)
-        if tag == "LIC2" and len(asked) == 2:
-            raise KeyboardInterrupt
-        return {"loop": tag, "cost": 0.0, "page": None, "verdict": "refused", "found": "-"}
-
-    monkeypatch.setattr(command, "judge_loop", ask)
-    words = ("loops", plant, "--out", tmp_path / "o")
-    assert undeadzone(*words).returncode == 130
-    assert undeadzone(*words, "--resume").returncode == 1
-    assert asked == ["FIC1", "LIC2", "LIC2"]
 
 
 def test_a_killed_ranking_is_resumed(plant: Path, tmp_path: Path) -> None:
@@ -165,6 +141,11 @@ def test_a_record_that_shows_nothing_has_no_say_in_the_size() -> None:
     alone = combine_sizes([one] * 3, 2.0)[0]
     more = combine_sizes([*[one] * 3, *[Sizes(0.3 * stick, ratio, flat)] * 9], 2.0)[0]
     assert more == pytest.approx(alone, rel=0.02)
+
+
+def test_a_pv_that_stands_still_is_said() -> None:
+    still = log_of_loop(LOOP._replace(pv=0 * LOOP.pv))
+    assert selection.find_loop_cause([still]).word == "noise"
 
 
 def test_stored_exceptions_withhold_a_name_and_say_the_cure() -> None:

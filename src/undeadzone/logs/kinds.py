@@ -74,7 +74,7 @@ _TABLE: Final = tuple(
             "aside",
             0.0,
         ),
-        (r"\bsp\b", "sp", REFERENCE),
+        (r"\bsp\b|^sv$", "sp", REFERENCE),
         (r"^(r|ref|reference|set ?point|sollwert|consigne|consigna)$", "goal", REFERENCE),
         (r"\bdec ?(guide|pulse)", "drive", 16.5),
         (r"^(esc|servo)( signal)?( \d+)?$", "drive", 15.0),

@@ -27,6 +27,11 @@ _CLOCK: Final = (
     r"\s*(?P<zone>[Zz]|[-+]\d{2}:?\d{2})?"
 )
 STAMP: Final = re.compile(rf"(?=.)(?:{_DATE})?(?:(?:^|[Tt ]\s*){_CLOCK})?")
+MONTHS: Final = (
+    "jan|feb|mar|apr|may|jun|jul|aug|sep|oct|nov|dec"
+    "|jan|feb|mär|apr|mai|jun|jul|aug|sep|okt|nov|dez"
+)
+_MONTH: Final = re.compile(rf"(?i)(?<=\d)[-/. ]*({MONTHS})[a-z]*[-/., ]*(?=\d)")
 
 
 class Stamps(NamedTuple):
@@ -46,7 +51,7 @@ class Stamps(NamedTuple):
         Args:
             text: date and time of day as written; what has no zone counts as UTC.
         """
-        found = STAMP.fullmatch(text.strip())
+        found = _match_stamp(text)
         if found is None or (found["a"] is not None) != self.dated:
             return None
         day = _day(found, self.day_first) if self.dated else 0
@@ -60,7 +65,7 @@ def stamps_of(texts: Iterable[str]) -> Stamps | None:
     Args:
         texts: the first ones.
     """
-    found = list(filter(None, (STAMP.fullmatch(text.strip()) for text in texts)))
+    found = list(filter(None, (_match_stamp(text) for text in texts)))
     if not found:
         return None
     day_first = None
@@ -70,9 +75,17 @@ def stamps_of(texts: Iterable[str]) -> Stamps | None:
     return Stamps(found[0]["a"] is not None, day_first)
 
 
+def _match_stamp(text: str) -> re.Match[str] | None:
+    """Return the parts of a time; a month by its name, as in 12-Jun-24, is a number there."""
+    text = text.strip()
+    return STAMP.fullmatch(text) or STAMP.fullmatch(
+        _MONTH.sub(lambda one: f".{MONTHS.index(one[1].lower()) // 4 % 12 + 1}.", text)
+    )
+
+
 def is_ambiguous(text: str, stamps: Stamps) -> bool:
     """Return whether the month of a date is ambiguous, as in 3/4/2026."""
-    found = STAMP.fullmatch(text.strip())
+    found = _match_stamp(text)
     if found is None or found["a"] is None or stamps.day_first is not None:
         return False
     return found["dot"] != "." and len(found["a"]) < 4

@@ -5,37 +5,37 @@ from __future__ import annotations
 import functools
 import re
 from collections import defaultdict
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 from undeadzone.errors import FileError, InputError
-from undeadzone.logs.kinds import Title, split_unit, time_rank
-from undeadzone.logs.samples import FIRST, numbers_of_texts
-from undeadzone.logs.stamps import stamps_of
-from undeadzone.logs.text import dialect_of, parse_cell
-from undeadzone.util.arrays import Floats
+from undeadzone.logs.kinds import split_unit, time_rank
+from undeadzone.util.arrays import Floats, hold_last
 from undeadzone_identify.logs.log import Log, log_from_arrays, read_log
 from undeadzone_identify.logs.tables import (
     Arrays,
     columns_of_lines,
+    numbers_of_columns,
     read_lines,
     read_parquet,
-    signals_of_lines,
+    signals_of_columns,
 )
 
 ROLES = {  # of the last word of a tag, or of its first
-    **dict.fromkeys(("OP", "MV", "CO", "OUT", "OUTPUT"), "u"),
-    **dict.fromkeys(("PV", "CV", "MEAS", "PROCESS"), "y"),
-    **dict.fromkeys(("SP", "SV", "SETPOINT", "SET"), "r"),
+    **dict.fromkeys(("OP", "MV", "CO", "OUT", "OUTPUT", "STELLGRÖSSE", "STELLGRÖßE"), "u"),
+    **dict.fromkeys(("PV", "CV", "MEAS", "PROCESS", "ISTWERT"), "y"),
+    **dict.fromkeys(("SP", "SV", "SPT", "SETPOINT", "SET", "SOLLWERT"), "r"),
 }
 _ROLE = "|".join(ROLES)
-TAGGED = re.compile(rf"(?i)(?:(.*?)(?:[\W_]|(?<=\d))({_ROLE})(?:\.CV)?|({_ROLE})[\W_](.+))")
+TAGGED = re.compile(rf"(?i)(?:(.*?)(?:[\W_]|(?<=\d))({_ROLE})(?:\.CV|\.VALUE)?|({_ROLE})[\W_](.+))")
 ENDINGS = (".csv", ".txt", ".tsv", ".parquet")
+Record = Path | Callable[[], Log]  # a file, or what builds the log of a table's columns
 DAY = re.compile(r"[-_. ]\d[\d_.\-T]*$")  # of a file's name, behind the name of its valve
 
 
-def find_loops(source: Path) -> dict[str, list[Log | Path]]:
+def find_loops(source: Path) -> dict[str, list[Record]]:
     """Find the loops of a folder or a table: records of one valve stand together.
 
     Args:
@@ -50,13 +50,13 @@ def find_loops(source: Path) -> dict[str, list[Log | Path]]:
     """
     if not source.is_dir():
         found = read_loops(source)
-        return {tag: [log] for tag, log in found.items()} if found else {source.stem: [source]}
-    loops: dict[str, list[Log | Path]] = defaultdict(list)
+        return {tag: [one] for tag, one in found.items()} if found else {source.stem: [source]}
+    loops: dict[str, list[Record]] = defaultdict(list)
     for path in sorted(source.rglob("*")):
         if path.suffix.lower() in ENDINGS:
             several = read_loops(path)
-            for tag, log in several.items():
-                loops[tag].append(log)
+            for tag, one in several.items():
+                loops[tag].append(one)
             if not several:
                 loops[DAY.sub("", path.stem) or path.stem].append(path)
     if not loops:
@@ -64,7 +64,7 @@ def find_loops(source: Path) -> dict[str, list[Log | Path]]:
     return dict(loops)
 
 
-def read_loops(path: Path) -> dict[str, Log]:
+def read_loops(path: Path) -> dict[str, Record]:
     """Read the loops of a table of tags, wide or long; empty if its columns name one loop.
 
     Args:
@@ -79,31 +79,39 @@ def read_loops(path: Path) -> dict[str, Log]:
         match = TAGGED.fullmatch(split_unit(name).name)
         if match and (match[1] or match[4]):
             tags[match[1] or match[4]][ROLES[(match[2] or match[3]).upper()]] = name
-    loops = {tag.strip("/\\ "): one for tag, one in tags.items() if {"u", "y"} <= one.keys()}
-    if not loops:
-        return {}
     times = next((x for name, x in arrays.items() if time_rank(split_unit(name)) >= 0), None)
-    logs = {}
-    for tag, roles in loops.items():
-        own = {key: arrays[name] for key, name in roles.items()}
-        logs[tag] = _build_log(
-            f"{path}, {tag}", times, own, [Title(tag, ""), split_unit(roles["y"])]
+    return {
+        tag.strip("/\\ "): functools.partial(
+            _build_log,
+            f"{path}, {tag}",
+            times,
+            {key: arrays[name] for key, name in roles.items()},
+            split_unit(roles["y"]).unit,
         )
-    return logs
+        for tag, roles in tags.items()
+        if {"u", "y"} <= roles.keys()
+    }
 
 
-def _build_log(source: str, times: Floats | None, own: Arrays, titles: list[Title]) -> Log:
-    """Return a loop's rows as a log, from the first known OP on, which is held."""
-    usable = np.isfinite(own["u"]) & (True if times is None else np.isfinite(times))
+def _build_log(source: str, times: Floats | None, own: Arrays, unit: str) -> Log:
+    """Return a loop's rows as a log, from the first known OP on, which is held as SP is.
+
+    Raises FileError.
+    """
+    count = own["u"].size
+    t = np.arange(count, dtype=float) if times is None else times
+    u, r = (hold_last(own[key][:, None] if key in own else np.empty((count, 0))) for key in "ur")
+    usable = np.isfinite(u[:, 0]) & np.isfinite(t)
     if not usable.any() or not np.isfinite(own["y"]).any():
-        raise FileError(f"{source}: OP or PV holds no number")
-    t = np.arange(usable.size, dtype=float) if times is None else times
+        raise FileError(
+            f"{source}: OP, PV or the time has no number that can be read (dates: 2026-04-03)"
+        )
     t, first = np.unique(t[usable], return_index=True)
-    u, y, r = (own.get(key, np.empty((usable.size, 0)))[usable][first] for key in "uyr")
+    u, y, r = (x[usable][first] for x in (u, own["y"], r))
     log = log_from_arrays(t - t[0], u, y)
     return log._replace(
-        inputs=("OP",), outputs=("PV",), output_units=(titles[1].unit or "1",), source=source,
-        r=r.reshape(t.size, -1), counted=times is None,
+        inputs=("OP",), outputs=("PV",), output_units=(unit or "1",), source=source, r=r,
+        counted=times is None,
     )  # fmt: skip
 
 
@@ -112,25 +120,24 @@ def _read_arrays(path: Path) -> Arrays:
     if path.suffix.lower() == ".parquet":
         return read_parquet(path)
     lines = read_lines(path)
-    if not lines:
+    if not any(map(TAGGED.search, lines)):
         return {}
-    dialect = dialect_of(lines[:FIRST])
-    if not any(TAGGED.search(line) for line in lines[:FIRST]):
-        return {}
-    if not dialect.titles or sum(bool(TAGGED.fullmatch(one.name)) for one in dialect.titles) < 2:
-        return signals_of_lines(lines) or {}
     titles, columns = columns_of_lines(lines)
-    arrays = {}
-    for title, cells in zip(titles, columns, strict=True):
-        mark = dialect.mark if stamps_of(cells[:FIRST]) is None else "."
-        arrays[title] = numbers_of_texts(cells, functools.partial(parse_cell, mark=mark))
-    return arrays
+    named = list(map(split_unit, titles))
+    if sum(bool(TAGGED.fullmatch(one.name)) for one in named) < 2:
+        return signals_of_columns(titles, columns) or {}
+    numbers, times = numbers_of_columns(titles, columns)
+    first = {titles[k] if time_rank(named[k]) >= 0 else "time": numbers[k] for k in times[:1]}
+    return dict(zip(titles, numbers, strict=False)) | first
 
 
-def read_record(record: Log | Path) -> Log:
-    """Return a record of a loop, read if it is in a file.
+def read_record(record: Record) -> Log:
+    """Return a record of a loop.
 
     Args:
-        record: a log, or its file.
+        record: file of it, or what builds it from a table.
+
+    Raises:
+        FileError: it cannot be read.
     """
-    return record if isinstance(record, Log) else read_log(record)
+    return read_log(record) if isinstance(record, Path) else record()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import io
 import itertools
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,8 @@ from undeadzone.util.files import LARGEST_TABLE, read_bytes, unreadable_file
 
 Arrays = dict[str, Floats]  # by the names of the signals, and their times
 FEWEST_VALUES = 3  # of two signals; others may be stored on change
+OF_NAMES = re.compile(r"(?i)tag|name|signal|point|variable")  # title of the column of names
+OF_VALUES = re.compile(r"(?i)val|wert|reading")  # and of that of the values
 MOST_NUMBERS = 0.9  # share of the cells of a column that are numbers, or of a column of names not
 
 
@@ -54,7 +57,7 @@ def read_long_table(path: Path) -> Arrays | None:
     A trace of a PLC names its values ahead of them. Other signals count at the times of the one
     that has most values, as they last were.
     """
-    return signals_of_lines(read_lines(path))
+    return signals_of_columns(*columns_of_lines(read_lines(path)))
 
 
 def read_lines(path: Path) -> list[str]:
@@ -63,25 +66,24 @@ def read_lines(path: Path) -> list[str]:
     return list(filter(is_content, itertools.chain.from_iterable(blocks)))
 
 
-def signals_of_lines(lines: Sequence[str]) -> Arrays | None:
+def signals_of_columns(titles: Sequence[str], columns: Sequence[Sequence[str]]) -> Arrays | None:
     """Return the signals of a long table; None for any other table. See `read_long_table`.
 
     Args:
-        lines: with content.
+        titles: of its columns.
+        columns: their cells.
     """
-    titles, columns = columns_of_lines(lines)
-    numbers = [numbers_of_texts(x, functools.partial(parse_cell, mark=".")) for x in columns]
-    stamped = [stamps_of(x[:FIRST]) is not None for x in columns]
-    is_time = [stamped[k] or time_rank(split_unit(titles[k])) >= 0 for k in range(len(columns))]
+    numbers, times = numbers_of_columns(titles, columns)
     full = [bool(np.isfinite(x).mean() > MOST_NUMBERS) for x in numbers]
-    times = np.flatnonzero(is_time).tolist()
     values = [k for k, one in enumerate(full) if one and k not in times]
     names = [k for k, one in enumerate(full) if not one and k not in times]
+    values, names = (  # a quality or a remark stands beside
+        [k for k in each if title.search(titles[k])] or each
+        for each, title in ((values, OF_VALUES), (names, OF_NAMES))
+    )
     if not times or len(values) != 1 or len(names) != 1:
         return None
-    name = np.array(columns[names[0]])
-    stamps = list(map(" ".join, zip(*(columns[k] for k in times), strict=True)))
-    t = numbers_of_texts(stamps, functools.partial(parse_cell, mark="."))
+    name, t = np.array(columns[names[0]]), numbers[times[0]]
     known = np.isfinite(t) & np.isfinite(numbers[values[0]])
     different, of, counts = np.unique(name[known], return_inverse=True, return_counts=True)
     if different.size < 2 or np.sort(counts)[-2] < FEWEST_VALUES:
@@ -97,9 +99,44 @@ def signals_of_lines(lines: Sequence[str]) -> Arrays | None:
     return arrays
 
 
+def numbers_of_columns(
+    titles: Sequence[str], columns: Sequence[Sequence[str]]
+) -> tuple[list[Floats], list[int]]:
+    """Return the numbers of columns, and which columns are times: the first has them joined.
+
+    Args:
+        titles: of the columns.
+        columns: their cells.
+    """
+    parse = functools.partial(parse_cell, mark="")
+    numbers = [numbers_of_texts(x, parse) for x in columns]
+    times = [
+        k
+        for k, (title, cells) in enumerate(zip(titles, columns, strict=False))
+        if stamps_of(cells[:FIRST]) or time_rank(split_unit(title)) >= 0
+    ]
+    if times:
+        stamps = list(map(" ".join, zip(*(columns[k] for k in times), strict=True)))
+        numbers[times[0]] = numbers_of_texts(stamps, parse)
+    return numbers, times
+
+
 def columns_of_lines(lines: Sequence[str]) -> tuple[list[str], list[tuple[str, ...]]]:
-    """Return the titles of columns, "" without a header, and their cells."""
+    """Return the titles of columns, "" without a header, and their cells.
+
+    Pairs of columns, of which the first has a tag above its times, become lines of a long table.
+    """
     dialect = dialect_of(lines[:FIRST])
+    tags = split_cells(lines[0], dialect.separator)
+    if dialect.titles and len(tags) > 2 and not any(tags[1::2]):
+        table = [split_cells(line, dialect.separator) for line in lines[1:]]
+        triples = [
+            ([row[k] for row in table], [tag] * len(table), [row[k + 1] for row in table])
+            for k, tag in enumerate(tags)
+            if tag
+        ]
+        every = [tuple(itertools.chain(*one)) for one in zip(*triples, strict=True)]
+        return ["time", "tag", "value"], every
     width = dialect.width
     titles = [f"{name} [{unit}]".removesuffix(" []") for name, unit in dialect.titles or ()] or [
         ""

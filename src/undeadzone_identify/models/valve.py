@@ -20,25 +20,19 @@ import math
 from collections.abc import Sequence
 from copy import copy
 from functools import cache
-from operator import itemgetter
 from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from scipy.signal import correlate, freqz, lfilter
+from scipy.signal import correlate, freqz, lfilter, zoom_fft
 from scipy.special import expit, softmax
 
 from undeadzone.compile import lanes
 from undeadzone.util.arrays import Flags, Floats, Integers
 from undeadzone_identify.models.estimates import Interval, draw_sums
-from undeadzone_identify.models.least_squares import (
-    Density,
-    build_gaussian_density,
-    regression_residual,
-)
+from undeadzone_identify.models.least_squares import regression_residual
 from undeadzone_identify.models.likelihood import root_mean_square
-from undeadzone_identify.models.lost_motion import reversal_blocks
 from undeadzone_identify.models.motion import last_reading_rows
 
 ORDERS = (1, 2, 3, 4, 6, 8, 12)  # autoregressive orders of the readings
@@ -69,7 +63,6 @@ SCATTER = 3.0  # safety factor of the standard deviation of differences of log l
 DRAWS = 500  # draws of the log likelihoods
 CHUNK = 12  # positions that are regressed at once: their regressors fit into the cache
 COARSELY = 2000  # readings that a coarse grid predicts: more tell its points apart no better
-TURN = 0.25  # least reversal of u that counts [range of u]
 
 
 def valve_positions(u: Floats, stick: Floats, jump: Floats, account: str) -> Floats:
@@ -226,22 +219,44 @@ class Regression:
         columns[:, len(lags) :] = self._before(_averages(v), lags[0])
         return columns
 
-    def prediction_errors(self, v: Floats, lags: range) -> Floats:
-        """Return the one-step prediction errors of the readings for a position (n).
+    def mean_square_beside(self, v: Floats, lags: range, others: Floats) -> float:
+        """Return the mean squared one-step prediction error for a position.
 
         Args:
             v: position (N).
             lags: lags of the position [samples].
+            others: further regressors (N x M).
         """
-        return self.with_position(v, lags)._target
+        beside = self.with_position(v, lags)
+        columns = beside._project_out_past(others[self.rows])
+        return float(np.mean(regression_residual(columns, beside._target) ** 2))
 
-    def prediction_errors_beside(self, others: Floats) -> Floats:
-        """Return the one-step prediction errors with further regressors (n).
+    def mean_squares_beside_waves(self, frequencies: Floats) -> Floats:
+        """Return the mean squared one-step prediction errors beside waves (F x H).
+
+        Products with the waves of all frequencies are chirp transforms, and a Cholesky factor has
+        the regressions on one harmonic, on two and so on.
 
         Args:
-            others: the regressors (N x M).
+            frequencies: of the first harmonic, at equal distances (F) [1/sample].
         """
-        return regression_residual(self._project_out_past(others[self.rows]), self._target)
+        columns = np.zeros((self.rows[-1] + 1, self._basis.shape[1] + 2))
+        columns[self.rows] = np.column_stack([self._basis, self._target, np.ones(self.rows.size)])
+        ends = np.outer(range(2 * len(HARMONICS) + 1), frequencies[[0, -1]])
+        sums = [
+            zoom_fft(columns, one, frequencies.size, fs=1.0, endpoint=True, axis=0) for one in ends
+        ]
+        product = np.array([*sums, *np.conj(sums[:0:-1])])  # negative harmonics at the end
+        waves = np.outer(HARMONICS, [1, -1]).ravel()
+        past = product[waves, :, :-2]
+        gram = product[np.subtract.outer(waves, waves), :, -1].T
+        gram -= np.einsum("afl,bfl->fba", past, np.conj(past))
+        factor = np.linalg.cholesky(
+            gram.swapaxes(1, 2) + 1e-10 * self.rows.size * np.eye(waves.size)
+        )
+        along = np.linalg.solve(factor, product[waves, :, -2].T[:, :, None])
+        explained = np.cumsum(np.abs(along[:, :, 0]) ** 2, axis=1)[:, 1::2]
+        return np.mean(self._target**2) - explained / self.rows.size
 
     def prediction_errors_of_each(self, v: Floats, lags: range) -> Floats:
         """Return the one-step prediction errors for each of several positions (K x n).
@@ -330,35 +345,10 @@ class Structure(NamedTuple):
     oscillation: Floats
 
 
-class ValveFit(NamedTuple):
-    """Fit of a valve ahead of a plant.
-
-    Attributes:
-        word: class of the verdict: input_play or stiction.
-        account: model of the valve: KANO or HE.
-        stick, jump: S and J [range of u].
-        density: log densities of the readings.
-    """
-
-    word: str
-    account: str
-    stick: float
-    jump: float
-    density: Density
-
-    def position(self, u: Floats) -> Floats:
-        """Return the valve's position (N).
-
-        Args:
-            u: output of the controller (N) [its range].
-        """
-        pair = np.array([self.stick]), np.array([self.jump])
-        return valve_positions(u, *pair, self.account)[:, 0]
-
-
-def _density(name: str, e: Floats, numbers: int) -> Density:
-    """Return the Gaussian log densities of prediction errors (n), with their parameter count."""
-    return build_gaussian_density(name, e, numbers, max(float(np.mean(e**2)), 1e-20))
+def _bic(squares: Any, size: int, numbers: Any) -> Any:
+    """Return the BIC of models by their mean squared errors and their numbers of parameters."""
+    constant = math.log(2 * math.pi) + 1
+    return size * (np.log(np.maximum(squares, 1e-20)) + constant) + numbers * math.log(size)
 
 
 class LoopLog:
@@ -395,14 +385,6 @@ class LoopLog:
         return root_mean_square(np.diff(self.u))
 
     @property
-    def turns(self) -> int:
-        """Return the number of reversals of u by more than TURN of its range.
-
-        Only a reversal shows the fault of a valve.
-        """
-        return int(reversal_blocks(self.u, TURN)[-1])
-
-    @property
     def orders(self) -> list[int]:
         """Return the orders for which the log has enough samples."""
         return [k for k in ORDERS if 8 * (2 * k + MORE) < self.y.size]
@@ -436,26 +418,24 @@ class LoopLog:
         positions = np.column_stack([self.u, valves])
         low_order = self.regress(4, first, stride)
         valve_numbers = 4 * (np.arange(positions.shape[1]) > 0)
-        size = low_order.rows.size
         every = [
             low_order.mean_squares_of_each(positions, range(k, k + 3)) for k in range(1, latest)
         ]
-        bic = size * np.log(every) + valve_numbers * math.log(size)
+        bic = _bic(every, low_order.rows.size, valve_numbers)
         before, best = np.unravel_index(np.argmin(bic), bic.shape)  # samples less than the delay
         lag = max(1, int(before))
-        oscillation = self._find_oscillation(low_order, range(lag, lag + 4 + MORE))
+        waves = self._find_oscillation(low_order, range(lag, lag + 4 + MORE))
         costs = []
         for order in self.orders:
             regression = self.regress(order, first, stride)
             lags = range(lag, lag + order + MORE)
-            e = regression.prediction_errors(positions[:, best], lags)
-            costs.append((_density("", e, 2 * order).bic, order))
-            if oscillation.size:
-                e = regression.with_position(self.u, lags).prediction_errors_beside(oscillation)
-                numbers = 2 * order + 1 + oscillation.shape[1]
-                costs.append((_density("", e, numbers).bic, order))
+            rivals = (positions[:, best], waves[:, :0]), (self.u, waves)
+            for v, others in rivals[: 1 + (waves.size > 0)]:
+                square = regression.mean_square_beside(v, lags, others)
+                numbers = 2 * order + others.shape[1] + (others.size > 0)
+                costs.append((_bic(square, regression.rows.size, numbers), order))
         order = min(costs)[1]
-        return Structure(order, range(lag, lag + order + MORE), first, oscillation)
+        return Structure(order, range(lag, lag + order + MORE), first, waves)
 
     def _find_oscillation(self, regression: Regression, lags: range) -> Floats:
         """Find the external oscillation of least BIC, with a period near that of the error.
@@ -469,18 +449,15 @@ class LoopLog:
             periods.
         """
         t = np.arange(self.y.size)
-        best = math.inf, np.empty((t.size, 0))
         if self.period > t.size / 4:
-            return best[1]
+            return np.empty((t.size, 0))
+        frequencies = np.arange(0.75, 1.25, self.period / (6 * t.size)) / self.period
         beside = regression.with_position(self.u, lags)
-        for factor in 1 + np.arange(-0.25, 0.25, self.period / (6 * t.size)):
-            phase = 2 * np.pi / self.period * factor * t
-            waves = [f(k * phase) for k, f in itertools.product(HARMONICS, (np.sin, np.cos))]
-            for count in 2 * np.array(HARMONICS):
-                oscillation = np.column_stack(waves[:count])
-                e = beside.prediction_errors_beside(oscillation)
-                best = min(best, (_density("", e, count).bic, oscillation), key=itemgetter(0))
-        return best[1]
+        squares = beside.mean_squares_beside_waves(frequencies)
+        bic = _bic(squares, beside.rows.size, 2 * np.array(HARMONICS))
+        best, more = np.unravel_index(np.argmin(bic), bic.shape)
+        phases = 2 * np.pi * frequencies[best] * np.outer(t, HARMONICS[: more + 1])
+        return np.hstack([np.sin(phases), np.cos(phases)])
 
     def fit_all(self, structure: Structure, thinned: int = 1, rounds: int = ROUNDS) -> LoopFits:
         """Fit the loop with an ideal valve, with an external oscillation, and with faulty valves.
@@ -491,35 +468,34 @@ class LoopLog:
             rounds: number of refinements of the grid.
         """
         regression = self.regress(structure.order, structure.first)
-        lags = structure.lags
+        lags, waves, size = structure.lags, structure.oscillation, regression.rows.size
         numbers = 2 + structure.order + len(lags) + 2 * len(MEMORY)
-        densities = {"none": _density("none", regression.prediction_errors(self.u, lags), numbers)}
-        if structure.oscillation.size:
-            beside = regression.with_position(self.u, lags)
-            e = beside.prediction_errors_beside(structure.oscillation)
-            count = numbers + structure.oscillation.shape[1] + 1
-            densities["external"] = _density("external", e, count)
+        bic = {
+            "none": _bic(regression.mean_square_beside(self.u, lags, waves[:, :0]), size, numbers)
+        }
+        if waves.size:
+            square = regression.mean_square_beside(self.u, lags, waves)
+            bic["external"] = _bic(square, size, numbers + waves.shape[1] + 1)
         widths = np.geomspace(max(FINEST, self.step), 1.0, TRIED)
-        plays = np.column_stack([widths, 0 * widths])
-        ratios = itertools.product(widths[::thinned], RATIOS[::thinned])
-        sticks = np.array([(s, s * ratio) for s, ratio in ratios])
-        fits = []
-        for word, account, pairs in (
-            ("input_play", KANO, plays),
-            ("stiction", KANO, sticks),
-            ("stiction", HE, sticks),
+        few, positions = RATIOS[::thinned], []
+        for word, account, ratios in (
+            ("input_play", KANO, [0.0]),
+            ("stiction", KANO, few),
+            ("stiction", HE, few),
         ):
-            pair = self._refine_grid(structure, account, pairs, rounds)
-            v = ValveFit(word, account, *pair, densities["none"]).position(self.u)
-            e = regression.prediction_errors(v, lags)
-            density = _density(word, e, numbers + BREAKS + 1 + (word == "stiction"))
-            fits.append(ValveFit(word, account, *pair, density))
-        return LoopFits(self, structure, regression, densities, tuple(fits))
+            each = itertools.product(widths[:: thinned if any(ratios) else 1], ratios)
+            pairs = np.array([(s, s * ratio) for s, ratio in each])
+            square, *pair = self._refine_grid(structure, account, pairs, rounds)
+            cost = _bic(square, size, numbers + BREAKS + 1 + (word == "stiction"))
+            bic[word] = min(cost, bic.get(word, cost))
+            stick, jump = np.array(pair)[:, None]
+            positions.append(valve_positions(self.u, stick, jump, account))
+        return LoopFits(self, structure, regression, bic, np.hstack(positions))
 
     def _refine_grid(
         self, structure: Structure, account: str, pairs: Floats, rounds: int
-    ) -> tuple[float, float]:
-        """Return the S and J of least squared prediction errors, by a grid that is refined.
+    ) -> tuple[float, float, float]:
+        """Return the least mean squared prediction error with its S and J, by a refined grid.
 
         Args:
             structure: order and delay of the regression.
@@ -527,20 +503,18 @@ class LoopLog:
             pairs: grid of S and J (K x 2) [range of u].
             rounds: number of refinements about the best pairs, by all readings.
         """
-        is_play = not pairs[:, 1].any()
+        most = LARGEST * pairs[:, 1].any()  # 0 of a play
         tops = self._rank_pairs(structure, account, pairs, self.coarse_stride)[:TOPS]
         best = self._rank_pairs(structure, account, np.array(tops)[:, 1:], 1)
-        a, b = np.meshgrid(np.linspace(-1, 1, 7), np.linspace(-2, 2, 1 if is_play else 5))
+        a, b = np.meshgrid(np.linspace(-1, 1, 7), np.linspace(-2, 2, 5 if most else 1))
         for k in range(rounds):
             width = 0.09 / 2.5**k
             stick, jump = np.array(best).T[1:, :, None]
             moved = jump + stick * width * b.ravel()
-            jumps = (
-                np.zeros_like(moved) if is_play else np.clip(moved, 0.02 * stick, LARGEST * stick)
-            )
+            jumps = np.clip(moved, min(0.02, most) * stick, most * stick)
             pairs = np.stack([stick * (1 + width * a.ravel()), jumps], axis=-1).reshape(-1, 2)
             best = sorted(best + self._rank_pairs(structure, account, pairs, 1))[:3]
-        return best[0][1:]
+        return best[0]
 
     def _rank_pairs(
         self, structure: Structure, account: str, pairs: Floats, stride: int
@@ -566,26 +540,15 @@ class LoopFits(NamedTuple):
         log: log of the loop.
         structure: order and delay of the regression.
         regression: regression of the readings.
-        densities: densities of the models with an ideal valve, by class: none, external.
-        valves: fits with a faulty valve.
+        bic: least of each class: none, external, input_play, stiction.
+        positions: of the likeliest faulty valves (N x 3) [range of u].
     """
 
     log: LoopLog
     structure: Structure
     regression: Regression
-    densities: dict[str, Density]
-    valves: tuple[ValveFit, ...]
-
-    @property
-    def likeliest(self) -> ValveFit:
-        """Return the valve of least BIC."""
-        return min(self.valves, key=lambda fit: fit.density.bic)
-
-    @property
-    def family(self) -> dict[str, Density]:
-        """Return the density of least BIC of each class."""
-        ranked = sorted(self.valves, key=lambda fit: -fit.density.bic)  # the last of a class stays
-        return self.densities | {fit.word: fit.density for fit in ranked}
+    bic: dict[str, float]
+    positions: Floats
 
     def weigh_sizes(self) -> Sizes:
         """Return pairs of S and J with their weights by the readings [range of u].
@@ -603,22 +566,21 @@ class LoopFits(NamedTuple):
             for account in (KANO, HE)
         ]).T  # fmt: skip
         variance = np.maximum(np.mean(errors**2, axis=0), 1e-20)
-        weights = _bagged_weights(-0.5 * errors**2 / variance - 0.5 * np.log(variance))
-        gain = self.densities["none"].bic - self.likeliest.density.bic
+        # The log likelihoods are drawn with the covariance that their long-run variance estimates
+        # (BayesBag), so that a single log does not overrule close rivals.
+        values = -0.5 * errors**2 / variance - 0.5 * np.log(variance)
+        weights = softmax(draw_sums(values - values[:, :1], DRAWS, SCATTER), axis=1).mean(axis=0)
+        gain = self.bic["none"] - min(self.bic["input_play"], self.bic["stiction"])
         seen = (1 - ASIDE) * float(expit(gain / 2))
         weights = weights.reshape(2, -1).sum(axis=0)
         return Sizes(stick, ratio, seen * weights + (1 - seen) / stick.size)
 
-    def sensitivity(self, v: Floats, oscillation: Floats) -> float:
+    def sensitivity(self) -> float:
         """Return the peak of the sensitivity |1 / (1 + C G)| near the oscillation's frequency [1].
 
         The controller C is fitted to the log as a difference equation of u and the error. G is the
-        plant by the regression. It is 0 if the loop does not oscillate.
-
-        Args:
-            v: position of the valve (N) [range of u].
-            oscillation: from outside, as further regressors (N x M); no column: the plant and the
-                controller make it.
+        plant by the regression on u, beside an oscillation from outside. The peak is 0 if the loop
+        does not oscillate.
         """
         if not math.isfinite(self.log.period):
             return 0.0
@@ -630,20 +592,8 @@ class LoopFits(NamedTuple):
         angles = 2 * np.pi / self.log.period * np.linspace(0.85, 1.15, 13)
         controller = freqz(c[:3], np.convolve([1.0, -1.0], [1.0, -c[3]]), angles)[1]
         lags, z = self.structure.lags, np.exp(-1j * angles)
-        plants = self.regression.responses(v, lags, z, oscillation)
+        plants = self.regression.responses(u, lags, z, self.structure.oscillation)
         return float(1 / max(np.abs(1 - controller * plants).min(), 1e-9))
-
-
-def _bagged_weights(values: Floats) -> Floats:
-    """Return the posterior weights of K models, averaged over the sampling error of the log (K).
-
-    The log likelihoods are drawn with the covariance that their long-run variance estimates
-    (BayesBag), so that a single log does not overrule close rivals.
-
-    Args:
-        values: log densities of each reading (n x K).
-    """
-    return softmax(draw_sums(values - values[:, :1], DRAWS, SCATTER), axis=1).mean(axis=0)
 
 
 class Sizes(NamedTuple):
@@ -708,8 +658,7 @@ def fit_loop(log: LoopLog) -> LoopFits:
     coarse = np.array(list(itertools.product(np.geomspace(0.02, 1.0, 18), (0.0, 0.4, 1.0))))
     valves = valve_positions(log.u, coarse[:, 0], coarse[:, 0] * coarse[:, 1], KANO)
     first = log.fit_all(log.find_structure(valves, log.coarse_stride), 3, 0)
-    best = np.column_stack([fit.position(log.u) for fit in first.valves])
-    return log.fit_all(log.find_structure(best))
+    return log.fit_all(log.find_structure(first.positions))
 
 
 def oscillation_of(e: Floats) -> tuple[float, float]:

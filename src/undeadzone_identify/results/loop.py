@@ -84,12 +84,7 @@ class IdentifiedLoop(Spoken):
         """Return effect, remedy, what is not decided, and the largest S that could hide."""
         found, units = self.found, (self.unit, self.logs[0].output_units[0])
         sizes: Numbers = {"S": found.stick, "J": found.jump}
-        doubts = (f"no cause has odds of {100 * 0.9:.0f} %",)
-        if found.exception:
-            doubts = (
-                f"the historian stores changes of PV above {found.exception:.2g} only (exception or"
-                " compression deviation): set it to 0 and record again",
-            )
+        doubts = found.remarks[-1:] if found.is_thinned else ("no cause has odds of 90 %",)
         name, effect = WORDS.get(found.word, ("", "stick"))
         limits = {"stick": found.stick.high}
         top = next(iter(found.odds))

@@ -43,6 +43,7 @@ LEAST, MOST = 200, 8000  # samples of a part that is asked
 LEAST_SHAPE = 0.02  # width of the ellipse, in the range of OP
 PARTS = 12  # of a valve's records that are asked, each of at most MOST samples
 REPEATED, FLOOR = 0.5, 0.25  # share of held readings, and of the usual change, of stored exceptions
+REGULAR = 0.9  # share of the steps between two changes of PV that are whole holds
 LEVELS, END, LOUD = 20, 0.2, 0.8  # levels of OP, its share at an end, the noise's share of PV
 
 
@@ -89,6 +90,7 @@ class LoopFindings(NamedTuple):
         stick, jump: S and J if the valve sticks, medians over the records [u].
         swings: the evidence of each record.
         exception: deviation below which the historian stores no change of PV, 0: it stores all [y].
+        is_thinned: whether the historian left out readings, as the last remark says.
         remarks: on changes of the log.
     """
 
@@ -98,6 +100,7 @@ class LoopFindings(NamedTuple):
     jump: Interval
     swings: tuple[Swing, ...]
     exception: float
+    is_thinned: bool
     remarks: tuple[str, ...]
 
     def median(self, name: str) -> float:
@@ -137,6 +140,9 @@ def find_loop_cause(logs: list[Log]) -> LoopFindings:
     Raises:
         InputError: no record is long enough, or OP rests.
     """
+    hold = max(map(_samples_of_hold, logs))
+    whole = [_drop_held(log, hold) for log in logs]
+    logs = whole if max(log.t.size for log in whole) >= LEAST else logs
     steps = [find_sample_time(log) for log in logs]
     resample = None if all(regular for _, regular in steps) else float(np.median(steps, axis=0)[0])
     told = [log._replace(remarks=()) for log in logs[1:]]
@@ -159,9 +165,14 @@ def find_loop_cause(logs: list[Log]) -> LoopFindings:
     stick, jump = combine_sizes(
         [one.sizes for one in swings], float(np.median([one.expected for one in swings]))
     )
-    remarks = (*grid.remarks, *[left] * (len(asked) < len(usable)))
-    word = _name_cause(odds, swings, exception)
-    return LoopFindings(word, odds, stick, jump, swings, exception, remarks)
+    stored = f"holds PV for {hold} samples" if hold > 1 else ""
+    if exception:
+        stored = f"stores changes of PV above {exception:.2g} only (exception deviation)"
+    remarks = [*grid.remarks, *[left] * (len(asked) < len(usable))]
+    if stored:
+        remarks.append(f"the historian {stored}: set it to 0 and record again")
+    word = _name_cause(odds, swings, bool(exception) or (hold > 1 and logs is not whole))
+    return LoopFindings(word, odds, stick, jump, swings, exception, bool(stored), tuple(remarks))
 
 
 def _is_usable(grid: Grid, part: slice) -> bool:
@@ -169,10 +180,13 @@ def _is_usable(grid: Grid, part: slice) -> bool:
     return int(grid.ok[part].sum()) >= LEAST and bool(np.ptp(grid.u[part, 0]) > 0)
 
 
-def _name_cause(odds: dict[str, float], swings: tuple[Swing, ...], exception: float) -> str:
-    """Return the word of a cause that is likely enough, or of what PV and OP themselves show."""
+def _name_cause(odds: dict[str, float], swings: tuple[Swing, ...], is_blurred: bool) -> str:
+    """Return the word of a cause that is likely enough, or of what PV and OP themselves show.
+
+    Where the historian left out the shape of the swing no cause has a name.
+    """
     top, share = next(iter(odds.items()))
-    if share >= NAMED and not exception:
+    if share >= NAMED and not is_blurred:
         gains = np.sum([one.gains for one in swings], axis=0)
         sticking = "input_play" if gains[1] > gains[0] else "stiction"
         if top != "none":
@@ -180,7 +194,7 @@ def _name_cause(odds: dict[str, float], swings: tuple[Swing, ...], exception: fl
     for word in ("is_at_end", "is_noisy"):
         if np.mean([getattr(one, word) for one in swings]) > 0.5:
             return {"is_at_end": "limits", "is_noisy": "noise"}[word]
-    return top if top == "none" and share >= NAMED and not exception else "undecided"
+    return top if top == "none" and share >= NAMED and not is_blurred else "undecided"
 
 
 def combine_odds(features: Floats, table: dict[str, Any] | None = None) -> dict[str, float]:
@@ -211,6 +225,22 @@ def load_weights() -> dict[str, Any]:
     return tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 
 
+def _samples_of_hold(log: Log) -> int:
+    """Return for how many samples a historian holds each reading of a log; 1: it holds none."""
+    between = np.diff(np.flatnonzero(np.diff(log.y[:, 0])))
+    if between.size < LEVELS:
+        return 1
+    usual = int(np.median(between))
+    return usual if np.mean(between % usual == 0) > REGULAR else 1
+
+
+def _drop_held(log: Log, hold: int) -> Log:
+    """Return a log with the samples alone at which a held reading changes."""
+    first = int(np.argmax(np.diff(log.y[:, 0]) != 0)) + 1
+    own = slice(first % hold, None, hold)
+    return log._replace(t=log.t[own], u=log.u[own], y=log.y[own], r=log.r[own])
+
+
 def _undo_exceptions(y: Floats, ok: Flags) -> tuple[Floats, float]:
     """Return readings between stored exceptions on a line, and the deviation of the historian.
 
@@ -235,15 +265,14 @@ def _measure_swing(grid: Grid, part: slice) -> Swing:
     r = grid.r[part, 0] if grid.r.shape[1] else None
     log = LoopLog(u, y, ok, r)
     fits = fit_loop(log)
-    family = fits.family
-    none, sticks, plays = (family[word].bic for word in ("none", "stiction", "input_play"))
+    none, sticks, plays = (fits.bic[word] for word in ("none", "stiction", "input_play"))
     shape = ellipse_width(log)
     features = [
         shape,
         math.asinh(none - min(sticks, plays)),
-        math.asinh(none - family.get("external", family["none"]).bic),
+        math.asinh(none - fits.bic.get("external", none)),
         math.log(max(log.regularity, 1e-3)),
-        math.log(max(fits.sensitivity(log.u, fits.structure.oscillation), 1e-3)),
+        math.log(max(fits.sensitivity(), 1e-3)),
         compare_half_waves(log.y, log.period)[0],
         compare_half_waves(log.u, log.period)[1],
     ]
@@ -265,7 +294,7 @@ def _measure_swing(grid: Grid, part: slice) -> Swing:
         rms / max(size, 1e-12),
         float(np.abs(np.diff(u)).sum()) / (u.size * grid.step) * 86400,
         bool(np.unique(u).size > LEVELS and at_end > END),
-        bool(noise > LOUD or 1 < np.unique(y[ok]).size < LEVELS / 2),
+        bool(noise > LOUD or np.unique(y[ok]).size < LEVELS / 2),
     )
 
 
