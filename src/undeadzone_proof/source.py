@@ -7,7 +7,7 @@ from fractions import Fraction
 from math import nan
 from typing import Any
 
-Row = list[Fraction]
+Row = list[Any]  # of numbers
 FORMATS = {"double": (53, 1074), "float": (24, 149)}  # bits, and of the least number
 GUARDS = ("STDC FP_CONTRACT OFF", 'GCC optimize("fp-contract=off")', "defined(__FAST_MATH__)")
 TOKEN = re.compile(r"(\d[\d.]*(?:e[+-]?\d{1,3})?f?)|([a-z]\w*(?:->\w+\[\d+\])?)|(&&|\|\||\S)")
@@ -27,7 +27,12 @@ def require(truth: Any, step: str) -> None:
         raise Refused(step)
 
 
-def mix(X: list[Row], Y: list[Row], a: Any = ONE, b: Any = ONE) -> list[Row]:
+def weigh(row: Any, sizes: Any) -> Any:
+    """Return the sum of products of two rows."""
+    return sum(a * b for a, b in zip(row, sizes, strict=True) if a and b)
+
+
+def mix(X: list[Row], Y: list[Row], a: Any = 1, b: Any = 1) -> list[Row]:
     """Return a X + b Y."""
     pairs = zip(X, Y, strict=True)
     return [[a * x + b * y for x, y in zip(*rows, strict=True)] for rows in pairs]
@@ -41,14 +46,15 @@ def make_identity(n: int) -> list[Row]:
 class Number:
     """Number of the C: a sum of 1 and the inputs, each times its factor, up to `error`."""
 
-    def __init__(self, code: Any, row: Row, error: Any = ZERO) -> None:
-        """Take the factors of 1 and of the inputs."""
-        self.code, self.row, self.error = code, row, error
+    def __init__(self, code: Any, row: Row, error: Any = ZERO, end: Any = None) -> None:
+        """Take the factors of 1 and of the inputs. Ahead of a clip to [0, end] there is an end."""
+        self.code, self.row, self.error, self.end = code, row, error, end
         self.constant = not (any(row[1:]) or error)
 
     def combine(self, other: Number, a: Any, b: Any) -> Number:
         """Return a times it and b times the other, exactly."""
-        (row,) = mix([self.row], [other.row], a, b)
+        require(self.end == other.end is None, "source: behind a clip nothing is computed")
+        row = [weigh((a, b), pair) for pair in zip(self.row, other.row, strict=True)]
         return Number(self.code, row, abs(a) * self.error + abs(b) * other.error)
 
     def round(self) -> Number:
@@ -60,9 +66,8 @@ class Number:
 
     def find_ends(self) -> tuple[Any, Any]:
         """Return its least and its largest value."""
-        spans = [
-            (c * low, c * high) for c, (low, high) in zip(self.row, self.code.ranges, strict=True)
-        ]
+        pairs = zip(self.row, self.code.ranges, strict=True)
+        spans = [(c * low, c * high) for c, (low, high) in pairs if c]
         low, high = (sum(map(end, spans)) for end in (min, max))
         return low - self.error, high + self.error
 
@@ -92,8 +97,8 @@ class Number:
         return low > 0
 
     def __mod__(self, top: Any) -> Any:
-        """Return the number ahead of a clip to [0, top], behind which nothing is computed."""
-        return {top.row[0]: self}
+        """Return the number ahead of a clip to [0, top]."""
+        return Number(self.code, self.row, self.error, top.row[0])
 
 
 def pick(first: Any, *options: Any) -> Any:
@@ -123,9 +128,15 @@ class Code:
         require(not function.sub("", first + rest).strip(), "source: functions alone")
         found = {key: " ".join(each.split()) for key, each in function.findall(first + rest)}
         self.step = found["step"].removesuffix(";").split("; ")
+        lines = found["init"].removesuffix(";").split("; ")
+        begun = [re.fullmatch(r"(\S+) = \(?(-?)(\S+?)\)?", line) for line in lines]
+        require(all(begun), "source: init stores numbers")
         words = [word for each in found.values() for word, *_ in TOKEN.findall(each) if word]
         self.numbers = {word: self.read_literal(word) for word in words}
         self.constants = list(map(self.numbers.get, words))
+        self.start: Any = {
+            each[1]: self.numbers[each[3]] * (-1 if each[2] else 1) for each in begun if each
+        }
 
     def read_literal(self, text: str) -> Fraction:
         """Return the number nearest to a literal, as a compiler takes it."""
