@@ -153,8 +153,8 @@ def propose_sampled(problem: Problem, text: Source, single: bool) -> dict[str, A
     proof = _to_exact(content)
     try:
         code = Code(proof, [text.code, text.header])
-        proof |= {"constants": code.constants, "operations": code.step}
-        proof["start"] = list(map(code.start.get, code.states[:n]))
+        proof |= {"constants": code.constants, "operations": code.lines["step"]}
+        proof["start"] = code.begin()[:n]
         held = hold_exactly(proof["plant"])
         E, *_ = map_step(proof, code, held, "right")
         proof["gains"] = list(list(zip(*E, strict=True))[n])

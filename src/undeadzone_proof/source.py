@@ -127,16 +127,10 @@ class Code:
         function = re.compile(rf"^void {name}_(\w+)\([^)]*\)\n{{\n([^}}#]*;)\n}}\n", re.M)
         require(not function.sub("", first + rest).strip(), "source: functions alone")
         found = {key: " ".join(each.split()) for key, each in function.findall(first + rest)}
-        self.step = found["step"].removesuffix(";").split("; ")
-        lines = found["init"].removesuffix(";").split("; ")
-        begun = [re.fullmatch(r"(\S+) = \(?(-?)(\S+?)\)?", line) for line in lines]
-        require(all(begun), "source: init stores numbers")
+        self.lines = {key: each.removesuffix(";").split("; ") for key, each in found.items()}
         words = [word for each in found.values() for word, *_ in TOKEN.findall(each) if word]
         self.numbers = {word: self.read_literal(word) for word in words}
         self.constants = list(map(self.numbers.get, words))
-        self.start: Any = {
-            each[1]: self.numbers[each[3]] * (-1 if each[2] else 1) for each in begun if each
-        }
 
     def read_literal(self, text: str) -> Fraction:
         """Return the number nearest to a literal, as a compiler takes it."""
@@ -146,18 +140,13 @@ class Code:
         unit = Fraction(2) ** max(e - (x < Fraction(2) ** e) + 1 - self.bits, -self.least)
         return round(x / unit) * unit
 
-    def run_step(self, ranges: Any, reading: bool) -> list[Any]:
-        """Return the states behind a step from ranges of 1, states, reading and inputs."""
+    def run(self, name: str, ranges: Any, known: Any) -> list[Any]:
+        """Return the states behind a function, from ranges of 1 and inputs, and what is known."""
         self.ranges = ranges
-        one, *rows = make_identity(len(ranges))
-        names = [*self.states, "in->y[0]", *self.inputs]
-        memory: Any = {key: Number(self, row) for key, row in zip(names, rows, strict=True)}
-        memory |= {key: Number(self, [x * each for each in one]) for key, x in self.numbers.items()}
-        lost = Number(self, one, nan)
-        memory |= dict.fromkeys(map("state->held[{}]".format, range(len(self.inputs))), lost)
-        if not reading:
-            memory["in->y[0]"] = lost
-        for line in re.sub(CLIP, r"\4 = \2 % \3;", "; ".join(self.step)).split("; "):
+        one = make_identity(len(ranges))[0]
+        numbers = {key: Number(self, [x * each for each in one]) for key, x in self.numbers.items()}
+        memory: Any = known | numbers
+        for line in re.sub(CLIP, r"\4 = \2 % \3;", "; ".join(self.lines[name])).split("; "):
             made: Any = re.fullmatch(ASSIGNMENT, line)
             require(made and not re.search("<[^()]*<", line), f"source: {line} is understood")
             tokens = TOKEN.findall(made[2])
@@ -171,3 +160,16 @@ class Code:
             except (LookupError, TypeError, AttributeError, SyntaxError):
                 raise Refused(f"source: {line} is understood") from None
         return [memory[key] for key in self.states]
+
+    def begin(self) -> list[Any]:
+        """Return the states behind init."""
+        return [each.row[0] for each in self.run("init", [(1, 1)], {})]
+
+    def step(self, ranges: Any, reading: bool) -> list[Any]:
+        """Return the states behind a step from ranges of 1, states, reading and inputs."""
+        one, *rows = make_identity(len(ranges))
+        lost = Number(self, one, nan)
+        known = dict.fromkeys(map("state->held[{}]".format, range(len(self.inputs))), lost)
+        names = [*self.states, "in->y[0]", *self.inputs]
+        known |= {key: Number(self, row) for key, row in zip(names, rows, strict=True)}
+        return self.run("step", ranges, known if reading else known | {"in->y[0]": lost})

@@ -70,7 +70,7 @@ def map_step(proof: Any, code: Code, held: Any, mode: str) -> tuple[list[Row], R
     near = [x + reach for x, reach in zip(bounds["x"], bounds["reach"], strict=True)]
     spans = [[(-x, x) for x in each] for each in (near, bounds["u"])]
     reading = seen if side else [-low, low]
-    behind = code.run_step([(1, 1), *spans[0], (0, D), (0, D), reading, *spans[1]], mode != "none")
+    behind = code.step([(1, 1), *spans[0], (0, D), (0, D), reading, *spans[1]], mode != "none")
     pushed = [sum(each) for each in zip(bounds["u"], bounds["disturbance"], strict=True)]
     sizes = [1, *bounds["x"], D, D, 0, *pushed]
     unit = make_identity(len(sizes))
@@ -134,7 +134,10 @@ def check_sampled(proof: Any, texts: list[str]) -> None:
     """Check a sampled observer: its C, and that no step leads out of the set."""
     code, one, D = Code(proof, texts), proof["set"], proof["sensor"]["width_max"]
     n, S = len(proof["plant"]["A"]), one["S"]
-    require(code.step == proof["operations"], "operations: those of the C")
+    *states, right, left = code.begin()
+    require(states == proof["start"], "start: that of the C")
+    require(min(right, left) >= 0 and max(right, left) <= D, "start: widths in their range")
+    require(code.lines["step"] == proof["operations"], "operations: those of the C")
     require(code.constants == proof["constants"], "constants: those of the C")
     rows = proof["plant"]["C"] + make_identity(n)
     for c, most in zip(rows, [one["radius"], *proof["bounds"]["reach"]], strict=True):
@@ -144,9 +147,6 @@ def check_sampled(proof: Any, texts: list[str]) -> None:
         require_positive(bordered, "set: radius and reach contain it")
     begin = sum(map(abs, S[n][n:] + S[n + 1][n:])) * D * D
     require(begin <= 1, "set: it contains all widths")
-    *states, right, left = map(code.start.get, code.states)
-    require(states == proof["start"], "start: that of the C")
-    require(min(right, left) >= 0 and max(right, left) <= D, "start: widths in their range")
     held = hold_exactly(proof["plant"])
     for mode in SIDES:
         check_mode(proof, map_step(proof, code, held, mode), mode)
