@@ -36,6 +36,9 @@ from undeadzone_export.targets import MANIFEST, Files, manifest_text, write_fold
 
 SURE: Final = 0.8  # probability below which a verdict does not justify a snippet
 RAMP: Final = 0.05  # of the narrower width: over so much the jump of an actuator fades in
+LONGER: Final = (
+    "a longer record, or larger and slower reversals, and identify again (--next proposes an input)"
+)
 KINDS: Final = {
     "dead_zone": "sensor",
     "filtered_zone": "sensor",
@@ -426,10 +429,10 @@ def build_lost(found: dict[str, Any], path: str, name: str) -> Lost:
     if "outputs" in found:
         raise InputError(f"{path}: holds several outputs. Identify one, named by --columns y=NAME")
     if verdict not in KINDS:
+        remedies = found.get("answer", {}).get("remedies") or [LONGER]
         raise InputError(
-            f"{path}: the verdict is {verdict}, which a snippet cannot compensate. Record "
-            "longer, or with larger and slower reversals, and identify again (--next proposes an "
-            "input)"
+            f"{path}: the verdict is {verdict}, which a snippet cannot compensate. What helps: "
+            + "; ".join(map(str, remedies))
         )
     motion = found.get("lost_motion")
     kind = KINDS[verdict]

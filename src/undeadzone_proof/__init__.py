@@ -39,8 +39,9 @@ def state_theorem(proof: Any) -> str:
     source, bounds = proof["source"], {k: to_words(x) for k, x in proof["bounds"].items()}
     return (
         f"{source['name']}.c in {source['format']} beside {plant}, {to_words(proof['sensor'])}: "
-        f"begun with x^ = x and any widths in their range, z^ stays within {radius} of z, "
-        "whatever the sequence of sides, missing readings and roundings, while |x| <= "
+        f"begun by {source['name']}_init with x = {to_words(proof['start'])}, z^ stays within "
+        f"{radius} of z, whatever widths up to {to_words(proof['sensor']['width_max'])}, "
+        "sequence of sides, missing readings and roundings, while |x| <= "
         f"{bounds['x']}, |u| <= {bounds['u']}, readings are wrong by {bounds['noise']} and "
         f"disturbances are at most {bounds['disturbance']}."
     )

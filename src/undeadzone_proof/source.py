@@ -7,7 +7,7 @@ from fractions import Fraction
 from math import nan
 from typing import Any
 
-Row = list[Fraction]
+Row = list[Any]  # of numbers
 FORMATS = {"double": (53, 1074), "float": (24, 149)}  # bits, and of the least number
 GUARDS = ("STDC FP_CONTRACT OFF", 'GCC optimize("fp-contract=off")', "defined(__FAST_MATH__)")
 TOKEN = re.compile(r"(\d[\d.]*(?:e[+-]?\d{1,3})?f?)|([a-z]\w*(?:->\w+\[\d+\])?)|(&&|\|\||\S)")
@@ -27,7 +27,12 @@ def require(truth: Any, step: str) -> None:
         raise Refused(step)
 
 
-def mix(X: list[Row], Y: list[Row], a: Any = ONE, b: Any = ONE) -> list[Row]:
+def weigh(row: Any, sizes: Any) -> Any:
+    """Return the sum of products of two rows."""
+    return sum(a * b for a, b in zip(row, sizes, strict=True) if a and b)
+
+
+def mix(X: list[Row], Y: list[Row], a: Any = 1, b: Any = 1) -> list[Row]:
     """Return a X + b Y."""
     pairs = zip(X, Y, strict=True)
     return [[a * x + b * y for x, y in zip(*rows, strict=True)] for rows in pairs]
@@ -41,14 +46,15 @@ def make_identity(n: int) -> list[Row]:
 class Number:
     """Number of the C: a sum of 1 and the inputs, each times its factor, up to `error`."""
 
-    def __init__(self, code: Any, row: Row, error: Any = ZERO) -> None:
-        """Take the factors of 1 and of the inputs."""
-        self.code, self.row, self.error = code, row, error
+    def __init__(self, code: Any, row: Row, error: Any = ZERO, end: Any = None) -> None:
+        """Take the factors of 1 and of the inputs. Ahead of a clip to [0, end] there is an end."""
+        self.code, self.row, self.error, self.end = code, row, error, end
         self.constant = not (any(row[1:]) or error)
 
     def combine(self, other: Number, a: Any, b: Any) -> Number:
         """Return a times it and b times the other, exactly."""
-        (row,) = mix([self.row], [other.row], a, b)
+        require(self.end == other.end is None, "source: behind a clip nothing is computed")
+        row = [weigh((a, b), pair) for pair in zip(self.row, other.row, strict=True)]
         return Number(self.code, row, abs(a) * self.error + abs(b) * other.error)
 
     def round(self) -> Number:
@@ -60,9 +66,8 @@ class Number:
 
     def find_ends(self) -> tuple[Any, Any]:
         """Return its least and its largest value."""
-        spans = [
-            (c * low, c * high) for c, (low, high) in zip(self.row, self.code.ranges, strict=True)
-        ]
+        pairs = zip(self.row, self.code.ranges, strict=True)
+        spans = [(c * low, c * high) for c, (low, high) in pairs if c]
         low, high = (sum(map(end, spans)) for end in (min, max))
         return low - self.error, high + self.error
 
@@ -92,8 +97,8 @@ class Number:
         return low > 0
 
     def __mod__(self, top: Any) -> Any:
-        """Return the number ahead of a clip to [0, top], behind which nothing is computed."""
-        return {top.row[0]: self}
+        """Return the number ahead of a clip to [0, top]."""
+        return Number(self.code, self.row, self.error, top.row[0])
 
 
 def pick(first: Any, *options: Any) -> Any:
@@ -122,7 +127,7 @@ class Code:
         function = re.compile(rf"^void {name}_(\w+)\([^)]*\)\n{{\n([^}}#]*;)\n}}\n", re.M)
         require(not function.sub("", first + rest).strip(), "source: functions alone")
         found = {key: " ".join(each.split()) for key, each in function.findall(first + rest)}
-        self.step = found["step"].removesuffix(";").split("; ")
+        self.lines = {key: each.removesuffix(";").split("; ") for key, each in found.items()}
         words = [word for each in found.values() for word, *_ in TOKEN.findall(each) if word]
         self.numbers = {word: self.read_literal(word) for word in words}
         self.constants = list(map(self.numbers.get, words))
@@ -135,18 +140,13 @@ class Code:
         unit = Fraction(2) ** max(e - (x < Fraction(2) ** e) + 1 - self.bits, -self.least)
         return round(x / unit) * unit
 
-    def run_step(self, ranges: Any, reading: bool) -> list[Any]:
-        """Return the states behind a step from ranges of 1, states, reading and inputs."""
+    def run(self, name: str, ranges: Any, known: Any) -> list[Any]:
+        """Return the states behind a function, from ranges of 1 and inputs, and what is known."""
         self.ranges = ranges
-        one, *rows = make_identity(len(ranges))
-        names = [*self.states, "in->y[0]", *self.inputs]
-        memory: Any = {key: Number(self, row) for key, row in zip(names, rows, strict=True)}
-        memory |= {key: Number(self, [x * each for each in one]) for key, x in self.numbers.items()}
-        lost = Number(self, one, nan)
-        memory |= dict.fromkeys(map("state->held[{}]".format, range(len(self.inputs))), lost)
-        if not reading:
-            memory["in->y[0]"] = lost
-        for line in re.sub(CLIP, r"\4 = \2 % \3;", "; ".join(self.step)).split("; "):
+        one = make_identity(len(ranges))[0]
+        numbers = {key: Number(self, [x * each for each in one]) for key, x in self.numbers.items()}
+        memory: Any = known | numbers
+        for line in re.sub(CLIP, r"\4 = \2 % \3;", "; ".join(self.lines[name])).split("; "):
             made: Any = re.fullmatch(ASSIGNMENT, line)
             require(made and not re.search("<[^()]*<", line), f"source: {line} is understood")
             tokens = TOKEN.findall(made[2])
@@ -160,3 +160,16 @@ class Code:
             except (LookupError, TypeError, AttributeError, SyntaxError):
                 raise Refused(f"source: {line} is understood") from None
         return [memory[key] for key in self.states]
+
+    def begin(self) -> list[Any]:
+        """Return the states behind init."""
+        return [each.row[0] for each in self.run("init", [(1, 1)], {})]
+
+    def step(self, ranges: Any, reading: bool) -> list[Any]:
+        """Return the states behind a step from ranges of 1, states, reading and inputs."""
+        one, *rows = make_identity(len(ranges))
+        lost = Number(self, one, nan)
+        known = dict.fromkeys(map("state->held[{}]".format, range(len(self.inputs))), lost)
+        names = [*self.states, "in->y[0]", *self.inputs]
+        known |= {key: Number(self, row) for key, row in zip(names, rows, strict=True)}
+        return self.run("step", ranges, known if reading else known | {"in->y[0]": lost})

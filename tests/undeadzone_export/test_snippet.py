@@ -225,8 +225,8 @@ def test_each_verdict_is_compensated_in_its_own_unit(
 @pytest.mark.parametrize(
     ("found", "says"),
     [
-        (answer("friction"), "the verdict is friction"),
-        (answer("undecided"), "Record longer"),
+        (answer("friction", answer={"remedies": ["oil"]}), "friction, .* helps: oil"),
+        (answer("undecided"), "helps: a longer record"),
         (answer("play", odds={"play": 0.6, "friction": 0.4}), "likely to 60 %"),
         (answer("dead_zone", width=None), "no widths"),
         (answer("dead_zone", left=[0.1, -0.2, 0.4]), "interval of an edge holds 0"),

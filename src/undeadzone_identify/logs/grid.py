@@ -232,7 +232,7 @@ def _put_on_grid(log: Log, step: float, is_regular: bool, remarks: list[str]) ->
         raise InputError(
             f"resample: a step of {step:g} s does not fit {t.size} samples in {t[-1]:g} s"
         )
-    sizes = (lengths / step + 1 + EXACT).astype(int)
+    sizes = (lengths / step + 1 + (0.5 if is_regular else EXACT)).astype(int)
     start = np.cumsum(sizes) - sizes
     grid = np.repeat(t[first] - step * start, sizes) + step * np.arange(sizes.sum())
     known = np.isfinite(log.y[:, 0])
