@@ -36,7 +36,7 @@ from undeadzone_identify.selection.alternatives import (
     held_out_residual,
     measure_word,
 )
-from undeadzone_identify.selection.decision import MEMORY, VALVE
+from undeadzone_identify.selection.decision import MEMORY, UNLIKELY, VALVE
 from undeadzone_identify.selection.lost_motion import LostMotionAnswer
 from undeadzone_identify.selection.widths import SIDES
 
@@ -302,7 +302,11 @@ def _account_of_fits(answer: Answer, units: tuple[str, str]) -> Account:
     rows = [one for one in there if _is_comparable(one, line)]
     rows = [one for one in rows if not _moves_below_friction(answer, one)]
     buys = [one.compare_to(line, answer.scale) for one in rows]
-    worth = [one for one, own in zip(rows, buys, strict=True) if own.is_worth and own.is_seen]
+    worth = [
+        one
+        for one, own in zip(rows, buys, strict=True)
+        if (own.is_worth and own.is_seen) or (own.deviations > 0 and _is_likely(answer, one))
+    ]
     positive = sorted((one for one in worth if one.is_positive), key=lambda one: one.rms)
     if not positive:
         return _bound(answer, units, line)
@@ -317,6 +321,12 @@ def _account_of_fits(answer: Answer, units: tuple[str, str]) -> Account:
     effects = {EFFECT_OF[first.word]: first.numbers}
     gain = first.compare_to(line, answer.scale)
     return Account(INDICATED, effects, DYNAMICS, units, gain, others, tuple(answer.reasons))
+
+
+def _is_likely(answer: Answer, one: Compared) -> bool:
+    """Return whether the odds exclude a straight plant, and not this class."""
+    odds = answer.found.odds
+    return odds.get("none", 1.0) < UNLIKELY < odds.get(one.word, 0.0)
 
 
 def _moves_below_friction(answer: Answer, one: Compared) -> bool:
