@@ -63,7 +63,7 @@ from undeadzone_identify.results.seen import (
     needs_no_plant,
     rests_in_holds,
 )
-from undeadzone_identify.results.speech import knows_the_end
+from undeadzone_identify.results.speech import EFFECT_OF, knows_the_end
 from undeadzone_identify.selection import orders
 from undeadzone_identify.selection.adequacy import (
     DEPENDS,
@@ -87,7 +87,6 @@ from undeadzone_identify.selection.alternatives import (
 )
 from undeadzone_identify.selection.decision import (
     LEAST,
-    LOOP,
     MEMORY,
     Case,
     build_verdict,
@@ -360,7 +359,7 @@ def _find_swing(logs: list[Log], one: Identified) -> LoopFindings | None:
         found = find_loop_cause(logs)
     except InputError:  # OP rests, or too many readings are missing
         return None
-    return found if found.word in LOOP else None
+    return found if found.word in EFFECT_OF else None
 
 
 def _collect_logs(

@@ -43,6 +43,7 @@ UNVISITED = 0.2  # of the commands' range, from which a gap widens an edge
 APART = 0.05  # of the range: the largest noise of a candidate, and a leap from rest
 UNSURE = 0.5  # of the commands' range, from which an edge is none
 FOLDED = 0.03  # of the range, by which a reading must come back
+WAY_OUT = 0.5  # of what the map comes back, that readings do on the way out
 TURN = 0.3  # of the commands' range, from which the way back is a sweep of its own
 STAIR = 0.5  # of the widest band, from which another one is a step of the same stair
 RARELY = 0.2  # of the rows between both thresholds, at which the state may change
@@ -146,7 +147,7 @@ def map_at_rest(t: Floats | None, u: Floats, y: Floats) -> RestMap | None:
 def read_map(rows: Rows) -> RestMap | None:
     """Return the map of rows at rest; None with few levels, or a reading that never changes.
 
-    Neither do holds, or a way up beside a way down, have a fold.
+    Holds, a way up beside a way down, and a sweep that comes back late have a fold by chance alone.
     """
     if np.ptp(rows.u) == 0:
         return None
@@ -161,8 +162,9 @@ def read_map(rows: Rows) -> RestMap | None:
     nodes = _nodes(unit, parts)
     noise = max(float(np.std(unit.v - np.interp(unit.x, *nodes))), noise_of(unit.v))
     fold = _fold(nodes, noise)
-    if fold is not None and rows.how in ("ways", "holds"):  # what comes back need not be a fold
-        return None
+    is_late = fold is not None and rows.how == "sweep" and not _folds_on_way_out(u, y, nodes, fold)
+    if is_late or (fold is not None and rows.how in ("ways", "holds")):
+        return None  # what comes back need not be a fold
     return RestMap(
         rows=rows,
         x=x,
@@ -402,6 +404,15 @@ def _fold(nodes: Floats, noise: float) -> float | None:
         if is_inside and way[top] - max(way[0], way[-1]) > max(FOLDED, HIDES * noise):
             return float(x[top])
     return None
+
+
+def _folds_on_way_out(u: Floats, y: Floats, nodes: Floats, fold: float) -> bool:
+    """Return whether readings come back while commands go on beyond a fold: late ones do not."""
+    way = np.sign(2 * fold - 1)  # of the end that is nearer
+    visits = zip(*bounds_of_runs(way * u > way * fold), strict=True)
+    near, far = np.array([(a or b, a + np.argmax(way * u[a : b + 1])) for a, b in visits]).T
+    back = np.interp(fold, *nodes) - np.interp(u[far], *nodes)
+    return bool(np.sum(y[near] - y[far]) / np.sum(back) > WAY_OUT)
 
 
 def _bound(nodes: Floats, levels: Levels, noise: float) -> float:

@@ -113,8 +113,6 @@ SHORT = {
     "input_rate": "rate of the input",
     "input_play": "play ahead",
     "filtered_zone": "sensor with a shape",
-    "external": "from outside",
-    "tight_tuning": "tight tuning",
 }
 GAINS = (("DC gain", ""), ("gain of the rate", " 1/s"), ("gain of the acceleration", " 1/s^2"))
 LEAST_PRINTED = 0.005  # odds that are worth a word
