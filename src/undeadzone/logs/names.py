@@ -38,6 +38,7 @@ DATES: Final = ("date", "datum", "fecha", "day")  # beside a column of times of 
 PAIRS: Final = {("goal", "position"): 0.3, ("drive", "speed"): 0.2, ("position", "force"): 13.0}
 BY_HAND: Final = 40.0  # rank of a column of a table that runs evenly, as of an exact name
 COMMON: Final = 6.0  # rank of an input and a reading of one name
+EVEN_BY_HAND: Final = 1e-6  # of the range, as far as what is set by hand is uneven
 HALF: Final = 0.5  # of the rows, in which a column of a table is set by hand
 EVEN: Final = 1e-3  # of the range, up to which a column rests or runs evenly
 FULL: Final = 0.5  # correlation from which names count in full, below as much less
@@ -413,7 +414,7 @@ class _Header(NamedTuple):
         free = [k for k, title in enumerate(self.titles) if not rank_of(title)]
         if self.values is None or len(self.values) >= TABLE:
             return free
-        beside = np.sum(_evenness(_scaled(self.values)) > HALF) > 1
+        beside = np.sum(_evenness(_scaled(self.values), EVEN_BY_HAND) > HALF) > 1
         rows = [bool(beside and counts_rows(one)) for one in self.values.T]
         return [k for k in free if rows[k] or not self.titles[k].name.strip(DIGIT)]
 
@@ -468,9 +469,10 @@ class _Header(NamedTuple):
             derived |= adds | adds.T | np.any(adds, axis=0, keepdims=True).T
             shown = np.maximum.reduce([shown, at_all, at_all.T / 2, gains])  # slopes show what adds
             fits = shown * (1 + gains) * (1 - every.max(axis=(0, 1))[:, None])
-        even = np.subtract.outer(*[_evenness(x)] * 2)
-        by_hand = BY_HAND if len(x) < TABLE and not has_times else 1.0
-        fits = np.where(derived, 0.0, fits * (1 + by_hand * even))
+        by_hand = len(x) < TABLE and not has_times
+        weight, tolerance = (BY_HAND, EVEN_BY_HAND) if by_hand else (1.0, EVEN)
+        even = np.subtract.outer(*[weight * _evenness(x, tolerance)] * 2)
+        fits = np.where(derived, 0.0, fits * (1 + even))
         return shown, fits + FIRST * np.triu(np.ones_like(fits))
 
     def columns_named(self, signal: str, count: int | None) -> list[int]:
@@ -577,9 +579,15 @@ def _scaled(values: Floats) -> Floats:
     return np.where(moves, x, 0.0) / np.where(moves, spread, 1.0)
 
 
-def _evenness(x: Floats) -> Floats:
-    """Return the share of the rows in which columns (N x K) rest or run evenly, as set by hand."""
-    return np.asarray(np.mean(np.abs(np.diff(x, 2, axis=0)) <= EVEN * np.ptp(x, axis=0), axis=0))
+def _evenness(x: Floats, tolerance: float) -> Floats:
+    """Return the share of the rows in which columns (N x K) rest or run evenly.
+
+    Args:
+        x: columns.
+        tolerance: share of the range, up to which they do.
+    """
+    bends = np.abs(np.diff(x, 2, axis=0))
+    return np.asarray(np.mean(bends <= tolerance * np.ptp(x, axis=0), axis=0))
 
 
 def _smoothness(x: Floats) -> Floats:

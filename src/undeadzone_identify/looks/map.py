@@ -119,11 +119,6 @@ class RestMap(NamedTuple):
     fold: float | None
     nodes: Floats
 
-    @property
-    def share(self) -> float:
-        """Return the share of the variance of the rows that the map explains."""
-        return float(1 - np.var(self.rows.y - self.predict(self.rows.u)) / np.var(self.rows.y))
-
     def predict(self, u: Floats) -> Floats:
         """Return the readings at rest for commands; beyond the map those of its ends."""
         return np.interp(u, *self.nodes)
@@ -356,12 +351,12 @@ def _is_flat(levels: Levels, inside: Flags, fits: list[Side], residual: Floats) 
         return True
     x, v, w = levels.cut(near)
     numbers = 1 + sum(side.numbers for side in fits)
-    own = price(float(np.mean((residual[near] * w) ** 2)), x.size, numbers)
-    curves = [np.polynomial.Polynomial.fit(x, v, degree, w=w)(x) for degree in CURVES]
-    return all(
-        own < price(float(np.mean(((v - curve) * w) ** 2)), x.size, degree + 1)
-        for degree, curve in zip(CURVES, curves, strict=True)
-    )
+    shapes = [(numbers, residual[near])]
+    for degree in filter(lambda one: one + 1 < x.size, CURVES):
+        shapes.append((degree + 1, v - np.polynomial.Polynomial.fit(x, v, degree, w=w)(x)))
+    losses = [float(np.sum((one * w) ** 2)) / (x.size - count) for count, one in shapes]
+    prices = [price(loss, x.size, count) for loss, (count, _) in zip(losses, shapes, strict=True)]
+    return int(np.argmin(prices)) == 0
 
 
 def _edge(
@@ -425,6 +420,9 @@ def _bound(nodes: Floats, levels: Levels, noise: float) -> float:
     moving = slope > MOVING * np.median(slope)
     widths = np.maximum(4 * np.diff(x), max(HIDES * noise, LEAST) / np.maximum(slope, 1e-9))
     bent = max(float(np.std(v - np.polyval(np.polyfit(x, v, 1), x))), KNOWN)
-    ends = max(x[END] - x[0], x[-1] - x[-1 - END])  # flat ends of fewer levels are not looked for
-    widest = min(max(ends, float(np.quantile(widths[moving], 0.95))), 1.0)
+    ends = max(  # a flat end is as long at most
+        one.x[np.argmax(np.abs(one.v - one.v[0]) > HIDES * noise)] - one.x[0]
+        for one in (levels, levels.face(-1))
+    )
+    widest = min(max(ends, np.quantile(widths[moving], 0.95)), 1.0)
     return float(np.clip(HIDES * bent, ends, widest))

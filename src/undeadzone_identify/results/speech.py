@@ -332,7 +332,8 @@ def _moves_below_friction(answer: Answer, one: Compared) -> bool:
     cut = np.flatnonzero(np.diff(u, append=np.nan))
     held = cut[np.diff(cut, prepend=-1) > LAST]
     level = one.numbers["level"].value if "level" in one.numbers else 0.0
-    return int(np.sum((np.abs(u[held]) < level) & (np.abs(y[held]) > MOVES * np.abs(y).max()))) > 1
+    moves = np.abs(y[held]) > MOVES * np.abs(y).max()
+    return int(np.sum(moves & (np.abs(u[held]) < level))) > 1
 
 
 def _bound(answer: Answer, units: tuple[str, str], line: Compared) -> Account:
@@ -352,7 +353,7 @@ def _find_limits(answer: Answer) -> dict[str, float]:
     limits: dict[str, float] = {}
     for word in ("input_zone", "input_play", "dead_zone", "play"):
         fit = fit_of(answer.case, answer.found, word)
-        if fit is None:
+        if fit is None or word in answer.found.denied:
             continue
         numbers = _numbers_of_word(answer, word, fit)
         widest = numbers.get("width", numbers.get("gap"))
