@@ -15,7 +15,6 @@ from undeadzone_identify.results.loop import IdentifiedLoop
 from undeadzone_identify.results.lost_motion import IdentifiedMotion
 from undeadzone_identify.results.next_log import NextLog
 from undeadzone_identify.results.result import Identified
-from undeadzone_identify.results.words import describe_rivals
 from undeadzone_identify.selection.adequacy import DEPENDS
 
 if TYPE_CHECKING:
@@ -116,10 +115,10 @@ def build_identified_page(
     for name, text in _summary_rows(found_log.summary()):
         room = name != "note" or len(first) < html.MOST
         (first if room and FIRST.fullmatch(name) else rest).append((name, text))
-    captions, rivals = CAPTIONS | OF_OTHERS.get(type(found_log), {}), []
+    captions, tests = CAPTIONS | OF_OTHERS.get(type(found_log), {}), []
     if isinstance(found_log, Identified):
         captions |= {} if found_log.answer.element is None else OF_ELEMENT
-        rivals = _rivals_table(found_log)
+        tests = [_residual_in_words(found_log)]
     shown = html.encode_pictures(images, captions)
     colour = "yes" if found_log.account.says_something else "no"
     return html.build_page(
@@ -137,7 +136,7 @@ def build_identified_page(
         html.build_section(
             "How it was decided",
             html.build_table(("what", "value"), rest),
-            *rivals,
+            *tests,
             *html.pick_pictures(shown, "residual_map"),
         ),
         *_few_lines_section(found_log.numbers(), source),
@@ -163,8 +162,8 @@ def _few_lines_section(numbers: dict[str, Any], source: str) -> list[html.Html]:
     return [html.build_section("A few lines that compensate it", *parts)]
 
 
-def _rivals_table(found_log: Identified) -> list[html.Html]:
-    """Return the table of all models with their probabilities, and the residual test in words."""
+def _residual_in_words(found_log: Identified) -> html.Html:
+    """Return the tests of no zone, and of the residual, in words."""
     answer = found_log.answer
     parts = [
         f"{DEPENDS[one.on]} {100 * one.share:.1f} % (p = {one.chance:.2g})"
@@ -173,8 +172,4 @@ def _rivals_table(found_log: Identified) -> list[html.Html]:
     words = f"Test of no zone at all: p = {answer.case.no_zone.chance:.2g}."
     if parts:
         words += f" Of the model's residual, each explains: {', '.join(parts)}."
-    rivals = describe_rivals(answer)
-    return [
-        html.build_table(("what may be there", "odds", "behind, nats a reading"), rivals),
-        html.build_paragraph(words),
-    ]
+    return html.build_paragraph(words)

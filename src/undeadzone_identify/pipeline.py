@@ -33,6 +33,7 @@ from undeadzone_identify.logs.prepare import (
     require_readings,
 )
 from undeadzone_identify.looks.first import Looks, look_at
+from undeadzone_identify.looks.rows import turns
 from undeadzone_identify.models.chain import find_input_zero, fit_chains
 from undeadzone_identify.models.elements import (
     MapModel,
@@ -63,7 +64,7 @@ from undeadzone_identify.results.seen import (
     needs_no_plant,
     rests_in_holds,
 )
-from undeadzone_identify.results.speech import knows_the_end
+from undeadzone_identify.results.speech import EFFECT_OF, knows_the_end
 from undeadzone_identify.selection import orders
 from undeadzone_identify.selection.adequacy import (
     DEPENDS,
@@ -87,7 +88,6 @@ from undeadzone_identify.selection.alternatives import (
 )
 from undeadzone_identify.selection.decision import (
     LEAST,
-    LOOP,
     MEMORY,
     Case,
     build_verdict,
@@ -108,6 +108,7 @@ from undeadzone_identify.selection.loop import (
     is_named_loop,
 )
 from undeadzone_identify.selection.lost_motion import (
+    TURNS,
     find_lost_motion,
     is_motor_position,
     needs_motion_test,
@@ -360,7 +361,7 @@ def _find_swing(logs: list[Log], one: Identified) -> LoopFindings | None:
         found = find_loop_cause(logs)
     except InputError:  # OP rests, or too many readings are missing
         return None
-    return found if found.word in LOOP else None
+    return found if found.word in EFFECT_OF else None
 
 
 def _collect_logs(
@@ -382,6 +383,7 @@ def _collect_logs(
 
 # --- One output
 
+TURNED = 0.02  # of the command's range, by which it turns
 FAR_OFF = 3.0  # rms of its changes, that an input is from 0 at least to count from elsewhere
 ASIDE = 0.1  # share of readings on either side of 0, beside such an input
 
@@ -563,7 +565,10 @@ def _fit_limits(grid: Grid, prepared: PreparedLog) -> FittedModel[MapModel] | No
 
 def _begin_findings(case: Case) -> Findings:
     """Return the findings with the static maps alone."""
-    begun = Findings(build_verdict("unclear"), case.fitted.delay, (), {})
+    u = case.grid.u[:, 0]
+    is_one_way = turns(u, TURNED * float(np.ptp(u))).size < TURNS and case.options.kind != "play"
+    denied = frozenset((*MEMORY, "input_play") if is_one_way else ())  # lost at reversals
+    begun = Findings(build_verdict("unclear"), case.fitted.delay, (), {}, denied=denied)
     return begun.add_models(case, case.rivals)
 
 

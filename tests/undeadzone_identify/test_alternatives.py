@@ -26,7 +26,6 @@ from undeadzone_identify.models.least_squares import LeastSquares
 from undeadzone_identify.models.motion import are_exact, white_noise_rms
 from undeadzone_identify.models.plant import PlantSimulator, RecordData, find_input_disturbance
 from undeadzone_identify.models.play_gap import find_play_gap
-from undeadzone_identify.results.words import describe_rivals
 
 A, B = np.array([-1.6, 0.68]), np.array([0.05, 0.03])
 STEP = 0.05
@@ -331,7 +330,6 @@ def test_a_plant_that_integrates_is_neither_play_nor_friction() -> None:
         assert "--integrators 1" in answer.answer.reasons[-1]
         assert answer.numbers()["odds"] == {}  # no model explains the readings
         assert "odds" not in answer.summary()
-        assert {share for _, share, _ in describe_rivals(answer.answer)} == {"-"}
 
 
 def test_the_steps_of_an_encoder_are_no_play() -> None:

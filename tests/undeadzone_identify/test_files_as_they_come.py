@@ -72,7 +72,9 @@ def test_columns(header: str, does: str, u: str, y: str, kinds: str, tmp_path: P
 
 
 @pytest.mark.parametrize("factor", [0.5, 2.0])
-@pytest.mark.parametrize("name", ["EVEN", "FIRST", "PAST", "RIDGE", "FULL"])
+@pytest.mark.parametrize(
+    "name", ["EVEN", "FIRST", "PAST", "RIDGE", "FULL", "COMMON", "BESIDE", "BY_HAND"]
+)
 def test_constants_at_half_and_double_choose_the_same(
     name: str, factor: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -133,11 +135,12 @@ def test_a_table_without_an_answer_has_a_reason(tmp_path: Path) -> None:
 
 
 def test_even_commands_of_a_table_are_no_times(tmp_path: Path) -> None:
+    """They are the command, beside the numbers of rows or a reading in volts."""
     path = tmp_path / "table.csv"
     rows = (f"{2 * k},{0.02 * k * k},{k}\n" for k in range(24))
-    path.write_text("gain_dB,detector,remark\n" + "".join(rows))
+    path.write_text("distance_mm,south_mV,trial\n" + "".join(rows))
     log = read_log(path)
-    assert log.inputs == ("gain_dB",)
+    assert log.inputs == ("distance_mm",)
     assert not log.has_clock
 
 

@@ -70,13 +70,17 @@ _TABLE: Final = tuple(
         (
             r"\bbatt|\bvbat|supply|counter\b|star mass\b|\bcalculated\b|\bsnr\b|delta|\bdt\b"
             r"|^stat(e|us) \d|moving|\bpin\b|\bbus\b|\bvcc\b|\berror\b|\bwanted time\b|\bindex\b"
-            r"|\bid\b|^(n|no|nr)$",
+            r"|\bid\b|^(n|no|nr|samples?|trial|test|run|point|row|measurement|record)"
+            r"( (no|nr|number))?$",
             "aside",
             0.0,
         ),
         (r"\bsp\b|^sv$", "sp", REFERENCE),
         (r"^(r|ref|reference|set ?point|sollwert|consigne|consigna)$", "goal", REFERENCE),
-        (r"\bdec ?(guide|pulse)", "drive", 16.5),
+        (r"\bdec ?(guide|pulse)|\bcontrol (signal|output|effort|value)\b|\bctrl\b", "drive", 16.5),
+        (r"\b(measured|actual|real) volt|\bvolt\w* (measured|actual|real)\b", "drive", -4.0),
+        (r"\bout(put)? volt", "drive", 0.0),  # of a driver, or of a sensor
+        (r"\b(angle|steer\w*|yaw|pitch|roll|turn) rate\b", "speed", -8.0),
         (r"^(esc|servo)( signal)?( \d+)?$", "drive", 15.0),
         (
             r"\b(motor|control|pwm|volt\w*|torque|force|valve|duty|throttle) (command|cmd)\b",
@@ -96,7 +100,7 @@ _TABLE: Final = tuple(
             8.0,
         ),
         (
-            r"measured|sensor|infrared|ultrasonic|sonar\b|\bcell\b|\badc|feedback|\bfb\b|reading|\bhx\b|response|\bist\b"
+            r"measured|\bactual\b|\bpresent\b|sensor|infrared|ultrasonic|sonar\b|\bcell\b|\badc|feedback|\bfb\b|reading|\bhx\b|response|\bist\b"
             r"|\braw\b(?! d)|\bcode\b|observ|mesur|gemessen",
             "",
             -12.0,
@@ -114,7 +118,7 @@ _TABLE: Final = tuple(
         (r"^dec( raw|$)", "position", -9.0),
         (r"^ra( raw|$)", "position", -8.5),
         (
-            r"speed|veloc|\bvel\b|\brpm\b|drehzahl|geschw|vitesse|omega|\bd ?d?q\b|\bqd\b|gyro|"
+            r"speed|veloc|\bvel\b|\be?rpm\b|drehzahl|geschw|vitesse|omega|\bd ?d?q\b|\bqd\b|gyro|"
             r"tach|\bupm\b|\[(k?rpm|upm|[^]]*/s)\]",
             "speed",
             -8.1,
@@ -245,5 +249,13 @@ def is_regular_time(values: Floats) -> bool:
     Args:
         values: of a column (N).
     """
-    counts = bool((np.diff(values) == 1).all()) and values[0] in (0, 1)
-    return increases_evenly(values) and not counts
+    return increases_evenly(values) and not counts_rows(values)
+
+
+def counts_rows(values: Floats) -> bool:
+    """Return whether values are the numbers of their rows, from 0 or 1 on.
+
+    Args:
+        values: of a column (N).
+    """
+    return bool((np.diff(values) == 1).all()) and values[0] in (0, 1)

@@ -22,6 +22,7 @@ from undeadzone.logs.kinds import (
     VAGUE,
     Title,
     add_unit,
+    counts_rows,
     increases_evenly,
     is_regular_time,
     kind_of,
@@ -35,8 +36,13 @@ from undeadzone.util.arrays import Flags, Floats, Integers
 DATES: Final = ("date", "datum", "fecha", "day")  # beside a column of times of day
 # Pairs of an input and a reading that are met more often than others, and by how much [rank].
 PAIRS: Final = {("goal", "position"): 0.3, ("drive", "speed"): 0.2, ("position", "force"): 13.0}
+BY_HAND: Final = 40.0  # rank of a column of a table that runs evenly, as of an exact name
+COMMON: Final = 6.0  # rank of an input and a reading of one name
+EVEN_BY_HAND: Final = 1e-6  # of the range, as far as what is set by hand is uneven
+HALF: Final = 0.5  # of the rows, in which a column of a table is set by hand
 EVEN: Final = 1e-3  # of the range, up to which a column rests or runs evenly
 FULL: Final = 0.5  # correlation from which names count in full, below as much less
+BESIDE: Final = -7.0  # rank of what follows a goal of its name, at most
 FIRST: Final = 0.05  # what an input gains that stands ahead of its reading
 COPY: Final = 1 - 1e-9  # correlation of a column with its copy
 SUM: Final = 0.999  # and of its changes with what it adds up
@@ -403,21 +409,29 @@ class _Header(NamedTuple):
     def may_count(self) -> list[int]:
         """Return the columns that may be a time or an index; in a table only those without a name.
 
-        Any other even column of a table is a command.
+        Any other even column of a table is a command, if it does not count the rows beside another.
         """
-        is_log = self.values is None or len(self.values) >= TABLE
-        every = enumerate(self.titles)
-        free = [k for k, one in every if is_log or not one.name.strip(DIGIT)]
-        return [k for k in free if not rank_of(self.titles[k])]
+        free = [k for k, title in enumerate(self.titles) if not rank_of(title)]
+        if self.values is None or len(self.values) >= TABLE:
+            return free
+        beside = np.sum(_evenness(_scaled(self.values), EVEN_BY_HAND) > HALF) > 1
+        rows = [bool(beside and counts_rows(one)) for one in self.values.T]
+        return [k for k in free if rows[k] or not self.titles[k].name.strip(DIGIT)]
 
     def ranks(self, given: list[int]) -> Floats:
         """Return the rank of each column (K), by its name and by the names of its neighbours."""
         ranks = np.array(list(map(rank_of, self.titles)))
         ranks[[title.name.lower() in ("y", "u") for title in self.titles]] *= 1.01
-        outputs = np.array([split_words(title.name) in ("output", "out") for title in self.titles])
+        words = [split_words(title.name) for title in self.titles]
+        outputs = np.array([one.rstrip(DIGIT + " ") in ("output", "out") for one in words])
         drives = (ranks > 17) | np.isin(np.arange(ranks.size), given)
         if not drives.any() and ((ranks < 0) & ~outputs).any():
             ranks[outputs] = EXACT  # a controller's
+        for one, other in itertools.permutations(range(len(words)), 2):
+            more = {*words[one].split()} - {*words[other].split()}
+            is_longer = len(words[one].split()) == len(words[other].split()) + len(more)
+            if more and is_longer and kind_of(" ".join(more)) == "goal":
+                ranks[other] = min(ranks[other], BESIDE)  # the same without the words of a goal
         if not self.is_open:
             ranks[ranks == REFERENCE] = 0.0
         return ranks
@@ -428,7 +442,7 @@ class _Header(NamedTuple):
         common = [[len(one & other) / len(one | other) for other in words] for one in words]
         kinds = self.kinds
         pairs = [[PAIRS.get((one, other), 0.0) for other in kinds] for one in kinds]
-        return np.array(common) + np.array(pairs)
+        return COMMON * np.array(common) + np.array(pairs)
 
     def behaviour(self, has_times: bool) -> tuple[Floats, Floats]:
         """Return how much an input (row) explains of a reading, and how well the pair fits (K x K).
@@ -443,9 +457,9 @@ class _Header(NamedTuple):
             alike = np.ones((len(self.titles), len(self.titles)))
             return alike, alike
         x = _scaled(self.values)
-        even = np.mean(np.abs(np.diff(x, 2, axis=0)) <= EVEN * np.ptp(x, axis=0), axis=0)
-        shown = fits = np.abs(x.T @ x) / len(x)
-        derived: Flags = np.asarray(fits > COPY)
+        shown = np.abs(x.T @ x) / len(x)
+        derived: Flags = np.asarray(shown > COPY)
+        shown = fits = np.maximum(shown, _smoothness(x))
         if len(x) >= (2 * PAST if has_times else TABLE):
             at_all, gains = _explained(x)
             longer = [means for size in LONGER if len(means := _means(x, size)) >= BLOCKS]
@@ -455,7 +469,10 @@ class _Header(NamedTuple):
             derived |= adds | adds.T | np.any(adds, axis=0, keepdims=True).T
             shown = np.maximum.reduce([shown, at_all, at_all.T / 2, gains])  # slopes show what adds
             fits = shown * (1 + gains) * (1 - every.max(axis=(0, 1))[:, None])
-        fits = np.where(derived, 0.0, fits * (1 + np.subtract.outer(even, even)))
+        by_hand = len(x) < TABLE and not has_times
+        weight, tolerance = (BY_HAND, EVEN_BY_HAND) if by_hand else (1.0, EVEN)
+        even = np.subtract.outer(*[weight * _evenness(x, tolerance)] * 2)
+        fits = np.where(derived, 0.0, fits * (1 + even))
         return shown, fits + FIRST * np.triu(np.ones_like(fits))
 
     def columns_named(self, signal: str, count: int | None) -> list[int]:
@@ -562,6 +579,27 @@ def _scaled(values: Floats) -> Floats:
     return np.where(moves, x, 0.0) / np.where(moves, spread, 1.0)
 
 
+def _evenness(x: Floats, tolerance: float) -> Floats:
+    """Return the share of the rows in which columns (N x K) rest or run evenly.
+
+    Args:
+        x: columns.
+        tolerance: share of the range, up to which they do.
+    """
+    bends = np.abs(np.diff(x, 2, axis=0))
+    return np.asarray(np.mean(bends <= tolerance * np.ptp(x, axis=0), axis=0))
+
+
+def _smoothness(x: Floats) -> Floats:
+    """Return how well columns (row) show others as any curve of theirs (von Neumann 1941) (K x K).
+
+    Args:
+        x: columns about their means, with rms 1 (N x K).
+    """
+    steps = [np.diff(x[np.argsort(one, kind="stable")], axis=0) for one in x.T]
+    return np.clip(1 - np.mean(np.square(steps), axis=1) / 2, 0, 1)
+
+
 def _means(x: Floats, size: int) -> Floats:
     """Return columns as means over so many samples, each with rms 1."""
     count = len(x) // size
@@ -615,9 +653,10 @@ def _errors(taught: Floats, asked: Floats, used: Integers, j: int) -> Floats:
 def _seconds(title: Title, source: str) -> float | None:
     """Return the length of a unit of time [s]; None if it counts samples. Raises FileError."""
     unit = title.unit.lower()
-    last = split_words(add_unit(title).name).split(" ")[-1]
+    words = split_words(add_unit(title).name).split(" ")
     if not unit:
-        unit = (add_unit(title).unit or (last if last in (*SECONDS, *COUNTS) else "")).lower()
+        named = {*words[-1:]} & {*SECONDS, *COUNTS} or {*words[:1]} & {*SECONDS}
+        unit = (add_unit(title).unit or "".join(named)).lower()
     if unit in COUNTS:
         return None
     if unit not in SECONDS:

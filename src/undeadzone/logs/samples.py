@@ -19,6 +19,7 @@ from undeadzone.logs.stamps import Stamps, is_ambiguous, over_midnight, stamps_o
 from undeadzone.logs.text import (
     LARGEST,
     LONGEST_LINE,
+    MARKS,
     OTHER,
     PREAMBLE,
     Dialect,
@@ -172,6 +173,7 @@ class LogReader:
         self._chosen = chosen
         self._text = Text(source)
         self._dialect: Dialect  # once the first lines are known
+        self._remark = ""  # the last one ahead of all content, which may name the columns
         self._first: Numbered = []  # lines that wait for the dialect to be known
         self._stamps: Stamps | None = None  # how times are written that are no numbers
         self._plain_times = False  # whether they are numbers
@@ -201,6 +203,9 @@ class LogReader:
             count = 1 + bool(dialect_of(below[:1]).heads) if self._live else FIRST
             self._dialect = dialect_of(below[:count])
             heads = self._dialect.heads
+            titled = dialect_of([self._remark, *below[:count]])
+            if not heads and titled.titles and titled.width == self._dialect.width:
+                self._dialect = titled._replace(heads=0)
             # The header may follow, or its first line of numbers, or a line of units.
             waits = (ahead is None and len(lines) < PREAMBLE) or (heads and len(below) < 2)
             self._first = numbered if waits and not last else []
@@ -232,8 +237,13 @@ class LogReader:
         """Return the lines with content, with their numbers."""
         first = self._count + 1
         self._count += len(lines)
-        numbered = enumerate((line[: LONGEST_LINE + 1] for line in lines), first)
-        return [(k, line) for k, line in numbered if is_content(line)]
+        numbered = list(enumerate((line[: LONGEST_LINE + 1] for line in lines), first))
+        content = [(k, line) for k, line in numbered if is_content(line)]
+        if self.layout is None and not self._first:
+            end = content[0][0] if content else math.inf
+            ahead = [line.strip(MARKS) for k, line in numbered if k < end]
+            self._remark = next(filter(None, reversed(ahead)), self._remark)
+        return content
 
     def _layout(self, lines: Sequence[str]) -> Layout:
         """Return the columns of the signals. Raises FileError."""

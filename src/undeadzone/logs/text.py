@@ -22,6 +22,7 @@ LONGEST_LINE: Final = 65_536  # characters of a line; a longer one is no line of
 _MARKS: Final = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 _ZIP: Final = b"PK\3\4"  # how an archive begins, as .xlsx and .ods are
 REMARKS: Final = ("#", "%", "//")
+MARKS: Final = "#%/ \t"  # about the text of a remark
 # What stands in a cell whose number is missing.
 MISSING: Final = frozenset(
     ("", "nan", "na", "n/a", "null", "none", "-", "--", "inf", "-inf", "+inf", "infinity", "?")

@@ -43,6 +43,7 @@ UNVISITED = 0.2  # of the commands' range, from which a gap widens an edge
 APART = 0.05  # of the range: the largest noise of a candidate, and a leap from rest
 UNSURE = 0.5  # of the commands' range, from which an edge is none
 FOLDED = 0.03  # of the range, by which a reading must come back
+WAY_OUT = 0.5  # of what the map comes back, that readings do on the way out
 TURN = 0.3  # of the commands' range, from which the way back is a sweep of its own
 STAIR = 0.5  # of the widest band, from which another one is a step of the same stair
 RARELY = 0.2  # of the rows between both thresholds, at which the state may change
@@ -118,11 +119,6 @@ class RestMap(NamedTuple):
     fold: float | None
     nodes: Floats
 
-    @property
-    def share(self) -> float:
-        """Return the share of the variance of the rows that the map explains."""
-        return float(1 - np.var(self.rows.y - self.predict(self.rows.u)) / np.var(self.rows.y))
-
     def predict(self, u: Floats) -> Floats:
         """Return the readings at rest for commands; beyond the map those of its ends."""
         return np.interp(u, *self.nodes)
@@ -146,7 +142,7 @@ def map_at_rest(t: Floats | None, u: Floats, y: Floats) -> RestMap | None:
 def read_map(rows: Rows) -> RestMap | None:
     """Return the map of rows at rest; None with few levels, or a reading that never changes.
 
-    Neither do holds, or a way up beside a way down, have a fold.
+    Holds, a way up beside a way down, and a sweep that comes back late have a fold by chance alone.
     """
     if np.ptp(rows.u) == 0:
         return None
@@ -161,8 +157,9 @@ def read_map(rows: Rows) -> RestMap | None:
     nodes = _nodes(unit, parts)
     noise = max(float(np.std(unit.v - np.interp(unit.x, *nodes))), noise_of(unit.v))
     fold = _fold(nodes, noise)
-    if fold is not None and rows.how in ("ways", "holds"):  # what comes back need not be a fold
-        return None
+    is_late = fold is not None and rows.how == "sweep" and not _folds_on_way_out(u, y, nodes, fold)
+    if is_late or (fold is not None and rows.how in ("ways", "holds")):
+        return None  # what comes back need not be a fold
     return RestMap(
         rows=rows,
         x=x,
@@ -354,12 +351,12 @@ def _is_flat(levels: Levels, inside: Flags, fits: list[Side], residual: Floats) 
         return True
     x, v, w = levels.cut(near)
     numbers = 1 + sum(side.numbers for side in fits)
-    own = price(float(np.mean((residual[near] * w) ** 2)), x.size, numbers)
-    curves = [np.polynomial.Polynomial.fit(x, v, degree, w=w)(x) for degree in CURVES]
-    return all(
-        own < price(float(np.mean(((v - curve) * w) ** 2)), x.size, degree + 1)
-        for degree, curve in zip(CURVES, curves, strict=True)
-    )
+    shapes = [(numbers, residual[near])]
+    for degree in filter(lambda one: one + 1 < x.size, CURVES):
+        shapes.append((degree + 1, v - np.polynomial.Polynomial.fit(x, v, degree, w=w)(x)))
+    losses = [float(np.sum((one * w) ** 2)) / (x.size - count) for count, one in shapes]
+    prices = [price(loss, x.size, count) for loss, (count, _) in zip(losses, shapes, strict=True)]
+    return int(np.argmin(prices)) == 0
 
 
 def _edge(
@@ -404,6 +401,15 @@ def _fold(nodes: Floats, noise: float) -> float | None:
     return None
 
 
+def _folds_on_way_out(u: Floats, y: Floats, nodes: Floats, fold: float) -> bool:
+    """Return whether readings come back while commands go on beyond a fold: late ones do not."""
+    way = np.sign(2 * fold - 1)  # of the end that is nearer
+    visits = zip(*bounds_of_runs(way * u > way * fold), strict=True)
+    near, far = np.array([(a or b, a + np.argmax(way * u[a : b + 1])) for a, b in visits]).T
+    back = np.interp(fold, *nodes) - np.interp(u[far], *nodes)
+    return bool(np.sum(y[near] - y[far]) / np.sum(back) > WAY_OUT)
+
+
 def _bound(nodes: Floats, levels: Levels, noise: float) -> float:
     """Return the largest dead band that the map could hide: by its noise, slope and spacing.
 
@@ -414,6 +420,9 @@ def _bound(nodes: Floats, levels: Levels, noise: float) -> float:
     moving = slope > MOVING * np.median(slope)
     widths = np.maximum(4 * np.diff(x), max(HIDES * noise, LEAST) / np.maximum(slope, 1e-9))
     bent = max(float(np.std(v - np.polyval(np.polyfit(x, v, 1), x))), KNOWN)
-    ends = max(x[END] - x[0], x[-1] - x[-1 - END])  # flat ends of fewer levels are not looked for
-    widest = min(max(ends, float(np.quantile(widths[moving], 0.95))), 1.0)
+    ends = max(  # a flat end is as long at most
+        one.x[np.argmax(np.abs(one.v - one.v[0]) > HIDES * noise)] - one.x[0]
+        for one in (levels, levels.face(-1))
+    )
+    widest = min(max(ends, np.quantile(widths[moving], 0.95)), 1.0)
     return float(np.clip(HIDES * bent, ends, widest))

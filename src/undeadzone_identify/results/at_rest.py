@@ -5,17 +5,16 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
-from undeadzone.errors import InputError
 from undeadzone.util.arrays import to_json_value
 from undeadzone_identify.logs.log import Log
 from undeadzone_identify.looks.first import Looks
 from undeadzone_identify.models.estimates import Interval
 from undeadzone_identify.results.account import Account
-from undeadzone_identify.results.result import Spoken
+from undeadzone_identify.results.result import SpokenWithoutPlant
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
-class IdentifiedAtRest(Spoken):
+class IdentifiedAtRest(SpokenWithoutPlant):
     """Effect that a log shows without any dynamics, such as a band in its map at rest.
 
     Attributes:
@@ -27,6 +26,7 @@ class IdentifiedAtRest(Spoken):
         identify
     """
 
+    no_scenario = "the map at rest has no plant: record steps of the command"
     log: Log
     looks: Looks
     account: Account
@@ -36,11 +36,6 @@ class IdentifiedAtRest(Spoken):
         """Return the effect as a word: input_loss, loss, low_end, ...; none or unclear without."""
         without = "none" if self.account.limits else "unclear"
         return next(iter(self.account.effects), without).replace(" ", "_")
-
-    @property
-    def zone(self) -> bool:
-        """Return False: at which end a band lies takes a plant to tell."""
-        return False
 
     @property
     def width(self) -> Interval | None:
@@ -57,10 +52,6 @@ class IdentifiedAtRest(Spoken):
     def left(self) -> Interval | None:
         """Return the lower edge of the band [u]; None without one."""
         return self.account.first_numbers.get("lower")
-
-    def scenario(self, title: str = "Identified log") -> str:
-        """Raise InputError: no plant was fitted."""
-        raise InputError("scenario: the map at rest has no plant: record steps of the command")
 
     def numbers(self) -> dict[str, Any]:
         """Return all numbers of the answer, as `--json` prints."""

@@ -7,7 +7,6 @@ import functools
 import math
 from typing import Any
 
-from undeadzone.errors import InputError
 from undeadzone.util.arrays import to_json_value
 from undeadzone_identify.logs.log import Log
 from undeadzone_identify.models.estimates import Interval
@@ -21,7 +20,7 @@ from undeadzone_identify.results.account import (
 )
 from undeadzone_identify.results.formats import describe_interval, unit_suffix
 from undeadzone_identify.results.lines import measure_lines
-from undeadzone_identify.results.result import Spoken
+from undeadzone_identify.results.result import SpokenWithoutPlant
 from undeadzone_identify.selection.decision import VALVE
 from undeadzone_identify.selection.loop import LoopFindings
 
@@ -41,7 +40,7 @@ ROUNDED = ".3g"
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
-class IdentifiedLoop(Spoken):
+class IdentifiedLoop(SpokenWithoutPlant):
     """Cause of a control loop's swing, with S and J of its valve whether it is named or not.
 
     Attributes:
@@ -52,6 +51,7 @@ class IdentifiedLoop(Spoken):
         identify
     """
 
+    no_scenario = "the answer to a loop is the cause of its swing, without a plant"
     logs: tuple[Log, ...]
     found: LoopFindings
 
@@ -61,11 +61,6 @@ class IdentifiedLoop(Spoken):
         undecided.
         """
         return self.found.word
-
-    @property
-    def zone(self) -> bool:
-        """Return False: a loop is asked for its valve, not for its sensor."""
-        return False
 
     @property
     def width(self) -> Interval | None:
@@ -85,11 +80,9 @@ class IdentifiedLoop(Spoken):
         found, units = self.found, (self.unit, self.logs[0].output_units[0])
         sizes: Numbers = {"S": found.stick, "J": found.jump}
         doubts = found.remarks[-1:] if found.is_thinned else ("no cause has odds of 90 %",)
-        name, effect = WORDS.get(found.word, ("", "stick"))
+        likely = WORDS.get(next(iter(found.odds)), ("", "stick"))
+        name, effect = WORDS.get(found.word, ("", likely[1]))
         limits = {"stick": found.stick.high}
-        top = next(iter(found.odds))
-        if found.word == "undecided":
-            effect = WORDS.get(top, ("", "stick"))[1]
         numbers = {
             "stick": sizes,
             "input reversal": {"gap": found.stick},
@@ -118,12 +111,6 @@ class IdentifiedLoop(Spoken):
         """
         sensitivity = max(math.exp(self.found.feature("sensitivity")), 1.0)
         return max((1 - 1 / sensitivity) / (1 - 1 / GOOD), 1.0)
-
-    def scenario(self, title: str = "Identified log") -> str:
-        """Raise InputError: no plant was fitted."""
-        raise InputError(
-            "scenario: the answer to a loop is the cause of its swing, without a plant"
-        )
 
     def numbers(self) -> dict[str, Any]:
         """Return all numbers of the answer, as `--json` prints."""

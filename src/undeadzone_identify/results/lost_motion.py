@@ -8,30 +8,32 @@ from typing import Any
 
 import numpy as np
 
-from undeadzone.errors import InputError
 from undeadzone.util.arrays import to_json_value
 from undeadzone.util.text import HALF_95, bracket_interval
 from undeadzone_identify.models.estimates import Interval
 from undeadzone_identify.results.account import Account
 from undeadzone_identify.results.formats import unit_suffix
 from undeadzone_identify.results.lines import measure_lines
-from undeadzone_identify.results.result import Spoken
+from undeadzone_identify.results.result import SpokenWithoutPlant
 from undeadzone_identify.results.speech import account_of_motion
 from undeadzone_identify.results.words import describe_shares
 from undeadzone_identify.selection.lost_motion import LostMotionAnswer
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
-class IdentifiedMotion(Spoken):
+class IdentifiedMotion(SpokenWithoutPlant):
     """Motion that is lost between two positions, with its interval.
 
     Attributes:
         answer: every value; the properties below are its most used ones.
+        right, left: None, as of a gap only the width is known.
 
     See Also:
         identify
     """
 
+    right = left = None
+    no_scenario = "two positions have no plant. `export --to snippet` compensates"
     answer: LostMotionAnswer
 
     @functools.cached_property
@@ -43,11 +45,6 @@ class IdentifiedMotion(Spoken):
     def verdict(self) -> str:
         """Return play, none or unclear."""
         return self.answer.verdict
-
-    @property
-    def zone(self) -> bool:
-        """Return False: the sensor has no dead zone."""
-        return False
 
     @property
     def gap(self) -> Interval:
@@ -62,20 +59,6 @@ class IdentifiedMotion(Spoken):
         """
         lost = self.answer.gap.scale_by(abs(self.answer.found.gain))
         return lost if self.verdict == "play" else None
-
-    @property
-    def right(self) -> Interval | None:
-        """Return None: of a gap only the width is known."""
-        return None
-
-    @property
-    def left(self) -> Interval | None:
-        """Return None: of a gap only the width is known."""
-        return None
-
-    def scenario(self, title: str = "Identified log") -> str:
-        """Raise InputError: two positions have no plant between them."""
-        raise InputError("scenario: two positions have no plant. `export --to snippet` compensates")
 
     def numbers(self) -> dict[str, Any]:
         """Return all numbers of the answer, as `--json` prints."""

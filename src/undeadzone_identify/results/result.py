@@ -52,7 +52,6 @@ WRITTEN = (
 UNWRITTEN = {
     "input_curve": "a curve of the input has no widths, and no inverse is written for it",
     "input_rate": "a scenario has no limit of the input's rate",
-    "stiction": "no observer holds a valve that sticks. Its play alone would be another valve",
 }
 
 
@@ -124,6 +123,22 @@ class Spoken:
     """Draw it."""
 
     save = save_numbers
+
+
+class SpokenWithoutPlant(Spoken):
+    """Answer to a log without a plant.
+
+    Attributes:
+        zone: False, as a dead zone of the sensor takes a plant to tell.
+        no_scenario: why there is no scenario.
+    """
+
+    zone = False
+    no_scenario = ""
+
+    def scenario(self, title: str = "Identified log") -> str:
+        """Raise InputError: there is no plant."""
+        raise InputError(f"scenario: {self.no_scenario}")
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)

@@ -11,9 +11,6 @@ import numpy as np
 from undeadzone_identify.logs.log import Log
 from undeadzone_identify.looks.first import Looks
 from undeadzone_identify.looks.map import APART, FlatPart, RestMap
-from undeadzone_identify.looks.pushes import FrictionLevel
-from undeadzone_identify.looks.rests import FreePlay
-from undeadzone_identify.looks.valley import Valley
 from undeadzone_identify.models.estimates import Interval
 from undeadzone_identify.results.account import (
     BOUNDED,
@@ -50,26 +47,19 @@ def account_of_looks(log: Log, looks: Looks) -> Account | None:
         looks: what is seen.
     """
     units = (log.input_unit, log.output_units[0])
-    seen = looks.friction
-    if seen is not None:
-        effects: dict[str, Numbers] = {"friction": {"level": seen.level}}
-        return Account(_grade(seen), effects, "torque along the motion", units)
-    if looks.rests is not None:
-        effects = {"free play": {"gap": looks.rests.play}}
-        return Account(_grade(looks.rests), effects, "rests at one goal", units)
-    if looks.valley is not None and looks.valley.gap.low > 0:
-        effects = {"input reversal": {"gap": looks.valley.gap}}
-        return Account(_grade(looks.valley), effects, "least readings of sweeps up and down", units)
+    for one, effect, name, field, by in (
+        (looks.friction, "friction", "level", "level", "torque along the motion"),
+        (looks.rests, "free play", "gap", "play", "rests at one goal"),
+        (looks.valley, "input reversal", "gap", "gap", "least readings of sweeps up and down"),
+    ):
+        if one is not None and getattr(one, field).low > 0:
+            grade = MEASURED if one.is_measured else INDICATED
+            return Account(grade, {effect: {name: getattr(one, field)}}, by, units)
     if looks.at_rest is not None:
         return _account_of_map(looks.at_rest, "map at rest", units)
     if looks.of_rate is not None and looks.of_rate.flats:  # its bound is one of the steady rate
         return _account_of_map(looks.of_rate, "map of the rate at rest", units)
     return None
-
-
-def _grade(seen: FrictionLevel | FreePlay | Valley) -> str:
-    """Return the grade of what a look sees."""
-    return MEASURED if seen.is_measured else INDICATED
 
 
 def _account_of_map(seen: RestMap, by: str, units: tuple[str, str]) -> Account:

@@ -36,7 +36,7 @@ from undeadzone_identify.selection.alternatives import (
     held_out_residual,
     measure_word,
 )
-from undeadzone_identify.selection.decision import MEMORY, VALVE
+from undeadzone_identify.selection.decision import MEMORY, UNLIKELY, VALVE
 from undeadzone_identify.selection.lost_motion import LostMotionAnswer
 from undeadzone_identify.selection.widths import SIDES
 
@@ -78,9 +78,6 @@ NAMES = {  # of the classes
     "input_play": "Backlash ahead of the plant",
     "filtered_zone": "Dead zone of the sensor with a filter, two slopes or round edges",
     "other": "Another nonlinearity",
-    "stiction": "The valve sticks",
-    "external": "An oscillation from outside",
-    "tight_tuning": "The loop is tuned too tightly",
 }
 SIZES = ("width", "gap", "level")
 OTHERS = 2  # effects that are printed beside the first
@@ -297,15 +294,11 @@ def _account_of_fits(answer: Answer, units: tuple[str, str]) -> Account:
     line = _compare(answer, "none")
     if line is None:
         return _open(answer, units)
-    words = (word for word in EFFECT_OF if word not in answer.found.denied)
-    there = filter(None, (_compare(answer, word) for word in words))
-    rows = [one for one in there if _is_comparable(one, line)]
-    rows = [one for one in rows if not _moves_below_friction(answer, one)]
-    buys = [one.compare_to(line, answer.scale) for one in rows]
-    worth = [one for one, own in zip(rows, buys, strict=True) if own.is_worth and own.is_seen]
-    positive = sorted((one for one in worth if one.is_positive), key=lambda one: one.rms)
-    if not positive:
+    there = (_compare(answer, word) for word in EFFECT_OF if word not in answer.found.denied)
+    counting = [one for one in there if one is not None and _counts(answer, one, line)]
+    if not counting:
         return _bound(answer, units, line)
+    positive = sorted(counting, key=lambda one: one.rms)
     best = positive[0]
     close = [one for one in positive if best.is_hardly_before(one)]
     first = next((one for one in close if one.numbers and not best.is_curve_for_zone(one)), best)
@@ -319,19 +312,28 @@ def _account_of_fits(answer: Answer, units: tuple[str, str]) -> Account:
     return Account(INDICATED, effects, DYNAMICS, units, gain, others, tuple(answer.reasons))
 
 
+def _counts(answer: Answer, one: Compared, line: Compared) -> bool:
+    """Return whether a model is worth its number: by held-out data, or by odds without a line.
+
+    It has the readings of the straight plant, and one element alone.
+    """
+    is_double = getattr(one.fit.model, "shape", None) is limited_zone_map
+    if is_double or not one.has_readings_of(line) or not one.is_positive:
+        return False
+    own, odds = one.compare_to(line, answer.scale), answer.found.odds
+    is_likely = odds.get("none", 1.0) < UNLIKELY < odds.get(one.word, 0.0)
+    is_worth = (own.is_worth and own.is_seen) or (is_likely and own.deviations > 0)
+    return is_worth and not _moves_below_friction(answer, one)
+
+
 def _moves_below_friction(answer: Answer, one: Compared) -> bool:
     """Return whether holds of commands below a friction's level end in motion, twice or more."""
     u, y = answer.case.grid.u[:, 0], answer.case.grid.y
     cut = np.flatnonzero(np.diff(u, append=np.nan))
     held = cut[np.diff(cut, prepend=-1) > LAST]
     level = one.numbers["level"].value if "level" in one.numbers else 0.0
-    return int(np.sum((np.abs(u[held]) < level) & (np.abs(y[held]) > MOVES * np.abs(y).max()))) > 1
-
-
-def _is_comparable(one: Compared, line: Compared) -> bool:
-    """Return whether a model has the readings of the straight plant, and one element alone."""
-    is_single = getattr(one.fit.model, "shape", None) is not limited_zone_map
-    return is_single and one.has_readings_of(line)
+    moves = np.abs(y[held]) > MOVES * np.abs(y).max()
+    return int(np.sum(moves & (np.abs(u[held]) < level))) > 1
 
 
 def _bound(answer: Answer, units: tuple[str, str], line: Compared) -> Account:
@@ -351,7 +353,7 @@ def _find_limits(answer: Answer) -> dict[str, float]:
     limits: dict[str, float] = {}
     for word in ("input_zone", "input_play", "dead_zone", "play"):
         fit = fit_of(answer.case, answer.found, word)
-        if fit is None:
+        if fit is None or word in answer.found.denied:
             continue
         numbers = _numbers_of_word(answer, word, fit)
         widest = numbers.get("width", numbers.get("gap"))

@@ -19,7 +19,6 @@ from undeadzone_identify.results.account import Account
 from undeadzone_identify.results.assemble import Answer
 from undeadzone_identify.results.formats import describe_ends, describe_interval, unit_suffix
 from undeadzone_identify.results.lines import rest_noise
-from undeadzone_identify.selection.decision import MODELS
 from undeadzone_identify.selection.odds import nats_behind_best
 from undeadzone_identify.servo.likelihood import At
 
@@ -113,8 +112,6 @@ SHORT = {
     "input_rate": "rate of the input",
     "input_play": "play ahead",
     "filtered_zone": "sensor with a shape",
-    "external": "from outside",
-    "tight_tuning": "tight tuning",
 }
 GAINS = (("DC gain", ""), ("gain of the rate", " 1/s"), ("gain of the acceleration", " 1/s^2"))
 LEAST_PRINTED = 0.005  # odds that are worth a word
@@ -315,12 +312,3 @@ def _describe_held_out(answer: Answer, unit: str) -> str:
         f"{share}: rms error {chosen.error * answer.scale:.3g}{unit},"
         f" fit {fit}, one-step residual {white}"
     )
-
-
-def describe_rivals(answer: Answer) -> list[tuple[str, str, float]]:
-    """Describe every model with its probability and its distance behind the best
-    [nats/reading].
-    """
-    odds = {word: f"{100 * share:.1f} %" for word, share in answer.found.odds.items()}
-    rivals = sorted(nats_behind_best(answer.found.models).items(), key=lambda row: row[1])
-    return [(MODELS[word], odds.get(word, "-"), nats) for word, nats in rivals]

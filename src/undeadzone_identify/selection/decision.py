@@ -45,7 +45,6 @@ CHAINED = (
     "filtered_zone",
 )  # words of models/chain.py
 VALVE = ("stiction", "input_play")  # words of a valve's fault
-LOOP = (*VALVE, "external", "tight_tuning")  # words of why a loop swings: models/valve.py
 AS_LINEAR = ("none", "dead_zone", "jump")  # words under which steps may be taken for a zone
 LIMITED = ("none", "saturation", "other")  # words of readings that stick at their limits
 FITTED = ("none", "dead_zone", "zone_and_friction")  # what the fit of a zone of the sensor holds
@@ -85,9 +84,6 @@ MODELS = {
     "input_rate": "a limit of the input's rate",
     "input_play": "play between input and plant",
     "filtered_zone": "a dead zone of the sensor with a filter, two slopes or round edges",
-    "stiction": "a valve that sticks",
-    "external": "an oscillation from outside",
-    "tight_tuning": "a loop that is tuned too tightly",
 }
 
 
