@@ -127,7 +127,7 @@ def _read_arrays(path: Path) -> Arrays:
     if sum(bool(TAGGED.fullmatch(one.name)) for one in named) < 2:
         return signals_of_columns(titles, columns) or {}
     numbers, times = numbers_of_columns(titles, columns)
-    first = {"t": numbers[k] for k in times[:1]}
+    first = dict(zip("t", [numbers[k] for k in times[:1]], strict=False))
     return first | dict(zip(titles, numbers, strict=False)) | first
 
 
