@@ -79,14 +79,13 @@ def rank_folder(count: int, first: int) -> str:
             while not kept.exists() or kept.read_bytes().count(b"\n") <= count // 2:
                 time.sleep(0.1)
             process.kill()
-        before = kept.read_text(encoding="utf-8")
+        before = kept.read_bytes().count(b"\n") - 1
         subprocess.run([*words, "--resume"], cwd=room, check=True)
-        rows = json.loads(Path(room, "o", "loops.json").read_text(encoding="utf-8"))["loops"]
-        same = sum(json.dumps(one) in before for one in rows)
+        rows = json.loads(Path(room, "o", "loops.json").read_bytes())["loops"]
     seconds = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
     return (
-        f"A folder of {count} of these loops by `undeadzone loops`, killed after {same} answers and"
-        f" resumed: {len(rows)} lines, the {same} as they were, {seconds:.0f} CPU s in all."
+        f"A folder of {count} of these loops by `undeadzone loops`, killed after {before} answers"
+        f" and resumed: {len(rows)} lines, {seconds:.0f} CPU s in all."
     )
 
 

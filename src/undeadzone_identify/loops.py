@@ -105,7 +105,8 @@ def judge_loop(tag: str, records: list[Record], folder: Path | None) -> dict[str
         return row | {"verdict": "refused", "found": str(error)}
     numbers = answer.numbers()
     row |= {key: numbers[key] for key in ("verdict", "found", "odds", "records")} | numbers["loop"]
-    row["do"] = [*answer.account.remedies, *answer.account.doubts][:1]
+    cure = answer.found.remarks[-1:] if answer.found.is_thinned else ()
+    row["do"] = [*cure, *answer.account.remedies, *answer.account.doubts][:1]
     if folder is not None:
         page = re.sub(r"[^\w.-]+", "_", tag)
         write_identified(answer, folder / page, tag, build_origin(None))

@@ -150,12 +150,6 @@ def test_its_words_say_what_to_do(named: tuple[ValveLoop, Any]) -> None:
     assert remedy in page
 
 
-def test_a_loop_in_order_is_not_a_valve(tmp_path: Path) -> None:
-    found = uz.identify(write(make(0, "none", SIZE), tmp_path / "loop.csv"))
-    assert found.verdict not in ("stiction", "input_play", "friction", "play")
-    assert found.numbers()["odds"]["sticks"] < 0.5
-
-
 @pytest.mark.parametrize(
     ("names", "word"), [("t,u,y", "operating_point"), *further(("t,OP,PV", "none"))]
 )

@@ -100,7 +100,7 @@ def _build_log(source: str, times: Floats | None, own: Arrays, unit: str) -> Log
     """
     count = own["u"].size
     t = np.arange(count, dtype=float) if times is None else times
-    u, r = (hold_last(own[key][:, None] if key in own else np.empty((count, 0))) for key in "ur")
+    u, r = (hold_last(own.get(key, np.empty(0)).reshape(count, -1)) for key in "ur")
     usable = np.isfinite(u[:, 0]) & np.isfinite(t)
     if not usable.any() or not np.isfinite(own["y"]).any():
         raise FileError(
@@ -127,8 +127,8 @@ def _read_arrays(path: Path) -> Arrays:
     if sum(bool(TAGGED.fullmatch(one.name)) for one in named) < 2:
         return signals_of_columns(titles, columns) or {}
     numbers, times = numbers_of_columns(titles, columns)
-    first = {titles[k] if time_rank(named[k]) >= 0 else "time": numbers[k] for k in times[:1]}
-    return dict(zip(titles, numbers, strict=False)) | first
+    first = dict(zip("t", [numbers[k] for k in times[:1]], strict=False))
+    return first | dict(zip(titles, numbers, strict=False)) | first
 
 
 def read_record(record: Record) -> Log:

@@ -181,8 +181,9 @@ class IdentifiedLoop(SpokenWithoutPlant):
                 f" rms {one.error:{ROUNDED}}{reading}"
                 for k, one in enumerate(found.swings, 1)
             ]
-        if found.remarks:
-            lines["note"] = [*found.remarks]
+        notes = [one for one in found.remarks if one not in self.account.doubts]
+        if notes:
+            lines["note"] = notes
         return lines
 
     @property

@@ -147,7 +147,7 @@ def find_loop_cause(logs: list[Log]) -> LoopFindings:
     resample = None if all(regular for _, regular in steps) else float(np.median(steps, axis=0)[0])
     told = [log._replace(remarks=()) for log in logs[1:]]
     grid = to_grid([logs[0], *told], resample)
-    y, exception = _undo_exceptions(grid.y, grid.ok)
+    y, exception = _undo_exceptions(grid.y, grid.ok) if hold == 1 else (grid.y, 0.0)
     grid = grid._replace(y=y)
     ends = np.append(grid.start[1:], grid.t.size)
     parts = []
@@ -172,6 +172,7 @@ def find_loop_cause(logs: list[Log]) -> LoopFindings:
     if stored:
         remarks.append(f"the historian {stored}: set it to 0 and record again")
     word = _name_cause(odds, swings, bool(exception) or (hold > 1 and logs is not whole))
+    word = "undecided" if stored and word == "noise" else word
     return LoopFindings(word, odds, stick, jump, swings, exception, bool(stored), tuple(remarks))
 
 
