@@ -48,6 +48,7 @@ DECAYS: Final = ((0.02, 0.03), (0.06, 0.1), (0.18, 0.3), (0.56, 0.3))
 NEAR: Final = 1e-6  # of a state, that its set spans at least, at the start of the search
 SPREAD: Final = 0.5  # of it, of the set at the start of the search
 DIGITS: Final = 4  # of a bound that is printed
+GROWTH: Final = 1.001  # of a set beyond what its roundings need, so that two passes do
 PASSES: Final = 20  # of a set's rounding, which grows with the set, at most
 LEAST: Final = 1e-9  # of the largest bound from outside, that the others count as, at least
 SIGMAS: Final = 4.0  # of a random disturbance, that its bound spans
@@ -217,10 +218,10 @@ def _search_sets(proof: dict[str, Any], code: Code, held: Any) -> list[dict[str,
         held: `hold_exactly` of the plant.
     """
     n = len(proof["plant"]["A"])
-    (E, (D, *_)), (silent, _) = _read_modes(proof, code, held, [Fraction(0)] * n)
-    silent = silent[:n, :n]
+    silent, D = np.array(held, float)[:, :n], float(proof["sensor"]["width_max"])
     slowest = 1 - np.abs(np.linalg.eigvals(silent)).max()
-    driven = np.outer(E[:n, n], E[:n, n]) * D**2 / (SPREAD * slowest)
+    pushed = D * np.array(proof["gains"][:n], float)
+    driven = np.outer(pushed, pushed) / (SPREAD * slowest)
     X = solve_discrete_lyapunov(silent / np.sqrt(1 - SPREAD * slowest), driven)
     start = block_diag(np.linalg.inv(X + NEAR * np.diag(np.diag(X))), np.eye(2) / D**2)
     modes = _read_modes(proof, code, held, list(map(_round_up, np.sqrt(np.diag(X)))))
@@ -316,7 +317,7 @@ def _fit_set(proof: dict[str, Any], code: Code, held: Any, one: dict[str, Any]) 
         )
         if min(needed, 1.0) >= scale:
             break
-        scale = needed / ROOM
+        scale = needed / GROWTH
     for name in names:
         one[name]["loud"] *= scale
         one[name]["clip"] *= scale
