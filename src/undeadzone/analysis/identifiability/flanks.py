@@ -35,6 +35,23 @@ UNRESOLVED = 5.0  # sample times, over the time in which friction of a motor fad
 FLOATING = 0.7  # share of crossings that show, below which a coupled link floats
 WINDOW = 0.15  # [s] for which a strike is looked for
 SETTLED = 1e-6  # change of a variance by a sample, relative, below which it no longer changes
+REASONS = {  # why a gap cannot be known, by the first condition that a joint does not meet
+    "light": "friction stops the light motor of {light} (inertia {inertia:.2g}) within "
+    "{samples:.2g} samples, which disturbs every filter: no gap can be known. Check its inertia "
+    "and friction, or sample faster",
+    "coupled": "turns about nearly the same axis as {partner} (coupling {ratio:.3g}): joint by "
+    "joint its gap cannot be known; give observer.groups = [{group}], or move where their axes are "
+    "apart",
+    "with a lost one": "moves with {partner} (coupling {ratio:.3g}), whose own gap cannot be known "
+    "for its coupling, as this one. Move to a posture in which its axis is apart from all others",
+    "floating": "{quiet} of {crossed} crossings show no strike: its link floats in the gap, and "
+    "joint by joint it is lost: its gap cannot be known. Turn it faster, or load it",
+    "known": "",
+    "hidden": "a strike changes the speed of its motor by {jump:.2g} {angle}/s at most, which "
+    f"noise and unknown torque hide ({{shown:.2g}} of {DETECTED:g} deviations): its gap cannot be "
+    "known. Turn it faster",
+    "not crossed": "its link never crossed the gap: its gap cannot be known. Turn it faster",
+}
 
 
 class FlankVisits(NamedTuple):
@@ -247,25 +264,34 @@ def gap_identifiability(
         else:  # an encoder at the link tells where it is
             unit = np.inf
         detected = int(np.count_nonzero(unit * strikes >= DETECTED))
-        if fading[lightest] > UNRESOLVED:
-            why = _light_reason(
-                body.chain.joints[lightest], inertia[lightest], 1 / fading[lightest]
-            )
-        elif coupling[i].ratio > COUPLED:
-            why = _coupling_reason(i, coupling[i].partner, coupling[i].ratio, body.chain.joints)
-        elif coupling[i].ratio > EVEN and coupling[coupling[i].partner].ratio > COUPLED:
-            why = _lost_partner_reason(body.chain.joints[coupling[i].partner], coupling[i].ratio)
-        elif detected < FLOATING * found.rows.size and detected and coupling[i].ratio > EVEN:
-            why = _floating_reason(detected, found.rows.size)
-        elif detected:
-            why = ""
-        elif found.rows.size:
-            why = _strike_reason(float(strikes.max()), unit, "m" if body.chain.slides else "rad")
-        elif visits[i].right and visits[i].left:
-            why = "its link never crossed the gap: its gap cannot be known. Turn it faster"
-        else:
+        ratio, partner = coupling[i].ratio, coupling[i].partner
+        cases = {
+            "light": fading[lightest] > UNRESOLVED,
+            "coupled": ratio > COUPLED,
+            "with a lost one": ratio > EVEN and coupling[partner].ratio > COUPLED,
+            "floating": detected < FLOATING * found.rows.size and detected and ratio > EVEN,
+            "known": detected,
+            "hidden": found.rows.size,
+            "not crossed": visits[i].right and visits[i].left,
+        }
+        case = next((name for name, holds in cases.items() if holds), None)
+        if case is None:
             place = torque_free_position(body, links, path[:, 0].mean(axis=0), i)
             why = _gap_reasons(place, "" if body.chain.slides else " rad")
+        else:
+            why = REASONS[case].format(
+                light=body.chain.joints[lightest],
+                inertia=inertia[lightest],
+                samples=1 / max(fading[lightest], UNRESOLVED),
+                partner=body.chain.joints[partner],
+                ratio=ratio,
+                group=sorted((i, partner)),
+                quiet=found.rows.size - detected,
+                crossed=found.rows.size,
+                jump=strikes.max(initial=0.0),
+                shown=unit * strikes.max(initial=0.0),
+                angle="m" if body.chain.slides else "rad",
+            )
         known = not why
         whys = (why,) if why else ()
         verdicts.append(WidthIdentifiability(known, known, known, known, whys, crossings=detected))
@@ -286,49 +312,6 @@ def _strikes(gears: Geared, params: Floats, x: Floats, i: int, found: Crossings)
         link = 1 / np.linalg.inv(M)[i, i]
         jumps.append(link / (inertia[i] + link) * speed)
     return np.array(jumps)
-
-
-def _coupling_reason(i: int, partner: int, ratio: float, joints: Sequence[str]) -> str:
-    """Describe that two joints turn about nearly one axis."""
-    return (
-        f"turns about nearly the same axis as {joints[partner]} (coupling {ratio:.3g}): joint by "
-        f"joint its gap cannot be known; give observer.groups = [{sorted((i, partner))}], or move "
-        "where their axes are apart"
-    )
-
-
-def _lost_partner_reason(partner: str, ratio: float) -> str:
-    """Describe that a joint moves with one whose filter is lost."""
-    return (
-        f"moves with {partner} (coupling {ratio:.3g}), whose own gap cannot be known for its "
-        "coupling, as this one. Move to a posture in which its axis is apart from all others"
-    )
-
-
-def _light_reason(joint: str, inertia: float, samples: float) -> str:
-    """Describe that friction stops a motor too soon for the sample time."""
-    return (
-        f"friction stops the light motor of {joint} (inertia {inertia:.2g}) within {samples:.2g} "
-        "samples, which disturbs every filter: no gap can be known. Check its inertia and "
-        "friction, or sample faster"
-    )
-
-
-def _floating_reason(detected: int, crossed: int) -> str:
-    """Describe that a link of an arm also drifts across its gap without a strike that shows."""
-    return (
-        f"{crossed - detected} of {crossed} crossings show no strike: its link floats in the "
-        "gap, and joint by joint it is lost: its gap cannot be known. Turn it faster, or load it"
-    )
-
-
-def _strike_reason(jump: float, unit: float, name: str) -> str:
-    """Describe that noise and unknown torque hide the strikes at a gap's ends."""
-    return (
-        f"a strike changes the speed of its motor by {jump:.2g} {name}/s at most, which noise and "
-        f"unknown torque hide ({unit * jump:.2g} of {DETECTED:g} deviations): its gap cannot be "
-        "known. Turn it faster"
-    )
 
 
 def _gap_reasons(place: float | None, unit: str) -> str:
