@@ -48,6 +48,7 @@ COPY: Final = 1 - 1e-9  # correlation of a column with its copy
 SUM: Final = 0.999  # and of its changes with what it adds up
 USED: Final = (0.005, 0.995)  # quantiles of a column beyond which values are cut
 SINCE_2001: Final = 1e9  # [s] since 1970
+LATEST: Final = 100.0  # of that, from which a time is in milliseconds or less
 UNEVEN: Final = 0.005  # share of the steps of a clock that are longer or shorter by one
 PAST: Final = 16  # the part of a log that counts as the past of a sample: at least one of these
 LONGER: Final = (8, 32)  # samples whose means show what the noise of single ones hides
@@ -294,12 +295,16 @@ class _Header(NamedTuple):
     def seconds(self, k: int) -> float | None:
         """Return the length of a unit of time [s]; None if it counts samples. Raises FileError.
 
-        Whole numbers without a unit, unevenly apart, are the milliseconds of a microcontroller.
+        Without a unit, whole numbers unevenly apart are the milliseconds of a microcontroller, and
+        times since 1970 have the unit that puts them after 2001.
         """
         title = self.titles[k]
         unit = _seconds(title, self.source)
         if unit != 1.0 or not self.is_open or self.values is None or add_unit(title).unit:
             return unit
+        since = float(np.nanmax(self.values[:, k])) / SINCE_2001
+        if since > LATEST:
+            return 1e-3 ** round(np.log10(since) / 3)
         steps = np.diff(self.values[:, k])
         usual = np.median(steps[steps > 0]) if (steps > 0).any() else 0.0
         is_whole = not (steps % 1).any() and np.abs(self.values[:, k]).max() < SINCE_2001
