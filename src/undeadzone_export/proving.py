@@ -189,7 +189,7 @@ def _ranges_of_run(problem: Problem) -> dict[str, Any]:
 def _read_modes(
     proof: dict[str, Any], code: Code, held: Any, reach: Any
 ) -> list[tuple[Floats, Floats]]:
-    """Return, on the right and in silence, what a step makes of errors and of what is outside.
+    """Return the errors after a step by those before and by the world, on the right and in silence.
 
     Args:
         proof: its plant and bounds.
@@ -297,7 +297,7 @@ def _minimise_radius(
 
 
 def _fit_set(proof: dict[str, Any], code: Code, held: Any, one: dict[str, Any]) -> dict[str, Any]:
-    """Return a set large enough for the roundings within it, and how far it reaches.
+    """Return a set large enough for the roundings within, and its reach.
 
     Args:
         proof: its plant and bounds.

@@ -77,7 +77,7 @@ def loops(source: Path, workers: int, resume: bool, output: Output) -> int:
         written.append(write_text(_as_json(numbers), folder / "loops.json"))
     if keep is not None:
         keep.unlink(missing_ok=True)
-    table = [HEAD, *(cells_of_row(row) for row in rows)]
+    table = [HEAD, *map(cells_of_row, rows)]
     output.print_result(lambda: {"loops": rows}, lambda: [table], written, files_line(written))
     return int(any(row["verdict"] == "refused" for row in rows))
 

@@ -54,7 +54,7 @@ def hold_exactly(plant: Any) -> list[Row]:
 
 
 def map_step(proof: Any, code: Code, held: Any, mode: str) -> tuple[list[Row], Row]:
-    """Return what a step makes of errors and of what comes from outside, and how large that is.
+    """Return the errors after a step by those before and by the world, and the size of the latter.
 
     Errors are those of states and widths. From outside come the error of a reading, disturbances,
     and in each state and in the width of this side all else: rounding, and a plant that is not the
@@ -71,7 +71,7 @@ def map_step(proof: Any, code: Code, held: Any, mode: str) -> tuple[list[Row], R
     spans = [[(-x, x) for x in each] for each in (near, bounds["u"])]
     reading = seen if side else [-low, low]
     behind = code.step([(1, 1), *spans[0], (0, D), (0, D), reading, *spans[1]], mode != "none")
-    pushed = [sum(each) for each in zip(bounds["u"], bounds["disturbance"], strict=True)]
+    pushed = list(map(sum, zip(bounds["u"], bounds["disturbance"], strict=True)))
     sizes = [1, *bounds["x"], D, D, 0, *pushed]
     unit = make_identity(len(sizes))
     true = [[ZERO, *row[:n], ZERO, ZERO, ZERO, *row[n:]] for row in held] + unit[n + 1 : n + 3]

@@ -321,7 +321,7 @@ class KernelPrinter:
         for u in self.groups:
             for i, node in enumerate(self.out):
                 text.store(names[u](node), f"%outputs{u}_{i}", vector=True)
-        merged = [[[names[u](node) for node in self.following] for u in self.groups]]
+        merged = [[list(map(names[u], self.following)) for u in self.groups]]
         came = [text.block]
         if self.flag:
             last, changed = self.rare.print_cold_call(

@@ -65,7 +65,7 @@ def stamps_of(texts: Iterable[str]) -> Stamps | None:
     Args:
         texts: the first ones.
     """
-    found = list(filter(None, (_match_stamp(text) for text in texts)))
+    found = list(filter(None, map(_match_stamp, texts)))
     if not found:
         return None
     day_first = None

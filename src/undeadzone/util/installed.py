@@ -84,7 +84,7 @@ def _readable_entry_points(group: str) -> Iterator[EntryPoint]:
 
 
 def advise_on_arena() -> str:
-    """Return which package has the methods of the literature, if it is not installed."""
+    """Name the package of the methods of the literature, unless it is installed."""
     return "" if "arena" in list_registered_places("undeadzone.commands") else f". {ARENA}"
 
 

@@ -102,7 +102,7 @@ def signals_of_columns(titles: Sequence[str], columns: Sequence[Sequence[str]]) 
 def numbers_of_columns(
     titles: Sequence[str], columns: Sequence[Sequence[str]]
 ) -> tuple[list[Floats], list[int]]:
-    """Return the numbers of columns, and which columns are times: the first has them joined.
+    """Return the numbers of columns, and the columns of times, joined in the first.
 
     Args:
         titles: of the columns.

@@ -143,7 +143,7 @@ def find_loop_cause(logs: list[Log]) -> LoopFindings:
     hold = max(map(_samples_of_hold, logs))
     whole = [_drop_held(log, hold) for log in logs]
     logs = whole if max(log.t.size for log in whole) >= LEAST else logs
-    steps = [find_sample_time(log) for log in logs]
+    steps = list(map(find_sample_time, logs))
     resample = None if all(regular for _, regular in steps) else float(np.median(steps, axis=0)[0])
     told = [log._replace(remarks=()) for log in logs[1:]]
     grid = to_grid([logs[0], *told], resample)
