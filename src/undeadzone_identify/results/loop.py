@@ -186,8 +186,7 @@ class IdentifiedLoop(Spoken):
         lines["loop"] = self.swing_in_words
         travel = f"the stem travels {read_number(found.median('travel'))}{unit} a day"
         error = f"rms of PV - SP {read_number(found.median('error'))}{reading}"
-        share = read_number(100 * found.median("share"), 2)
-        lines["cost"] = f"{error} ({share} % of SP); {travel}"
+        lines["cost"] = f"{error} ({read_number(100 * found.median('share'), 2)} % of SP); {travel}"
         if len(found.swings) > 1:
             lines["by record"] = [
                 f"{k}: S by the ellipse {read_number(one.expected)}{unit}"
