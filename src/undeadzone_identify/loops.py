@@ -124,7 +124,7 @@ def cells_of_row(row: dict[str, Any]) -> list[str]:
         return [row["loop"], "refused", *["-"] * 5, row["found"]]
     word, share = next(iter(row["odds"].items()))
     sizes = [describe_interval(Interval(*row[key]), "") for key in ("S", "J")]
-    cost = f"{read_number(row['error'])} ({100 * row['cost']:.2g} % of SP)"
+    cost = f"{read_number(row['error'])} ({read_number(100 * row['cost'], 2)} % of SP)"
     odds = f"{word} {100 * share:.0f} %"
     rest = [cost, read_number(row["travel"]), *(row["do"] or ["-"])]
     return [row["loop"], row["verdict"], odds, *sizes, *rest]

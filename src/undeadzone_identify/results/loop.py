@@ -36,7 +36,6 @@ WORDS = {  # name and effect of a cause
     "none": ("The valve follows", ""),
 }
 CAUSES = {"sticks": "the valve sticks", "tight_tuning": "tight tuning", "external": "from outside"}
-ROUNDED = ".3g"
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -173,12 +172,12 @@ class IdentifiedLoop(SpokenWithoutPlant):
         lines["if it sticks"] = self.size_in_words
         lines["loop"] = self.swing_in_words
         travel = f"the stem travels {read_number(found.median('travel'))}{unit} a day"
-        error = f"rms of PV - SP {found.median('error'):{ROUNDED}}{reading}"
-        lines["cost"] = f"{error} ({100 * found.median('share'):.2g} % of SP); {travel}"
+        error = f"rms of PV - SP {read_number(found.median('error'))}{reading}"
+        lines["cost"] = f"{error} ({read_number(100 * found.median('share'), 2)} % of SP); {travel}"
         if len(found.swings) > 1:
             lines["by record"] = [
-                f"{k}: S by the ellipse {one.expected:{ROUNDED}}{unit} ({100 * one.ellipse:.0f} %),"
-                f" rms {one.error:{ROUNDED}}{reading}"
+                f"{k}: S by the ellipse {read_number(one.expected)}{unit}"
+                f" ({100 * one.ellipse:.0f} %), rms {read_number(one.error)}{reading}"
                 for k, one in enumerate(found.swings, 1)
             ]
         notes = [one for one in found.remarks if one not in self.account.doubts]
@@ -191,15 +190,19 @@ class IdentifiedLoop(SpokenWithoutPlant):
         """Return whether the loop swings regularly, and how long its period is."""
         r, period = math.exp(self.found.feature("regularity")), self.found.median("period")
         unit = "samples" if self.logs[0].counted else "s"
-        how = f"swings regularly, period {period:.3g} {unit}" if r > 1 else "no regular swing"
-        return f"{how} (r {r:.2g})"
+        how = (
+            f"swings regularly, period {read_number(period)} {unit}"
+            if r > 1
+            else "no regular swing"
+        )
+        return f"{how} (r {read_number(r, 2)})"
 
     drawn = ("undeadzone_identify.figures", "loop_over_time", "loop_ellipse")
 
 
-def read_number(x: float) -> str:
-    """Return a number of three digits as a person reads it, without a power of ten."""
-    return f"{float(f'{x:.3g}'):,.10g}"
+def read_number(x: float, digits: int = 3) -> str:
+    """Return a number of some digits as a person reads it, without a power of ten."""
+    return f"{float(f'{x:.{digits}g}'):,.10g}"
 
 
 def _exact(**numbers: float) -> Numbers:

@@ -167,7 +167,8 @@ def find_loop_cause(logs: list[Log]) -> LoopFindings:
     )
     stored = f"holds PV for {hold} samples" if hold > 1 else ""
     if exception:
-        stored = f"stores changes of PV above {exception:.2g} only (exception deviation)"
+        least = np.format_float_positional(exception, 2, fractional=False, trim="-")
+        stored = f"stores changes of PV above {least} only (exception deviation)"
     remarks = [*grid.remarks, *[left] * (len(asked) < len(usable))]
     if stored:
         remarks.append(f"the historian {stored}: set it to 0 and record again")
