@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 from benchmarks.identify import labelled_records as bench
-from benchmarks.identify.logs.strangers import ALL, EARLIER, KINDS, LATER
 
 import undeadzone as uz
 from undeadzone.errors import InputError
@@ -67,7 +66,3 @@ def test_a_false_name_stops_the_gate(
         bench.table()
     monkeypatch.setitem(EXPECTED, "N_2", ("stiction", {"stiction": 0.79, "none": 0.21}))
     assert "WRONG" in bench.table()
-
-
-def test_each_kind_of_strangers_is_counted_once() -> None:
-    assert len(ALL) == len(KINDS) + len(EARLIER) + len(LATER)
