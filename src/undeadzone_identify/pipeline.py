@@ -20,6 +20,7 @@ import numpy as np
 from undeadzone.errors import InputError
 from undeadzone.nonlinearities.sensor import offset
 from undeadzone.util.answers import Answers
+from undeadzone.util.arrays import turns
 from undeadzone.util.installed import use_one_blas_thread
 from undeadzone.util.progress import notebook_progress
 from undeadzone_identify.logs.grid import Grid, find_sample_time, shorten_log, to_grid
@@ -33,7 +34,6 @@ from undeadzone_identify.logs.prepare import (
     require_readings,
 )
 from undeadzone_identify.looks.first import Looks, look_at
-from undeadzone_identify.looks.rows import turns
 from undeadzone_identify.models.chain import find_input_zero, fit_chains
 from undeadzone_identify.models.elements import (
     MapModel,

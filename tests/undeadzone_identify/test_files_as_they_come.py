@@ -184,8 +184,8 @@ def test_where_fewer_than_two_columns_vary_the_file_is_refused(tmp_path: Path) -
 def test_a_position_is_no_speed_and_a_current_a_torque() -> None:
     for name, unit, kind in (
         *(("current position", "", "position"), ("position", "rpm", "speed")),
-        *(("present current", "mA", "torque")),
-        *(("MV", "", "op")),
+        ("present current", "mA", "torque"),
+        ("MV", "", "op"),
         *(("target speed", "rpm", "goal"), ("LIC7.SP", "", "sp"), ("x", "", "other")),
     ):
         assert kind_of(name, unit) == kind, name

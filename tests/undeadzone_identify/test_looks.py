@@ -10,13 +10,13 @@ import pytest
 from benchmarks.identify.logs.doors import KINDS
 
 from records import holds
-from undeadzone.util.arrays import Floats
+from undeadzone.util.arrays import Floats, turns
 from undeadzone_identify.looks import edges as edges_module
 from undeadzone_identify.looks import map as maps
 from undeadzone_identify.looks import rate, rows
 from undeadzone_identify.looks.map import Edge, FlatPart, RestMap, map_at_rest
 from undeadzone_identify.looks.rate import map_of_rate
-from undeadzone_identify.looks.rows import noise_of, rows_at_rest, turns
+from undeadzone_identify.looks.rows import noise_of, rows_at_rest
 from undeadzone_identify.looks.stillness import longest_stillness
 
 Shape = Callable[[Floats], Floats]

@@ -35,7 +35,12 @@ from undeadzone.util.arrays import Flags, Floats, Integers
 
 DATES: Final = ("date", "datum", "fecha", "day")  # beside a column of times of day
 # Pairs of an input and a reading that are met more often than others, and by how much [rank].
-PAIRS: Final = {("goal", "position"): 0.3, ("drive", "speed"): 0.2, ("position", "force"): 13.0}
+PAIRS: Final = {
+    ("goal", "position"): 0.3,
+    ("drive", "speed"): 0.2,
+    ("position", "force"): 13.0,
+    ("drive", "force"): 13.0,
+}
 BY_HAND: Final = 40.0  # rank of a column of a table that runs evenly, as of an exact name
 COMMON: Final = 6.0  # rank of an input and a reading of one name
 EVEN_BY_HAND: Final = 1e-6  # of the range, as far as what is set by hand is uneven
@@ -435,7 +440,8 @@ class _Header(NamedTuple):
         for one, other in itertools.permutations(range(len(words)), 2):
             more = {*words[one].split()} - {*words[other].split()}
             is_longer = len(words[one].split()) == len(words[other].split()) + len(more)
-            if more and is_longer and kind_of(" ".join(more)) == "goal":
+            is_goal = is_longer and kind_of(" ".join(more)) == "goal"
+            if more and is_goal and self.kinds[other] != "torque":
                 ranks[other] = min(ranks[other], BESIDE)  # the same without the words of a goal
         if not self.is_open:
             ranks[ranks == REFERENCE] = 0.0

@@ -251,6 +251,25 @@ def bounds_of_runs(flags: Flags) -> tuple[Integers, Integers]:
     return np.flatnonzero(ends > 0), np.flatnonzero(ends < 0) - 1
 
 
+def turns(u: Floats, more: float) -> Integers:
+    """Return the indices at which a signal turns round, each by more than a distance.
+
+    Args:
+        u: signal (N).
+        more: distance that is no turn yet [u].
+    """
+    found, way, top = [], 0, 0
+    kept = np.flatnonzero(np.diff(np.sign(np.diff(u, prepend=u[:1])), append=0))
+    for k in [*kept.tolist(), u.size - 1]:
+        ahead = u[k] - u[top]
+        if way * ahead >= 0:
+            way, top = way or int(np.sign(ahead)), k
+        elif abs(ahead) > more:
+            found.append(top)
+            way, top = int(np.sign(ahead)), k
+    return np.array(found, int)
+
+
 def to_json_value(value: Any) -> Any:
     """Return a value for JSON, which has no nan or inf: None in their place.
 

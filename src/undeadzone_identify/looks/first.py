@@ -52,7 +52,7 @@ def look_at(log: Log) -> Looks:
     if kind == "torque":
         moves = read in ("position", "speed")
         return Looks(friction=friction_level(t, u, y, read == "speed") if moves else None)
-    at_rest = map_at_rest(t, u, y)
+    at_rest = map_at_rest(t if log.has_clock else None, u, y)
     is_seen = at_rest is not None and (
         bool(at_rest.flats) or at_rest.rows.how in ("table", "holds")
     )

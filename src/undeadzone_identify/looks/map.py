@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import savgol_filter
 
-from undeadzone.util.arrays import Flags, Floats, bounds_of_runs
+from undeadzone.util.arrays import Flags, Floats, bounds_of_runs, turns
 from undeadzone_identify.logs.grid import find_quantum
 from undeadzone_identify.looks.edges import KNOWN, Levels, Side, find_runs, fit_side, price
 from undeadzone_identify.looks.rows import (
@@ -21,7 +21,6 @@ from undeadzone_identify.looks.rows import (
     Rows,
     noise_of,
     rows_at_rest,
-    turns,
 )
 from undeadzone_identify.models.estimates import Interval
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.logs.kinds import TABLE
-from undeadzone.util.arrays import Flags, Floats, Integers
+from undeadzone.util.arrays import Flags, Floats, Integers, turns
 from undeadzone_identify.logs.grid import find_quantum
 from undeadzone_identify.models.motion import white_noise_rms
 
@@ -47,9 +47,16 @@ def rows_at_rest(t: Floats | None, u: Floats, y: Floats, levels: int = LEVELS) -
         y: readings, some may be missing (N).
         levels: least number of different commands.
     """
+    is_table = t is None
     u, y = known_samples(t, u, y)[1:]
     if np.unique(u).size < levels or np.ptp(y) == 0:
         return None
+    leaps = np.abs(np.diff(u)) > STEP * np.ptp(u)
+    sweeps = np.split(u, np.flatnonzero(leaps) + 1)
+    repeats = len(sweeps) > 1 and min(np.unique(one).size for one in sweeps) >= levels
+    one_way = np.ptp(np.sign(np.diff(u)[~leaps])) < 2  # the same sweep again and again
+    if is_table and (u.size < TABLE or (repeats and one_way)):
+        return Rows(u, y, last_changes(u), "table")
     cut = np.flatnonzero(np.diff(u, prepend=np.nan, append=np.nan))
     length = np.diff(cut)
     came = last_changes(u)
@@ -74,25 +81,6 @@ def last_changes(u: Floats) -> Floats:
     change = np.sign(np.diff(u, prepend=u[:1]))
     last = np.maximum.accumulate(np.where(change != 0, np.arange(u.size), 0))
     return np.asarray(change[last])
-
-
-def turns(u: Floats, more: float) -> Integers:
-    """Return the indices at which a signal turns round, each by more than a distance.
-
-    Args:
-        u: signal (N).
-        more: distance that is no turn yet [u].
-    """
-    found, way, top = [], 0, 0
-    kept = np.flatnonzero(np.diff(np.sign(np.diff(u, prepend=u[:1])), append=0))
-    for k in [*kept.tolist(), u.size - 1]:
-        ahead = u[k] - u[top]
-        if way * ahead >= 0:
-            way, top = way or int(np.sign(ahead)), k
-        elif abs(ahead) > more:
-            found.append(top)
-            way, top = int(np.sign(ahead)), k
-    return np.array(found, int)
 
 
 def noise_of(y: Floats) -> float:

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undeadzone.util.arrays import Floats
-from undeadzone_identify.looks.rows import known_samples, turns
+from undeadzone.util.arrays import Floats, turns
+from undeadzone_identify.looks.rows import known_samples
 from undeadzone_identify.models.estimates import Interval, student_quantile
 
 TURN = 0.3  # of the range of u, from which a reversal begins a sweep
