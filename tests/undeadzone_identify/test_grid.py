@@ -22,7 +22,8 @@ def test_inputs_on_a_new_grid_are_those_from_their_own_time_on() -> None:
     """Readings at every fourth of uneven stamps have a grid of their own."""
     t = np.cumsum(np.tile([0.05, 0.15], 200))
     grid = to_grid([log_from_arrays(u=t, y=np.where(np.arange(400) % 4, np.nan, t), t=t)])
-    assert grid.ok.all() and grid.step == pytest.approx(0.4)
+    assert grid.ok.all()
+    assert grid.step == pytest.approx(0.4)
     np.testing.assert_allclose([grid.u[:, 0], grid.y], [grid.t, grid.t], atol=1e-12)
 
 
