@@ -34,7 +34,7 @@ from undeadzone_export.code import build_code
 from undeadzone_export.compiler import compile_library, write_sources
 from undeadzone_export.exported_step import build_step
 from undeadzone_export.source import Labels, build_source
-from undeadzone_proof import state_theorem, to_numbers, verify_proof
+from undeadzone_proof import FAULTS, state_theorem, to_numbers, verify_proof
 from undeadzone_proof.source import Refused
 from undeadzone_proof.theorem import hold_exactly
 
@@ -168,7 +168,7 @@ def is_refused(proof: Any) -> bool:
     """Whether the checker refuses a proof."""
     try:
         verify_proof(proof)
-    except (Refused, LookupError, ValueError, TypeError, ArithmeticError, AttributeError):
+    except (Refused, *FAULTS):
         return True
     return False
 

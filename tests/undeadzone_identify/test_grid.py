@@ -13,16 +13,18 @@ from undeadzone_identify.logs.grid import (
     find_quantum,
     find_sample_time,
     round_to_steps,
+    to_grid,
 )
 from undeadzone_identify.logs.log import log_from_arrays
 
 
 def test_inputs_on_a_new_grid_are_those_from_their_own_time_on() -> None:
-    t = np.arange(0.0, 4.0, 0.1)
-    log = log_from_arrays(u=t.copy(), y=t.copy(), t=t)
-    piece = _put_on_grid(log, 0.2, False, [])
-    np.testing.assert_allclose(piece.u[:, 0], piece.t, atol=1e-12)
-    np.testing.assert_allclose(piece.y, piece.t, atol=1e-12)
+    """Readings at every fourth of uneven stamps have a grid of their own."""
+    t = np.cumsum(np.tile([0.05, 0.15], 200))
+    grid = to_grid([log_from_arrays(u=t, y=np.where(np.arange(400) % 4, np.nan, t), t=t)])
+    assert grid.ok.all()
+    assert grid.step == pytest.approx(0.4)
+    np.testing.assert_allclose([grid.u[:, 0], grid.y], [grid.t, grid.t], atol=1e-12)
 
 
 def test_a_divisor_of_moves_far_from_0_is_found() -> None:

@@ -95,6 +95,9 @@ def to_grid(logs: list[Log], resample: float | None = None) -> Grid:
                 f"{log.source}: has {log.u.shape[1]} inputs, others have another number"
             )
         found, is_regular = find_sample_time(log)
+        apart = np.diff(log.t[np.isfinite(log.y).all(axis=1)])
+        if not is_regular and apart.size and np.median(apart) > BRIDGED * found:
+            found = float(np.median(apart))  # readings come more rarely than stamps
         steps.append(found if resample is None else resample)
         log = log._replace(r=log.r[:, :known])  # of one log alone, the reference is not used
         pieces.append(_put_on_grid(log, steps[-1], is_regular and resample is None, remarks))
