@@ -159,8 +159,8 @@ class _BlockBuilder:
         names = [
             *([f"{name}_{k}" for name, k in member_entries(field)] for field in fields),
             [f"{name}_was_{k}" for name, k in states],
-            [f"missing_{k}" for k in readings],
-            [f"read_{k}" for k in readings],
+            list(map("missing_{}".format, readings)),
+            list(map("read_{}".format, readings)),
             [f"next_{name}_{k}" for name, k in states],
         ]
         # The language takes names that differ by capitals alone for one.
