@@ -1,4 +1,4 @@
-"""Sensors that have a shape: what round edges, other slopes, filters and repeats do to the filters.
+"""Sensors with a shape, or more noise than declared: what these do to the filters.
 
 Every problem is solved by a filter that takes the sensor for exact and by the one that allows for
 a shape, as it does by default.
@@ -47,9 +47,27 @@ Read = Callable[[np.random.Generator, Floats, Floats, Floats], Floats]
 """(generator, z (samples x K), d (K x 2), noise (K)) -> readings (samples x K)."""
 
 
-def exact(rng: np.random.Generator, z: Floats, d: Floats, noise: Floats) -> Floats:
-    """The readings of an exact dead zone."""
-    return np.asarray(deadzone(z, *d.T) + noise * rng.normal(size=z.shape))
+def louder(times: float) -> Read:
+    """The readings of an exact dead zone, with so many times the noise that is declared."""
+
+    def read(rng: np.random.Generator, z: Floats, d: Floats, noise: Floats) -> Floats:
+        return np.asarray(deadzone(z, *d.T) + times * noise * rng.normal(size=z.shape))
+
+    return read
+
+
+exact = louder(1.0)
+
+
+def humming(rng: np.random.Generator, z: Floats, d: Floats, noise: Floats) -> Floats:
+    """A tone of 0.07 mean half widths, peak, that repeats after 12 samples."""
+    tone = np.sin(np.arange(len(z)) * np.pi / 6)[:, None]
+    return exact(rng, z, d, noise) + 0.07 * d.mean(axis=1) * tone
+
+
+def jittering(rng: np.random.Generator, z: Floats, d: Floats, noise: Floats) -> Floats:
+    """Edges that are elsewhere at each sample, by a tenth of the mean half width."""
+    return exact(rng, z + 0.1 * d.mean(axis=1) * rng.normal(size=z.shape), d, noise)
 
 
 def rounded(share: float) -> Read:
@@ -64,12 +82,11 @@ def rounded(share: float) -> Read:
     return read
 
 
-def steep(right: float, left: float) -> Read:
-    """Slopes that are not 1."""
+def steep(slope: float) -> Read:
+    """A slope that is not 1."""
 
     def read(rng: np.random.Generator, z: Floats, d: Floats, noise: Floats) -> Floats:
-        y = deadzone(z, *d.T)
-        return np.asarray(np.where(y > 0, right, left) * y + noise * rng.normal(size=z.shape))
+        return np.asarray(slope * deadzone(z, *d.T) + noise * rng.normal(size=z.shape))
 
     return read
 
@@ -121,13 +138,6 @@ def repeating(share: float) -> Read:
     return read
 
 
-def median_of_5(rng: np.random.Generator, z: Floats, d: Floats, noise: Floats) -> Floats:
-    """The median of the last five readings."""
-    y = exact(rng, z, d, noise)
-    windows = np.stack([np.vstack([y[:k], y[: len(y) - k]]) for k in range(5)])
-    return np.asarray(np.median(windows, axis=0))
-
-
 def stuck(samples: int, again: float = 0.0) -> Read:
     """A sensor that is stuck from the middle on, but for noise in `again` of its rms."""
 
@@ -143,20 +153,22 @@ def stuck(samples: int, again: float = 0.0) -> Read:
 SENSORS: dict[str, Read] = {
     "honest": exact,
     "edges rounded 0.1": rounded(0.1),
-    "slope 1.05": steep(1.05, 1.05),
-    "slope 1.1": steep(1.1, 1.1),
-    "right slope 1.1": steep(1.1, 1.0),
+    "slope 1.05": steep(1.05),
+    "slope 1.1": steep(1.1),
     "mean of 3": averaged(3),
     "mean of 8": averaged(8),
     "lag of 3 samples": lagging(3.0),
     "2 % repeat": repeating(0.02),
     "10 % repeat": repeating(0.1),
     "50 % repeat": repeating(0.5),
-    "median of 5": median_of_5,
     "stuck for 160": stuck(160),
     "stuck and noisy for 160": stuck(160, 1.0),
     "widths grow 20 %": growing(0.2),
     "edges rounded 0.3": rounded(0.3),
+    "noise x 3": louder(3.0),
+    "noise x 5": louder(5.0),
+    "hum": humming,
+    "edges jitter": jittering,
 }
 
 
