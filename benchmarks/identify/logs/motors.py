@@ -134,6 +134,7 @@ def record_both(motor: Motor, seed: int) -> tuple[Floats, Floats]:
             push = INERTIA * (STIFFNESS * error - 1.4 * math.sqrt(STIFFNESS) * rate)
             u[k] = min(max(push, -MOST), MOST)
         before = now
-        data.ctrl[0] = u[k]
-        mujoco.mj_step(model, data, PARTS)
+        # A step's torque acts about its start, half of it before.
+        for data.ctrl[0], steps in ((u[k - min(k, 1) : k + 1].mean(), 1), (u[k], PARTS - 1)):
+            mujoco.mj_step(model, data, steps)
     return u, y

@@ -28,8 +28,10 @@ from undeadzone.util.arrays import Floats, hold_last, shift_rows
 from undeadzone.util.progress import notebook_progress
 from undeadzone_identify.fitting.checks import FLAGGED, check_scores, score_readings
 from undeadzone_identify.fitting.free import (
+    COMPLIANCE,
     DELAY,
     EXAMPLE,
+    LOUD,
     FreeNumber,
     Sizes,
     build_free_number,
@@ -244,6 +246,9 @@ def prepare_fit(
             if name in numbers:
                 raise InputError(f"free: {name} is named twice. Keep one address that names it")
             numbers[name] = build_free_number(name, known[name].value or 0.0, given, sizes)
+    if model.gears is not None:
+        noise = float(np.max(np.hypot(zone.noise, zone.quantum))) or sizes.y / LOUD
+        numbers[COMPLIANCE] = free_within(COMPLIANCE, noise / LOUD, LOUD * noise, noise)
     readings = sum(np.isfinite(record.y).sum() for record in logs)
     if readings < FEWEST * len(numbers):
         raise InputError(
@@ -352,6 +357,7 @@ def _write_numbers(problem: FitProblem, values: Floats, delay: int) -> Scenario:
     found = dict(zip((each.name for each in problem.free), values.tolist(), strict=True))
     start = [found.pop(each.name) for each in problem.free if each.is_start]
     scenario = problem.scenario
+    found.pop(COMPLIANCE, None)
     for name, value in found.items():
         scenario = with_value(scenario, name, value)
     if len(start) == problem.model.n:

@@ -25,8 +25,11 @@ from undeadzone.signals.exosystem import Random
 TABLES: Final = ("plant", "sensor", "actuator", "disturbance")  # whose numbers may be fitted
 PARAMETERS: Final = "plant.parameters."
 WIDTHS: Final = ("sensor.right", "sensor.left", "actuator.right", "actuator.left")
+COMPLIANCE: Final = "contact deviation"  # of gears, by which flanks are off their law of contact
+HALF: Final = "plant.arm.gears.half"
 NOISES: Final = (
     *("sensor.noise", "sensor.noise_before", "disturbance.rms", "disturbance.correlation_time"),
+    COMPLIANCE,
 )
 SIGNED: Final = ("plant.A", "plant.B", "plant.C", "plant.companion")  # entries of any sign
 DELAY: Final = "plant.delay"

@@ -16,16 +16,23 @@ import numpy as np
 from undeadzone.util.arrays import Flags, Floats
 from undeadzone.util.text import HALF_95
 from undeadzone_identify.fitting.problem import FitProblem
-from undeadzone_identify.fitting.search import AT_END, DIFFERENCE, diagonal_of, measure_slope
+from undeadzone_identify.fitting.search import (
+    AT_END,
+    LARGEST_DIFFERENCE,
+    Slope,
+    diagonal_of,
+    measure_slope,
+    root_of_inverse,
+)
 
 BLOCKS: Final = (60, 20)  # of a log, over each of which scores are summed
 SHORTEST: Final = 5  # readings of a block
-APART: Final = 0.3  # of a difference, in deviations: over a jump where a contact closes
+SMALLEST: Final = 1e-6  # difference, in ranges
+SHARES: Final = (0.001, 0.02, 0.3)  # differences, in deviations
 DROP: Final = HALF_95**2 / 2  # of the log likelihood at the ends of an interval
 WIDE: Final = 0.5  # share of its range from which an interval shows nothing
 POINTS: Final = 41  # of a scan of a range
 LINKED: Final = 0.98  # correlation from which two numbers are known together alone
-LEAST: Final = 1e-10  # eigenvalue of an information, over that of 1, that counts
 
 
 class Intervals(NamedTuple):
@@ -58,22 +65,19 @@ def estimate_intervals(problem: FitProblem, point: Floats, value: float) -> Inte
     """
     low, high = problem.low, problem.high
     span = high - low
-    steps = 1e-6 * span
-    for share in (DIFFERENCE, DIFFERENCE, APART):
-        slope = measure_slope(problem, point, steps)
-        deviations = 1 / np.sqrt(diagonal_of(problem, slope.information))
-        steps = np.minimum(share * deviations, 2e-3 * span)
+    slope = _measure_smooth_slope(problem, point)
     at_end = (point <= low + AT_END * span) | (point >= high - AT_END * span)
     free = np.flatnonzero(~at_end)
     inside = np.ix_(free, free)
     cov = np.zeros((point.size, point.size))
     units = 1 / np.sqrt(diagonal_of(problem, slope.information)[free])
-    cov[inside] = _invert_information(slope.information[inside], units)
+    root = root_of_inverse(slope.information[inside], units)
+    cov[inside] = root @ root.T
     variance = np.diag(cov).copy()
     for blocks in BLOCKS:
         wide = cov[inside] @ _sum_block_scores(slope.scores[free], blocks) @ cov[inside]
         variance[free] = np.maximum(variance[free], np.diag(wide))
-    std = np.sqrt(variance)
+    std = np.hypot(np.sqrt(variance), problem.measure_blur(point))
     ends = np.stack([point - HALF_95 * std, point + HALF_95 * std])
     ends = np.clip(ends, low, high)
     scale = np.sqrt(np.maximum(np.diag(cov), 1e-300))
@@ -88,13 +92,18 @@ def estimate_intervals(problem: FitProblem, point: Floats, value: float) -> Inte
     return Intervals(values[0], values[1], std, correlations, directions, narrow)
 
 
-def _invert_information(information: Floats, units: Floats) -> Floats:
-    """Return the inverse of an information about numbers of given units, limited where it has
-    none.
+def _measure_smooth_slope(problem: FitProblem, point: Floats) -> Slope:
+    """Return the derivatives at a point (k), by that difference of each number which shows least.
+
+    Over some differences a contact changes. The jump there would pass for knowledge.
     """
-    values, vectors = np.linalg.eigh(information * np.outer(units, units))
-    rows = units[:, None] * vectors / np.sqrt(np.maximum(values, LEAST))
-    return rows @ rows.T
+    span = problem.high - problem.low
+    first = measure_slope(problem, point, SMALLEST * span)
+    units = 1 / np.sqrt(diagonal_of(problem, first.information))
+    steps = np.minimum(np.outer(SHARES, units), LARGEST_DIFFERENCE * span)
+    steps = np.vstack([steps, -steps])
+    known = [np.diag(measure_slope(problem, point, each).information) for each in steps]
+    return measure_slope(problem, point, np.choose(np.argmin(known, axis=0), steps))
 
 
 def _sum_block_scores(scores: Floats, blocks: int) -> Floats:

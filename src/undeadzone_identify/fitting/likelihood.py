@@ -48,6 +48,7 @@ class FilterNumbers(NamedTuple):
         before, after: noise ahead of the zone (p) [z] and behind it (p) [y].
         rms, correlation_time: of the disturbance (m) [u], (1) [s].
         drive: actuator ahead of the plant (None: there is none).
+        compliance: deviation of a flank's place in a sample from its law (1) [rad].
         heat_before, heat_rms: further noise ahead of the zone (p) [z] and further disturbance
             (m) [u], which make the likelihood of a wrong plant smooth.
     """
@@ -61,6 +62,7 @@ class FilterNumbers(NamedTuple):
     rms: Any
     correlation_time: Any
     drive: Drive | None
+    compliance: Any
     heat_before: Any
     heat_rms: Any
 
@@ -204,6 +206,8 @@ def build_step(model: System, kind: str, like: FilterNumbers) -> ca.Function:
         return ca.vertcat(moved, (memory - 1.0) * X[n:])
 
     Q = ca.diag(ca.vertcat(ca.SX.zeros(n), rms**2 * (1.0 - memory**2)))
+    if model.gears is not None:
+        Q[:n, :n] += q.compliance**2 * _spread_contacts(model, q.plant, belief.mean, u)
     following = predict_first_order(belief, change_all, Q)
     ends = []
     for (h, fresh), pair in zip(rows, cuts, strict=True):
@@ -212,6 +216,27 @@ def build_step(model: System, kind: str, like: FilterNumbers) -> ca.Function:
         ends += [ca.fmin(cut + opened, OPEN) for cut in pair]
     state = ca.vertcat(following.mean, to_upper_entries(following.cov, entries), *ends)
     return ca.Function("fit", [s, w, column], [state, ca.vertcat(*outputs)], {"cse": True})
+
+
+def _spread_contacts(model: System, params: Any, X: Any, u: Any) -> Any:
+    """Return the covariance of x after a sample in which each half gap is off by 1 (n x n).
+
+    A contact that is off its law moves motor and link against each other, and never both together.
+    """
+    gears: Any = model.gears
+    n = model.n
+    change: Any = model.change
+    first = gears.names.index("half1")
+    places = range(first, first + gears.joint_count)
+
+    def shift(half: Any) -> Any:
+        """Return the change of x with other half gaps."""
+        shifted = ca.SX(params)
+        shifted[places] += half
+        return change(shifted, X[:n], u + X[n:])
+
+    _, slope = linearise(shift, ca.SX.zeros(gears.joint_count))
+    return slope @ slope.T
 
 
 def _use_reading(

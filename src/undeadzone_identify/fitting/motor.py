@@ -20,7 +20,7 @@ from undeadzone_identify.logs.grid import Grid
 
 WINDOW: Final = 21  # samples over which derivatives are taken
 GAP: Final = 0.3  # largest half gap, in the deviation of the angle
-STIFF: Final = 0.75  # of a contact, in inertia over squared steps
+STIFF: Final = 1.5  # frequency of a contact, in samples, ahead of the fit
 SHORTEST: Final = 200  # samples
 TEXT: Final = """\
 # A motor behind gears with a gap, to be fitted to its log.
@@ -59,7 +59,7 @@ substeps = 5
 """
 FREE: Final = (
     "plant.arm.gears.half=0..@widest@,plant.arm.gears.inertia,plant.arm.gears.viscous,"
-    "plant.parameters.I,sensor.noise,disturbance.rms"
+    "plant.parameters.I,plant.arm.gears.contact,sensor.noise,disturbance.rms"
 )
 
 
@@ -90,7 +90,7 @@ def write_motor(grid: Grid, path: Path, force: bool) -> str | None:
         "widest": widest,
         "inertia": inertia,
         "viscous": max(rubbing, inertia / 100),
-        "contact": STIFF * inertia / grid.step**2,
+        "contact": STIFF / grid.step,
         "noise": np.std(grid.y - smooth),
         "rms": pushed.std() / 100,
         "lasting": 10 * grid.step,

@@ -19,7 +19,8 @@ from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.packed import BoundNumbers, ResampledPlant, bind_numbers
 from undeadzone.util import tree
 from undeadzone.util.arrays import Flags, Floats
-from undeadzone_identify.fitting.free import WIDTHS, FreeNumber
+from undeadzone_identify.fitting.contacts import follow_contacts, measure_compression
+from undeadzone_identify.fitting.free import COMPLIANCE, HALF, PARAMETERS, WIDTHS, FreeNumber
 from undeadzone_identify.fitting.likelihood import OPEN, RECORDED, FilterNumbers, build_step
 
 SURE: Final = 4.0  # noise, in its rms, beyond which a reading is surely active
@@ -168,6 +169,22 @@ class FitProblem(NamedTuple):
         """Return the log of the normal priors at coordinates (lanes)."""
         return np.asarray(-0.5 * (((points - self.start) / self.prior_std) ** 2).sum(axis=1))
 
+    def measure_blur(self, point: Floats) -> Floats:
+        """Return deviations of coordinates that no reading shows (k).
+
+        A gap ends where its flanks begin to give way, which is known to their compression under
+        the load of the log: another law of contact puts it elsewhere.
+        """
+        blur = np.zeros(point.size)
+        if self.model.gears is not None:
+            params = self.to_lanes(point[None], (0.0, 0.0), 0)[1][0, self.slots.plant]
+            given = measure_compression(self.model, params, self.whole.y, self.whole.u)
+            for joint, angle in enumerate(given):
+                names = [f"{HALF}[{joint}]", f"{PARAMETERS}half{joint + 1}"]
+                blur[[each.name in names for each in self.free]] = angle
+        values = self.decode_points(point[None])[0]
+        return blur / np.where(self.is_log, values, 1.0)
+
     def _compute_plants(self, values: Floats) -> dict[int, Floats]:
         """Return the numbers of plants that are built anew, by slot."""
         if not self.built:
@@ -205,6 +222,7 @@ def pack_scenario(scenario: Scenario, model: System, zone: Zone) -> FilterNumber
         rms=np.broadcast_to(np.asarray(disturbance.rms, float), (m,)).copy(),
         correlation_time=np.array([disturbance.correlation_time]),
         drive=drive,
+        compliance=np.zeros(1),
         heat_before=np.zeros(p),
         heat_rms=np.zeros(m),
     )
@@ -283,7 +301,8 @@ def build_model(scenario: Scenario) -> System:
     """Return the sampled plant of a scenario, without its delay. Raises InputError."""
     simulation = scenario.simulation
     plant = plants.system(scenario.plant)
-    return sample_plant(plant, simulation.step, simulation.substeps)
+    model = sample_plant(plant, simulation.step, simulation.substeps)
+    return follow_contacts(model)
 
 
 def resolve_zone(scenario: Scenario) -> Zone:
@@ -324,6 +343,9 @@ def _find_number_slots(
     slots: list[tuple[tuple[int, float], ...]] = []
     built = []
     for i, number in enumerate(free):
+        if number.name == COMPLIANCE:
+            slots.append(((tree.leaf_slices(like).compliance.start, 1.0),))
+            continue
         other = number.low + 0.618 * (number.high - number.low)
         changed = with_value(scenario, number.name, other)
         model = build_model(changed)

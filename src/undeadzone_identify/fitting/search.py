@@ -22,10 +22,13 @@ HOT: Final = 0.2  # heat of the first stage, in the rms of readings and inputs
 STAGES: Final = (
     *((1.0, 8, 3), (1.0, 4, 6), (0.2, 4, 6), (0.04, 2, 6), (0.008, 2, 6), (0.0, 2, 25)),
 )
-FIRST: Final = (  # samples that show x(0) ahead of all, and heat of noise and disturbance
-    *((20, (25.0, 0.2)), (20, (5.0, 0.2)), (20, (1.0, 0.2))),
-    *((20, (0.2, 0.2)), (60, (0.2, 0.2)), (60, (0.04, 0.04))),
-)
+CLOUD: Final = 256  # points of x(0) at once
+CLOUDED: Final = 60  # samples along which they compete
+COOLING: Final = (*(25.6 * 0.5**k for k in range(16)), 0.0)  # heat of each round of them
+FIRST, LATER = slice(0, 10), slice(7, None)  # rounds ahead of all, and near an answer
+SETTLED: Final = 0.008  # heat of the stages ahead of which x(0) is sought anew
+FEWEST: Final = 32.0  # points that count for the next ones, at least
+MOVED: Final = 0.6  # deviation by which a chosen point moves on, in that of all
 AGAIN: Final = ((0.04, 2, 6), (0.008, 2, 6), (0.0, 2, 25))  # from the answer, once more
 DAMPINGS: Final = (1e-2, 1.0, 1e3)  # factors that each step tries
 STUCK: Final = 1e6  # damping beyond which a search ends, and its growth without a gain
@@ -35,6 +38,7 @@ LARGEST_DIFFERENCE: Final = 2e-3  # in ranges
 LONGEST: Final = 0.35  # step, in ranges
 GAIN: Final = 0.01  # of the log likelihood below which a step is the last one, twice
 DIVERGED: Final = 1e3  # of a log density, beyond which a reading contains no information
+LEAST: Final = 1e-10  # eigenvalue of an information, over that of 1, that counts
 AT_END: Final = 1e-9  # share of a range, within which a number lies at its end
 
 
@@ -158,6 +162,61 @@ def _damped_step(
     return step
 
 
+def settle_start(
+    problem: FitProblem, point: Floats, hot: Floats, rounds: slice, seed: int
+) -> Floats:
+    """Return a point with the best x(0) of each log for its other numbers.
+
+    A motion that begins beside a contact or an edge has several peaks of x(0) within a few
+    readings, between which no slope leads. A cloud of points holds all of them while the heat
+    falls: points are drawn by their likelihood and move on by a share of the cloud's own deviation
+    (a particle filter with kernel moves, Liu and West 2001, doi:10.1007/978-1-4757-3437-9_10).
+
+    Args:
+        problem: the numbers.
+        point: coordinates (k).
+        hot: heat of noise and disturbance at a share of 1.
+        rounds: of `COOLING`.
+        seed: of the points.
+    """
+    rng = np.random.default_rng(seed)
+    few = problem.keep_first(CLOUDED)
+    n = problem.model.n
+    started = np.flatnonzero([each.is_start for each in problem.free])
+    heats = np.outer(COOLING[rounds], hot)
+    for places in started.reshape(-1, n):
+        slope = measure_slope(few, point, 1e-6 * (few.high - few.low), heats[0])
+        units = 1 / np.sqrt(diagonal_of(few, slope.information)[places])
+        root = root_of_inverse(slope.information[np.ix_(places, places)], units)
+        cloud = np.tile(point, (CLOUD, 1))
+        for heat in heats:
+            cloud[1:, places] += rng.standard_normal((CLOUD - 1, n)) @ root.T
+            cloud = np.clip(cloud, few.low, few.high)
+            values = few.evaluate_points(cloud, heat)
+            point = cloud[np.argmax(values)]
+            chances = _draw_chances(values)
+            cov = np.cov(cloud[:, places].T, aweights=chances, ddof=0).reshape(n, n)
+            root = MOVED * np.linalg.cholesky(cov + 1e-12 * np.diag(units**2))
+            cloud = np.vstack([point, cloud[rng.choice(CLOUD, CLOUD - 1, p=chances)]])
+    return point
+
+
+def root_of_inverse(information: Floats, units: Floats) -> Floats:
+    """Return R with R R' the inverse of an information about numbers of given units, limited where
+    it has none.
+    """
+    values, vectors = np.linalg.eigh(information * np.outer(units, units))
+    return np.asarray(units[:, None] * vectors / np.sqrt(np.maximum(values, LEAST)))
+
+
+def _draw_chances(values: Floats) -> Floats:
+    """Return chances of points by their log likelihoods, as even as leaves enough of them."""
+    chances = np.exp(values - values.max())
+    while chances.sum() ** 2 < FEWEST * np.sum(chances**2):
+        chances = np.sqrt(chances)
+    return chances / chances.sum()
+
+
 def search_maximum(
     problem: FitProblem,
     seed: int,
@@ -181,10 +240,8 @@ def search_maximum(
     hot = HOT * np.array([np.nanstd(problem.whole.y), np.nanstd(problem.whole.u)])
     started = np.array([each.is_start for each in problem.free])
     point = problem.start
-    for count, share in FIRST if started.any() else ():
-        point, _ = climb(
-            problem.keep_first(count), point, np.array(share) * hot, 25, ~started, tick
-        )
+    if started.any():
+        point = settle_start(problem, point, hot, FIRST, seed)
     points[:, noises | started] = point[noises | started]
 
     def run_stage(place: int, peaks: Peaks, share: float, count: int, most: int) -> Peaks:
@@ -195,6 +252,8 @@ def search_maximum(
             frozen = noises & (share > 0)
             found = []
             for point in peaks.keep_best(count).points:
+                if share == SETTLED and started.any():
+                    point = settle_start(problem, point, hot, LATER, seed)
                 top, value = climb(problem, point, share * hot, most, frozen, tick)
                 found.append([top.tolist(), value])
             yield 0, found
