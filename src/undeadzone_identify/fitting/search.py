@@ -24,8 +24,11 @@ STAGES: Final = (
 )
 CLOUD: Final = 256  # points of x(0) at once
 CLOUDED: Final = 60  # samples along which they compete
-COOLING: Final = (*(25.6 * 0.5**k for k in range(16)), 0.0)  # heat of each round of them
-FIRST, LATER = slice(0, 10), slice(7, None)  # rounds ahead of all, and near an answer
+COOLING: Final = (*(0.2 * 0.5**k for k in range(10)), 0.0)  # heat of each round of them
+FIRST: Final = (  # samples that show x(0) ahead of all, and heat of noise and disturbance
+    *((20, (25.0, 0.2)), (20, (5.0, 0.2)), (20, (1.0, 0.2))),
+    *((20, (0.2, 0.2)), (60, (0.2, 0.2)), (60, (0.04, 0.04))),
+)
 SETTLED: Final = 0.008  # heat of the stages ahead of which x(0) is sought anew
 FEWEST: Final = 32.0  # points that count for the next ones, at least
 MOVED: Final = 0.6  # deviation by which a chosen point moves on, in that of all
@@ -162,9 +165,7 @@ def _damped_step(
     return step
 
 
-def settle_start(
-    problem: FitProblem, point: Floats, hot: Floats, rounds: slice, seed: int
-) -> Floats:
+def settle_start(problem: FitProblem, point: Floats, hot: Floats, seed: int) -> Floats:
     """Return a point with the best x(0) of each log for its other numbers.
 
     A motion that begins beside a contact or an edge has several peaks of x(0) within a few
@@ -176,14 +177,13 @@ def settle_start(
         problem: the numbers.
         point: coordinates (k).
         hot: heat of noise and disturbance at a share of 1.
-        rounds: of `COOLING`.
         seed: of the points.
     """
     rng = np.random.default_rng(seed)
     few = problem.keep_first(CLOUDED)
     n = problem.model.n
     started = np.flatnonzero([each.is_start for each in problem.free])
-    heats = np.outer(COOLING[rounds], hot)
+    heats = np.outer(COOLING, hot)
     for places in started.reshape(-1, n):
         slope = measure_slope(few, point, 1e-6 * (few.high - few.low), heats[0])
         units = 1 / np.sqrt(diagonal_of(few, slope.information)[places])
@@ -240,8 +240,10 @@ def search_maximum(
     hot = HOT * np.array([np.nanstd(problem.whole.y), np.nanstd(problem.whole.u)])
     started = np.array([each.is_start for each in problem.free])
     point = problem.start
-    if started.any():
-        point = settle_start(problem, point, hot, FIRST, seed)
+    for count, share in FIRST if started.any() else ():
+        point, _ = climb(
+            problem.keep_first(count), point, np.array(share) * hot, 25, ~started, tick
+        )
     points[:, noises | started] = point[noises | started]
 
     def run_stage(place: int, peaks: Peaks, share: float, count: int, most: int) -> Peaks:
@@ -253,7 +255,7 @@ def search_maximum(
             found = []
             for point in peaks.keep_best(count).points:
                 if share == SETTLED and started.any():
-                    point = settle_start(problem, point, hot, LATER, seed)
+                    point = settle_start(problem, point, hot, seed)
                 top, value = climb(problem, point, share * hot, most, frozen, tick)
                 found.append([top.tolist(), value])
             yield 0, found
