@@ -211,10 +211,10 @@ def root_of_inverse(information: Floats, units: Floats) -> Floats:
 
 def _draw_chances(values: Floats) -> Floats:
     """Return chances of points by their log likelihoods, as even as leaves enough of them."""
-    chances = np.exp(values - values.max())
-    while chances.sum() ** 2 < FEWEST * np.sum(chances**2):
-        chances = np.sqrt(chances)
-    return chances / chances.sum()
+    powers = values - values.max()
+    while np.exp(powers).sum() ** 2 < FEWEST * np.exp(2 * powers).sum():
+        powers = powers / 2
+    return np.asarray(np.exp(powers) / np.exp(powers).sum())
 
 
 def search_maximum(
