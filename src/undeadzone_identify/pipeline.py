@@ -20,7 +20,6 @@ import numpy as np
 from undeadzone.errors import InputError
 from undeadzone.nonlinearities.sensor import offset
 from undeadzone.util.answers import Answers
-from undeadzone.util.arrays import turns
 from undeadzone.util.installed import use_one_blas_thread
 from undeadzone.util.progress import notebook_progress
 from undeadzone_identify.logs.grid import Grid, find_sample_time, shorten_log, to_grid
@@ -45,6 +44,7 @@ from undeadzone_identify.models.elements import (
 from undeadzone_identify.models.estimates import CachedMaxima, array_digest
 from undeadzone_identify.models.kalman_fit import fit_kalman
 from undeadzone_identify.models.least_squares import FittedModel
+from undeadzone_identify.models.lost_motion import reversal_blocks
 from undeadzone_identify.models.plant import PlantSimulator, longest_record_of
 from undeadzone_identify.models.zone_fit import (
     ZoneFit,
@@ -383,7 +383,6 @@ def _collect_logs(
 
 # --- One output
 
-TURNED = 0.02  # of the command's range, by which it turns
 FAR_OFF = 3.0  # rms of its changes, that an input is from 0 at least to count from elsewhere
 ASIDE = 0.1  # share of readings on either side of 0, beside such an input
 
@@ -565,8 +564,8 @@ def _fit_limits(grid: Grid, prepared: PreparedLog) -> FittedModel[MapModel] | No
 
 def _begin_findings(case: Case) -> Findings:
     """Return the findings with the static maps alone."""
-    u = case.grid.u[:, 0]
-    is_one_way = turns(u, TURNED * float(np.ptp(u))).size < TURNS and case.options.kind != "play"
+    reversals = reversal_blocks(case.grid.u[:, 0], 0.0)[-1]
+    is_one_way = reversals < TURNS and case.options.kind != "play"
     denied = frozenset((*MEMORY, "input_play") if is_one_way else ())  # lost at reversals
     begun = Findings(build_verdict("unclear"), case.fitted.delay, (), {}, denied=denied)
     return begun.add_models(case, case.rivals)
