@@ -265,6 +265,7 @@ def gap_identifiability(
             unit = np.inf
         detected = int(np.count_nonzero(unit * strikes >= DETECTED))
         ratio, partner = coupling[i].ratio, coupling[i].partner
+        jump = float(strikes.max(initial=0.0))
         cases = {
             "light": fading[lightest] > UNRESOLVED,
             "coupled": ratio > COUPLED,
@@ -288,8 +289,8 @@ def gap_identifiability(
                 group=sorted((i, partner)),
                 quiet=found.rows.size - detected,
                 crossed=found.rows.size,
-                jump=strikes.max(initial=0.0),
-                shown=unit * strikes.max(initial=0.0),
+                jump=jump,
+                shown=unit * jump,
                 angle="m" if body.chain.slides else "rad",
             )
         known = not why
