@@ -739,7 +739,7 @@ def cut_root(z: Floats) -> Floats:
 ZONE = ("dead_zone", "filtered_zone")
 LINEAR = ("none", "operating_point")
 BOTH = sum(WIDTHS)
-KINDS = {
+ALL = {
     "fan": Kind(curved(lambda u: u * np.abs(u)), ("input_curve",)),
     "exponential valve": Kind(curved(np.expm1), ("input_curve",)),
     "soft limit of the input": Kind(curved(lambda u: np.tanh(2 * u)), ("input_curve",)),
@@ -773,8 +773,7 @@ KINDS = {
     "tank": Kind(tank, ()),
     "zone": Kind(sensed(zone, BOTH), ("dead_zone",)),
     "line": Kind(sensed(lambda z: z), LINEAR),
-}
-EARLIER = {  # chosen after the code of the rounds before was finished
+    # chosen after the code of the rounds before was finished
     "zone, heavy tails": Kind(tailed, ZONE),
     "two gains of the input": Kind(one_sided, ("input_curve",)),
     "zone that grows": Kind(widening, ZONE),
@@ -852,8 +851,7 @@ EARLIER = {  # chosen after the code of the rounds before was finished
     "dithered zone": Kind(dithered, ZONE),
     "input without its sign": Kind(rectified, ()),
     "gap behind a lag": Kind(lagging_gap, ("play",)),
-}
-LATER = {  # chosen last
+    # chosen last
     "no dynamics": Kind(static(lambda u: 2 * u), LINEAR),
     "no dynamics, zone": Kind(static(zone), (*ZONE, "input_zone")),
     "no dynamics, play": Kind(static(lambda u: dragged(u, 0.7)), ("play", "input_play")),
@@ -871,4 +869,3 @@ LATER = {  # chosen last
     "encoder that misses counts": Kind(missing_counts, LINEAR),
     "root with a cut-off": Kind(sensed(cut_root), ("jump", "other")),
 }
-ALL = KINDS | EARLIER | LATER
