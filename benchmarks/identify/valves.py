@@ -66,7 +66,7 @@ def outcome_of_seed(seed: int) -> Outcome:
 
 
 def rank_folder(count: int, first: int) -> str:
-    """What the command takes for a folder of loops, killed after half of them and resumed."""
+    """CPU time of `undeadzone loops` on a folder, killed after half of it and resumed."""
     with TemporaryDirectory() as room:
         plant, kept = Path(room, "plant"), Path(room, "o", "loops.json.partial")
         plant.mkdir()

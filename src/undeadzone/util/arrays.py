@@ -256,7 +256,7 @@ def turns(u: Floats, more: float) -> Integers:
 
     Args:
         u: signal (N).
-        more: distance that is no turn yet [u].
+        more: distance that a turn exceeds [u].
     """
     found, way, top = [], 0, 0
     kept = np.flatnonzero(np.diff(np.sign(np.diff(u, prepend=u[:1])), append=0))

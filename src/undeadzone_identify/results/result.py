@@ -130,14 +130,14 @@ class SpokenWithoutPlant(Spoken):
 
     Attributes:
         zone: False, as a dead zone of the sensor takes a plant to tell.
-        no_scenario: why there is no scenario.
+        no_scenario: reason, for the message of `scenario`.
     """
 
     zone = False
     no_scenario = ""
 
     def scenario(self, title: str = "Identified log") -> str:
-        """Raise InputError: there is no plant."""
+        """Raise InputError with the reason, as no plant was fitted."""
         raise InputError(f"scenario: {self.no_scenario}")
 
 
