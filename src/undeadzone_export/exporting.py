@@ -20,6 +20,7 @@ from undeadzone.compile.graph import required_nodes
 from undeadzone.compile.print_c import c_literal
 from undeadzone.compile.simplify import round_to_type
 from undeadzone.errors import InputError, ProofError
+from undeadzone.observers.filtering.prior import widths_within
 from undeadzone.registry import OBSERVERS
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
@@ -274,7 +275,8 @@ def _leaner_methods(observer: Any) -> list[str]:
 def change_method(scenario: Scenario, method: str) -> tuple[Scenario, list[str]]:
     """Return a scenario with another observer, and the given keys that this does not have.
 
-    An rms of a coloured disturbance is none of a white one, so it is not handed on either.
+    An rms of a coloured disturbance is none of a white one, so it is not handed on either. Ranges
+    of widths become initial widths and their bound for an observer that adapts.
 
     Args:
         scenario: the scenario.
@@ -297,6 +299,9 @@ def change_method(scenario: Scenario, method: str) -> tuple[Scenario, list[str]]
         value = getattr(observer, field.name)
         if np.size(value) and not np.array_equal(value, field.default):
             given[field.name] = value
+    if "width_max" in known and {"right"} <= given.keys() - known:
+        ranges = given.pop("right"), given.pop("left", None), resolve_scenario(scenario).model.p
+        given |= {key: each.tolist() for key, each in widths_within(*ranges).items()}
     table = {"method": name} | {key: given[key] for key in given.keys() & known} | changes
     dropped = [f"observer.{key}" for key in given.keys() - known - changes.keys()]
     return scenario | {"observer": table}, sorted(dropped)

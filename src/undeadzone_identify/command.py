@@ -181,6 +181,8 @@ def identify(
     driven = is_written and "[reference]" in path.read_text(encoding="utf-8")
     late = getattr(answer, "recorded_delay", 0)
     numbers = answer.numbers()
+    if isinstance(answer, Identified):
+        options["columns"] = options["columns"] or answer.answer.case.grid.guessed
     if any("resampled to" in one for one in numbers.get("remarks", ())):
         options |= {"resample": True}  # no command reads the log at another step
     follow = {"next": _next_commands(path, logs, options, driven, late)} if is_written else {}
@@ -188,8 +190,9 @@ def identify(
         motor = folder / "motor.toml"
         free = write_motor(answer.answer.case.grid, motor, force)
         if free is not None:
-            columns = ["--columns", options["columns"]] * bool(options["columns"])
-            words = shell_command("undeadzone", "fit", motor, *logs, *columns, "--free", free)
+            words = shell_command(
+                "undeadzone", "fit", motor, *logs, columns=options["columns"], free=free
+            )
             follow = {"next": f"{words}; if the encoder is the motor's: its gap, inertia, friction"}
             written.append(motor)
     lines = compensating_lines(numbers, first.name) if answer.account.is_certain else {}
@@ -284,9 +287,8 @@ def _next_commands(
     if not driven:
         words = f"{shell_command('undeadzone', 'watch', scenario)} of readings from now on"
     if len(logs) == 1 and options["resample"] is None:
-        columns = ["--columns", options["columns"]] * bool(options["columns"])
-        given = [*columns, *["--delay", str(late)] * bool(late)]
-        words = f"{shell_command('undeadzone', 'estimate', scenario, *logs, *given)}, {words}"
+        given = {"columns": options["columns"], "delay": late}
+        words = f"{shell_command('undeadzone', 'estimate', scenario, *logs, **given)}, {words}"
     return f"{words}, or {shell_command('undeadzone', 'export', scenario)}" if driven else words
 
 

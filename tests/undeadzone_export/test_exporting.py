@@ -431,12 +431,7 @@ COLOURED = ["observer.correlation_time", "observer.disturbance", "observer.toler
 # An observer, another one that is named, the keys that the other lacks, and one that it keeps.
 OTHER_METHODS = [
     (CENSORED | {"tolerance": 0.1}, "kalman", COLOURED, ("right", [0.0, 2.0])),
-    (
-        CENSORED | {"tolerance": 0.1},
-        "certified",
-        sorted([*COLOURED, "observer.right"]),
-        ("gamma", None),
-    ),
+    (CENSORED | {"tolerance": 0.1}, "certified", COLOURED, ("width_max", [2.0])),
     (CENSORED, "censored levels=1 glitches=0.0", [], ("levels", 1)),
     (
         {"method": "certified", "gamma": 9.0},

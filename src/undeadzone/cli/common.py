@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import functools
+import itertools
 import json
 import os
 import re
@@ -45,11 +46,12 @@ class UserPath(click.Path):
 
     Args:
         use: use of the path (`--untrusted` and docs/security.md go by it).
+        files: endings of files, which a folder that is still to be made has not.
     """
 
-    def __init__(self, use: str) -> None:
+    def __init__(self, use: str, files: tuple[str, ...] = ()) -> None:
         super().__init__(path_type=Path)
-        self.use = use
+        self.use, self.files = use, files
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return the path. Raises BadParameter if the name is empty, or none on this system."""
@@ -60,11 +62,14 @@ class UserPath(click.Path):
         except OSError as error:
             if error.errno == errno.ENAMETOOLONG:
                 self.fail("the name is longer than this system allows", param, ctx)
+            if str(value).endswith(self.files):
+                self.fail(f"{value} is a file's name. Name the folder for the files", param, ctx)
         return super().convert(value, param, ctx)
 
 
 READ = UserPath("read")
 WRITTEN = UserPath("written")
+WRITTEN_FOLDER = UserPath("written", (".toml", ".csv", ".json", ".npz", ".html", ".svg"))
 READ_AND_WRITTEN = UserPath("read and written")
 LIMIT = UserPath("limit")
 
@@ -249,9 +254,10 @@ def build_origin(path: Path | None, seed: int | None = None) -> Origin:
     return Origin(shell_command("undeadzone", *sys.argv[1:]), text, seed)
 
 
-def shell_command(*words: object) -> str:
-    """Return a command as text for a shell. A name with a blank is quoted."""
-    return shlex.join(map(str, words))
+def shell_command(*words: object, **options: object) -> str:
+    """Return a command as text for a shell, with those options that have a value, quoted."""
+    given = [(f"--{name}", value) for name, value in options.items() if value]
+    return shlex.join(map(str, itertools.chain(words, *given)))
 
 
 def require_writable(folder: Path) -> Path:

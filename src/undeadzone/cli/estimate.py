@@ -121,8 +121,6 @@ def _advise_after_estimate(
     if result.info.consistent is False:
         if "Written by undeadzone identify" in read_text(scenario):
             return {}
-        again = shell_command(
-            "undeadzone", "identify", log, *["--columns", columns] * bool(columns)
-        )
+        again = shell_command("undeadzone", "identify", log, columns=columns)
         return next_line(f"{again} finds a plant and a zone that fit")
     return next_line(shell_command("undeadzone", "export", scenario))

@@ -13,7 +13,7 @@ import click
 import undeadzone as uz
 from undeadzone.cli.common import (
     READ,
-    WRITTEN,
+    WRITTEN_FOLDER,
     add_guards,
     flag_option,
     print_blocks,
@@ -36,7 +36,9 @@ csv_option = flag_option(
 OUTPUTS = (
     flag_option("--no-figures", "Compute without drawing."),
     flag_option("--json", "Print one JSON object on stdout and nothing else there.", "as_json"),
-    value_option("--out", "DIR", "Folder for the files written (made if missing).", type=WRITTEN),
+    value_option(
+        "--out", "DIR", "Folder for the files written (made if missing).", type=WRITTEN_FOLDER
+    ),
 )
 
 

@@ -8,7 +8,7 @@ from undeadzone.interfaces import Observer
 from undeadzone.nonlinearities.sensor import Zone
 from undeadzone.observers.censored import Censored
 from undeadzone.observers.certified import Certified
-from undeadzone.observers.filtering.prior import Assumptions, read_width_ranges
+from undeadzone.observers.filtering.prior import Assumptions, widths_within
 from undeadzone.observers.high_gain import HighGain
 from undeadzone.plants.system import System, fastest_pole
 
@@ -39,15 +39,13 @@ class Auto(Assumptions, frozen=True, kw_only=True, tag_field="method", tag="auto
         """
         if model.Ts is not None:
             return Censored(**self.claims())
-        ranges = read_width_ranges(self.right, self.left, model.p)
-        guess = ranges.mean(axis=1).reshape(2, model.p).T
-        largest = ranges[:, 1].reshape(2, model.p).max(axis=0)
+        widths = widths_within(self.right, self.left, model.p)
         stable = np.linalg.eigvals(model.linear.A).real.max() < 0
         if stable and not model.nonlinear and self.is_exact:
-            return Certified(widths0=guess, width_max=largest)
+            return Certified(**widths)
         pole = fastest_pole(model)
         gamma = 0.0 if sensor.kind == "jump" else GAMMA * pole
-        return HighGain(epsilon=EPSILON / pole, gamma=gamma, widths0=guess, width_max=largest)
+        return HighGain(epsilon=EPSILON / pole, gamma=gamma, **widths)
 
     @property
     def is_exact(self) -> bool:

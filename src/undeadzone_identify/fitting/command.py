@@ -115,6 +115,7 @@ def fit(
     if further:
         last |= next_line(shell_command("undeadzone", "run", further[0]))
     elif written:
-        last |= next_line(shell_command("undeadzone", "estimate", written[0], logs[0]))
+        again = shell_command("undeadzone", "estimate", written[0], logs[0], columns=columns)
+        last |= next_line(again)
     output.print_result(result.summary, result.blocks, written + further, last)
     return 0 if result.consistent and any(each.shown for each in result.numbers) else 1

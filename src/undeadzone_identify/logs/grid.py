@@ -51,6 +51,7 @@ class Grid(NamedTuple):
         output: name of the output.
         r: the reference (N x 1), NaN if it is missing or a spike; (N x 0) where a log has none.
         climbs: of fits of the log, those that were kept on disk; None: none are.
+        guessed: which column of the first log is which, as `--columns` has it; "" where known.
         zero: what the one input counts from [u]; None: from 0.
     """
 
@@ -68,6 +69,7 @@ class Grid(NamedTuple):
     output_unit: str
     output: str
     r: Floats
+    guessed: str = ""
     climbs: CachedMaxima | None = None
     zero: float | None = None
 
@@ -126,6 +128,7 @@ def to_grid(logs: list[Log], resample: float | None = None) -> Grid:
         first.output_units[0],
         first.outputs[0],
         np.where(find_spikes(r, np.isfinite(r)), np.nan, r),
+        first.guessed,
     )
 
 

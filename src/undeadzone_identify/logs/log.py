@@ -192,6 +192,7 @@ class Log(NamedTuple):
         r: the reference (N x 1), NaN if it is missing; (N x 0) where none was recorded.
         remarks: on omissions, for the user.
         has_clock: whether the times were recorded; else rows are counted, as those of a table.
+        guessed: which column is which, as `--columns` has it; "" where names or the user decided.
     """
 
     t: Floats
@@ -206,6 +207,7 @@ class Log(NamedTuple):
     r: Floats
     remarks: tuple[str, ...] = ()
     has_clock: bool = True
+    guessed: str = ""
 
     @property
     def input_kinds(self) -> tuple[str, ...]:
@@ -281,6 +283,7 @@ def log_from_samples(samples: Samples, layout: Layout, source: str, strict: bool
         r,
         tuple(remarks),
         layout.time is not None,
+        "" if layout.is_certain else layout.columns_text,
     )
 
 

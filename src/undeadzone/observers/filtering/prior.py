@@ -240,6 +240,20 @@ def read_width_ranges(right: Array, left: Array | None, p: int) -> Floats:
     )
 
 
+def widths_within(right: Array, left: Array | None, p: int) -> dict[str, Floats]:
+    """Return widths0 (p x 2) and width_max (p) of an observer that adapts within these ranges [z].
+
+    Args:
+        right, left, p: as those of `read_width_ranges`.
+
+    Raises:
+        InputError, ShapeError: unless 0 <= lo < hi.
+    """
+    ranges = read_width_ranges(right, left, p)
+    largest = ranges[:, 1].reshape(2, p).max(axis=0)
+    return {"widths0": ranges.mean(axis=1).reshape(2, p).T, "width_max": largest}
+
+
 def _read_branch_ranges(key: str, value: Array, p: int) -> Floats:
     """Return the ranges of a branch (p x 2) [z]. Raises InputError, ShapeError."""
     given = require_pairs(
