@@ -73,7 +73,7 @@ def test_a_table_of_tags_is_read_at_the_first_call(shape: str, tmp_path: Path) -
     path.write_text("\n".join(lines) + "\n", encoding="cp1252")
     log, *others = map(read_record, read_loops(path).values())
     assert len(others) == ("FIC102" in head)
-    read = np.hstack([log.u, log.y, log.r, log.t[:, None]])
+    read = np.hstack([log.u, log.y, log.r, log.t[:, None] - log.t[0]])
     assert read == pytest.approx(np.column_stack([*COLUMNS.values(), range(SIZE)]), rel=1e-5)
 
 

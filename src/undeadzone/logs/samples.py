@@ -366,7 +366,7 @@ def numbers_of_texts(texts: Sequence[str], parse: Callable[[str], float | None])
         parse: returns the number in a cell, None if there is none.
     """
     values = list(map(parse, texts))
-    stamps = stamps_of(texts[:FIRST]) if set(values) <= {None} else None
+    stamps = stamps_of(texts) if 2 * values.count(None) > len(values) else None
     return np.array(values if stamps is None else list(map(stamps.seconds, texts)), float)
 
 

@@ -23,7 +23,7 @@ from undeadzone.util.files import LARGEST_TABLE, read_bytes, unreadable_file
 Arrays = dict[str, Floats]  # by the names of the signals, and their times
 FEWEST_VALUES = 3  # of two signals; others may be stored on change
 OF_NAMES = re.compile(r"(?i)tag|name|signal|point|variable")  # title of the column of names
-OF_VALUES = re.compile(r"(?i)val|wert|reading")  # and of that of the values
+OF_VALUES = re.compile(r"(?i)value|wert|reading|\bval\b")  # and of that of the values
 MOST_NUMBERS = 0.9  # share of the cells of a column that are numbers, or of a column of names not
 
 
@@ -91,7 +91,7 @@ def signals_of_columns(titles: Sequence[str], columns: Sequence[Sequence[str]]) 
     t, x = t[known], numbers[values[0]][known]
     base = np.unique(t[of == np.argmax(counts)])
     late = base + np.median(np.diff(base)) / 2
-    arrays = {titles[times[0]] or "time": base}
+    arrays = {title_of_times(titles[times[0]]): base}
     for k in np.argsort(np.unique(of, return_index=True)[1]):
         own, order = np.unique(t[of == k], return_index=True)
         before = np.searchsorted(own, late) - 1
@@ -102,7 +102,9 @@ def signals_of_columns(titles: Sequence[str], columns: Sequence[Sequence[str]]) 
 def numbers_of_columns(
     titles: Sequence[str], columns: Sequence[Sequence[str]]
 ) -> tuple[list[Floats], list[int]]:
-    """Return the numbers of columns, and the columns of times, joined in the first.
+    """Return the numbers of columns, and the columns of times, the best first.
+
+    A column of dates is joined with one of times of day.
 
     Args:
         titles: of the columns.
@@ -110,15 +112,20 @@ def numbers_of_columns(
     """
     parse = functools.partial(parse_cell, mark="")
     numbers = [numbers_of_texts(x, parse) for x in columns]
-    times = [
-        k
-        for k, (title, cells) in enumerate(zip(titles, columns, strict=False))
-        if stamps_of(cells[:FIRST]) or time_rank(split_unit(title)) >= 0
-    ]
-    if times:
-        stamps = list(map(" ".join, zip(*(columns[k] for k in times), strict=True)))
-        numbers[times[0]] = numbers_of_texts(stamps, parse)
+    stamps = [stamps_of(x[:FIRST]) for x in columns]
+    dated = [k for k, one in enumerate(stamps) if one and one.dated]
+    clocks = [k for k, one in enumerate(stamps) if one and not one.dated]
+    times = dated + clocks
+    times += [k for k, one in enumerate(titles) if time_rank(split_unit(one)) >= 0 and not stamps[k]]
+    if dated and clocks and ":" not in columns[dated[0]][0]:
+        joined = zip(columns[dated[0]], columns[clocks[0]], strict=True)
+        numbers[dated[0]] = numbers_of_texts(list(map(" ".join, joined)), parse)
     return numbers, times
+
+
+def title_of_times(title: str) -> str:
+    """Return the title of a column of times, t where its name does not say so."""
+    return title if time_rank(split_unit(title)) >= 0 else "t"
 
 
 def columns_of_lines(lines: Sequence[str]) -> tuple[list[str], list[tuple[str, ...]]]:
