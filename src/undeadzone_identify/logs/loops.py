@@ -10,10 +10,12 @@ from pathlib import Path
 
 from undeadzone.errors import InputError
 from undeadzone.logs.kinds import split_unit, time_rank
+from undeadzone.logs.text import PREAMBLE, lines_ahead
 from undeadzone.logs.whole import samples_of
 from undeadzone_identify.logs.log import Log, log_from_samples, read_log
 from undeadzone_identify.logs.tables import (
     Arrays,
+    columns_of_files,
     columns_of_lines,
     numbers_of_columns,
     read_lines,
@@ -29,8 +31,8 @@ ROLES = {
          "STELLGRÖSSE", "STELLGRÖßE", "STELLWERT", "Y"), "u",
     ),
     **dict.fromkeys(
-        ("PV", "PV_IN", "MEAS", "PROCESS", "PROCESS_VALUE", "MESURE", "ISTWERT", "REGELGRÖSSE",
-         "REGELGRÖßE", "VALUE", "X"), "y",
+        ("PV", "PV_IN", "MEAS", "PROCESS", "PROCESS_VALUE", "PROCESS_VARIABLE", "MESURE",
+         "ISTWERT", "REGELGRÖSSE", "REGELGRÖßE", "VALUE", "X"), "y",
     ),
     **dict.fromkeys(
         ("SP", "SV", "SPT", "WSP", "SETPOINT", "SET_POINT", "SET", "CONSIGNE", "CONSIGNA",
@@ -44,7 +46,7 @@ _ROLE = "|".join(ROLES).replace("_", r"[\W_]")
 TAGGED = re.compile(
     rf"(?i)(?:(.*?)(?:[\W_]|(?<=\d))({_ROLE})(?:\.CV|\.VALUE)?|({_ROLE})[\W_](.+))"
 )
-BLOCK = re.compile(r"[/\\.](AI|AO|PID)\d*$")  # function blocks of one module (Fieldbus)
+BLOCK = re.compile(r"[/\\.](AI|AO|PID|DACA|PIDA)\d*$")  # function blocks of one module
 ENDINGS = (".csv", ".txt", ".tsv", ".parquet")
 Record = Path | Callable[[], Log]  # a file, or what builds the log of a table's columns
 DAY = re.compile(r"(^|[-_. ])\d[\d_.\-T]*$")  # of a name, behind that of its valve or alone
@@ -67,6 +69,7 @@ def find_loops(source: Path) -> dict[str, list[Record]]:
         found = read_loops(source)
         return {tag: [one] for tag, one in found.items()} if found else {source.stem: [source]}
     loops: dict[str, list[Record]] = defaultdict(list)
+    files: dict[str, list[Path]] = defaultdict(list)
     for path in sorted(source.rglob("*")):
         if path.suffix.lower() in ENDINGS:
             several = read_loops(path)
@@ -75,7 +78,13 @@ def find_loops(source: Path) -> dict[str, list[Record]]:
             if not several:
                 parts = path.relative_to(source).with_suffix("").parts
                 name = "/".join(filter(None, (DAY.sub("", one) for one in parts)))
-                loops[name or path.stem].append(path)
+                files[name or path.stem].append(path)
+    for tag, roles in _find_roles(files).items():
+        own = [(name, path) for name in roles.values() for path in files.pop(name)]
+        arrays = signals_of_columns(*columns_of_files(own)) or {}
+        loops[tag] += _records_of(arrays, str(source)).values()
+    for name, paths in files.items():
+        loops[name] += paths
     if not loops:
         raise InputError(f"{source}: holds no tables ({', '.join(ENDINGS)})")
     return dict(loops)
@@ -90,12 +99,21 @@ def read_loops(path: Path) -> dict[str, Record]:
     Raises:
         FileError: it cannot be read.
     """
-    arrays = _read_arrays(path)
+    return _records_of(_read_arrays(path), str(path))
+
+
+def _records_of(arrays: Arrays, source: str) -> dict[str, Record]:
+    """Return by tag what builds the log of each loop of a table.
+
+    Args:
+        arrays: columns by name.
+        source: of the table, for messages.
+    """
     time = [name for name in arrays if time_rank(split_unit(name)) >= 0][:1]
     return {
-        tag.strip("/\\ "): functools.partial(
+        tag.strip("/\\> "): functools.partial(
             _build_log,
-            f"{path}, {tag}",
+            f"{source}, {tag}",
             {name: arrays[name] for name in (*time, *roles.values())},
             [*"t"[: len(time)], *roles],
         )
@@ -159,7 +177,8 @@ def _read_arrays(path: Path) -> Arrays:
     """Return the columns of a table by name, a long one by its signals."""
     if path.suffix.lower() == ".parquet":
         return read_parquet(path)
-    titles, columns = columns_of_lines(read_lines(path))
+    lines = read_lines(path)
+    titles, columns = columns_of_lines(lines[lines_ahead(lines[:PREAMBLE]) or 0 :])
     if sum(bool(TAGGED.fullmatch(split_unit(one).name)) for one in titles) < 2:
         return signals_of_columns(titles, columns) or {}
     numbers, times = numbers_of_columns(titles, columns)
