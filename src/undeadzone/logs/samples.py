@@ -366,8 +366,11 @@ def numbers_of_texts(texts: Sequence[str], parse: Callable[[str], float | None])
         parse: returns the number in a cell, None if there is none.
     """
     values = list(map(parse, texts))
-    stamps = stamps_of(texts[:FIRST]) if set(values) <= {None} else None
-    return np.array(values if stamps is None else list(map(stamps.seconds, texts)), float)
+    stamps = stamps_of(texts) if 2 * values.count(None) > len(values) else None
+    if stamps is None:
+        return np.array(values, float)
+    t = np.array(list(map(stamps.seconds, texts)), float)
+    return t if stamps.dated else over_midnight(t, math.nan)
 
 
 def _stamp_text(cells: Sequence[str], layout: Layout) -> str:

@@ -17,6 +17,7 @@ from undeadzone.util.arrays import Floats
 DAY: Final = 86_400.0  # [s]
 NOON: Final = 12  # [h]
 LONGEST_NIGHT: Final = 3600.0  # [s] over midnight without a sample; else a time is wrong
+CENTURY: Final = 2000  # of years that are written with two digits
 FIRST_DAY: Final = date(1970, 1, 1).toordinal()
 # Least times without a unit that count ms, us and ns since 1970.
 SINCE_1970: Final = (1e11, 1e14, 1e17)
@@ -68,11 +69,26 @@ def stamps_of(texts: Iterable[str]) -> Stamps | None:
     found = list(filter(None, map(_match_stamp, texts)))
     if not found:
         return None
-    day_first = None
-    for one in found:
-        if one["a"] is not None and max(int(one["a"]), int(one["b"])) > NOON:
-            day_first = int(one["a"]) > NOON
-    return Stamps(found[0]["a"] is not None, day_first)
+    return Stamps(found[0]["a"] is not None, _find_day_first(found))
+
+
+def _find_day_first(found: list[re.Match[str]]) -> bool | None:
+    """Return whether the day stands ahead of the month; None: it is not known.
+
+    A number above 12 is a day. Where none is, the dates of many times follow one another.
+
+    Args:
+        found: times.
+    """
+    dates = {one.group("a", "dot", "b", "c"): one for one in found if one["a"] is not None}
+    for a, _, b, _ in dates:
+        if max(int(a), int(b)) > NOON:
+            return int(a) > NOON
+    if 2 * len(dates) > len(found):
+        return None
+    days = [[_day(one, is_first) for one in dates.values()] for is_first in (True, False)]
+    gaps = [max(np.diff(np.unique(each)), default=0) for each in days]
+    return gaps[0] <= gaps[1] if min(gaps) <= 1 else None
 
 
 def _match_stamp(text: str) -> re.Match[str] | None:
@@ -129,7 +145,7 @@ def _day(found: re.Match[str], day_first: bool | None) -> int | None:
         order = "cab"
     year, month, day = (int(found[key]) for key in order)
     try:
-        return date(year, month, day).toordinal() - FIRST_DAY
+        return date(year + CENTURY * (year < 100), month, day).toordinal() - FIRST_DAY
     except ValueError:
         return None
 

@@ -5,42 +5,59 @@ from __future__ import annotations
 import functools
 import re
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
-import numpy as np
-
-from undeadzone.errors import FileError, InputError
+from undeadzone.errors import InputError
 from undeadzone.logs.kinds import split_unit, time_rank
-from undeadzone.util.arrays import Floats, hold_last
-from undeadzone_identify.logs.log import Log, log_from_arrays, read_log
+from undeadzone.logs.text import PREAMBLE, lines_ahead
+from undeadzone.logs.whole import samples_of
+from undeadzone_identify.logs.log import Log, log_from_samples, read_log
 from undeadzone_identify.logs.tables import (
     Arrays,
+    columns_of_files,
     columns_of_lines,
     numbers_of_columns,
     read_lines,
     read_parquet,
     signals_of_columns,
+    title_of_times,
 )
 
-ROLES = {  # of the last word of a tag, or of its first
-    **dict.fromkeys(("OP", "MV", "CO", "OUT", "OUTPUT", "STELLGRÖSSE", "STELLGRÖßE"), "u"),
-    **dict.fromkeys(("PV", "CV", "MEAS", "PROCESS", "ISTWERT"), "y"),
-    **dict.fromkeys(("SP", "SV", "SPT", "SETPOINT", "SET", "SOLLWERT"), "r"),
-}
-_ROLE = "|".join(ROLES)
-TAGGED = re.compile(rf"(?i)(?:(.*?)(?:[\W_]|(?<=\d))({_ROLE})(?:\.CV|\.VALUE)?|({_ROLE})[\W_](.+))")
+# Words of a tag, its last or its first, with the signals that they may name, the likeliest first.
+ROLES = {
+    **dict.fromkeys(
+        ("OP", "MV", "CO", "OUT", "OUTPUT", "CONTROLLER_OUTPUT", "LMN", "CVEU", "SORTIE", "SALIDA",
+         "STELLGRÖSSE", "STELLGRÖßE", "STELLWERT", "Y"), "u",
+    ),
+    **dict.fromkeys(
+        ("PV", "PV_IN", "MEAS", "PROCESS", "PROCESS_VALUE", "PROCESS_VARIABLE", "MESURE",
+         "ISTWERT", "REGELGRÖSSE", "REGELGRÖßE", "VALUE", "X"), "y",
+    ),
+    **dict.fromkeys(
+        ("SP", "SV", "SPT", "WSP", "SETPOINT", "SET_POINT", "SET", "CONSIGNE", "CONSIGNA",
+         "SOLLWERT", "FÜHRUNGSGRÖSSE", "FÜHRUNGSGRÖßE", "W"), "r",
+    ),
+    "CV": "yu",  # controlled variable, or beside a PV the controller's
+}  # fmt: skip
+WEAK = ("X", "W", "Y", "VALUE", "OUTPUT")  # words of other things too: each counts half
+SURE = 1.5  # words that name a loop
+_ROLE = "|".join(ROLES).replace("_", r"[\W_]")
+TAGGED = re.compile(
+    rf"(?i)(?:(.*?)(?:[\W_]|(?<=\d))({_ROLE})(?:\.CV|\.VALUE)?|({_ROLE})[\W_](.+))"
+)
+BLOCK = re.compile(r"[/\\.](AI|AO|PID|DACA|PIDA)\d*$")  # function blocks of one module
 ENDINGS = (".csv", ".txt", ".tsv", ".parquet")
 Record = Path | Callable[[], Log]  # a file, or what builds the log of a table's columns
-DAY = re.compile(r"[-_. ]\d[\d_.\-T]*$")  # of a file's name, behind the name of its valve
+DAY = re.compile(r"(^|[-_. ])\d[\d_.\-T]*$")  # of a name, behind that of its valve or alone
 
 
 def find_loops(source: Path) -> dict[str, list[Record]]:
     """Find the loops of a folder or a table: records of one valve stand together.
 
     Args:
-        source: the folder, whose files have the name of a valve with a date or a number behind it,
-            or a file.
+        source: the folder, whose files or folders have the name of a valve, perhaps with a date or
+            a number behind it; or a file.
 
     Returns:
         By the name of a valve its records, or their files.
@@ -52,13 +69,22 @@ def find_loops(source: Path) -> dict[str, list[Record]]:
         found = read_loops(source)
         return {tag: [one] for tag, one in found.items()} if found else {source.stem: [source]}
     loops: dict[str, list[Record]] = defaultdict(list)
+    files: dict[str, list[Path]] = defaultdict(list)
     for path in sorted(source.rglob("*")):
         if path.suffix.lower() in ENDINGS:
             several = read_loops(path)
             for tag, one in several.items():
                 loops[tag].append(one)
             if not several:
-                loops[DAY.sub("", path.stem) or path.stem].append(path)
+                parts = path.relative_to(source).with_suffix("").parts
+                name = "/".join(filter(None, (DAY.sub("", one) for one in parts)))
+                files[name or path.stem].append(path)
+    for tag, roles in _find_roles(files).items():
+        own = [(name, path) for name in roles.values() for path in files.pop(name)]
+        arrays = signals_of_columns(*columns_of_files(own)) or {}
+        loops[tag] += _records_of(arrays, str(source)).values()
+    for name, paths in files.items():
+        loops[name] += paths
     if not loops:
         raise InputError(f"{source}: holds no tables ({', '.join(ENDINGS)})")
     return dict(loops)
@@ -73,46 +99,78 @@ def read_loops(path: Path) -> dict[str, Record]:
     Raises:
         FileError: it cannot be read.
     """
-    arrays = _read_arrays(path)
-    tags: dict[str, dict[str, str]] = defaultdict(dict)
-    for name in arrays:
-        match = TAGGED.fullmatch(split_unit(name).name)
-        if match and (match[1] or match[4]):
-            tags[match[1] or match[4]][ROLES[(match[2] or match[3]).upper()]] = name
-    times = next((x for name, x in arrays.items() if time_rank(split_unit(name)) >= 0), None)
+    return _records_of(_read_arrays(path), str(path))
+
+
+def _records_of(arrays: Arrays, source: str) -> dict[str, Record]:
+    """Return by tag what builds the log of each loop of a table.
+
+    Args:
+        arrays: columns by name.
+        source: of the table, for messages.
+    """
+    time = [name for name in arrays if time_rank(split_unit(name)) >= 0][:1]
     return {
-        tag.strip("/\\ "): functools.partial(
+        tag.strip("/\\> "): functools.partial(
             _build_log,
-            f"{path}, {tag}",
-            times,
-            {key: arrays[name] for key, name in roles.items()},
-            split_unit(roles["y"]).unit,
+            f"{source}, {tag}",
+            {name: arrays[name] for name in (*time, *roles.values())},
+            [*"t"[: len(time)], *roles],
         )
-        for tag, roles in tags.items()
-        if {"u", "y"} <= roles.keys()
+        for tag, roles in _find_roles(arrays).items()
     }
 
 
-def _build_log(source: str, times: Floats | None, own: Arrays, unit: str) -> Log:
-    """Return a loop's rows as a log, from the first known OP on, which is held as SP is.
+def _find_roles(names: Iterable[str]) -> dict[str, dict[str, str]]:
+    """Return the columns of each loop by tag and signal.
 
-    Raises FileError.
+    Args:
+        names: of all columns.
     """
-    count = own["u"].size
-    t = np.arange(count, dtype=float) if times is None else times
-    u, r = (hold_last(own.get(key, np.empty(0)).reshape(count, -1)) for key in "ur")
-    usable = np.isfinite(u[:, 0]) & np.isfinite(t)
-    if not usable.any() or not np.isfinite(own["y"]).any():
-        raise FileError(
-            f"{source}: OP, PV or the time has no number that can be read (dates: 2026-04-03)"
-        )
-    t, first = np.unique(t[usable], return_index=True)
-    u, y, r = (x[usable][first] for x in (u, own["y"], r))
-    log = log_from_arrays(t - t[0], u, y)
-    return log._replace(
-        inputs=("OP",), outputs=("PV",), output_units=(unit or "1",), source=source, r=r,
-        counted=times is None,
-    )  # fmt: skip
+    tags: dict[str, dict[str, str]] = defaultdict(dict)
+    for name in names:
+        match = TAGGED.fullmatch(split_unit(name).name)
+        if match and (match[1] or match[4]):
+            word = re.sub(r"\W", "_", match[2] or match[3]).upper()
+            tags[match[1] or match[4]][word] = name
+    for tag in [*tags]:
+        if BLOCK.search(tag) and not _choose_roles(tags[tag]):
+            tags[BLOCK.sub("", tag)] |= tags[tag]
+    return {tag: roles for tag, own in tags.items() if (roles := _choose_roles(own))}
+
+
+def _choose_roles(own: dict[str, str]) -> dict[str, str]:
+    """Return the columns of a tag by signal, y and u first; empty where they name no loop.
+
+    Args:
+        own: columns by the words of `ROLES`.
+    """
+    roles: dict[str, str] = {}
+    sure = 0.0
+    for word in sorted(own, key=lambda one: (one in WEAK, len(ROLES[one]))):
+        free = [signal for signal in ROLES[word] if signal not in roles]
+        roles |= dict.fromkeys(free[:1], own[word])
+        sure += 0.5 if word in WEAK else 1.0
+    is_loop = {"u", "y"} <= roles.keys() and sure >= SURE
+    return {signal: roles[signal] for signal in "yur" if signal in roles} if is_loop else {}
+
+
+def _build_log(source: str, arrays: Arrays, signals: list[str]) -> Log:
+    """Return columns of a table as a log, as `read_log` has that of a file.
+
+    Args:
+        source: of the columns, for messages.
+        arrays: columns by name.
+        signals: of the columns: t, y, u, r.
+
+    Raises:
+        FileError: OP, PV or the time has no number that can be read.
+    """
+    chosen = {
+        signal if signal in "tr" else f"{signal}[0]": str(k) for k, signal in enumerate(signals, 1)
+    }
+    log = log_from_samples(*samples_of(arrays, None, None, chosen, source), source, strict=False)
+    return log._replace(inputs=("OP",), outputs=("PV",))
 
 
 def _read_arrays(path: Path) -> Arrays:
@@ -120,15 +178,12 @@ def _read_arrays(path: Path) -> Arrays:
     if path.suffix.lower() == ".parquet":
         return read_parquet(path)
     lines = read_lines(path)
-    if not any(map(TAGGED.search, lines)):
-        return {}
-    titles, columns = columns_of_lines(lines)
-    named = list(map(split_unit, titles))
-    if sum(bool(TAGGED.fullmatch(one.name)) for one in named) < 2:
+    titles, columns = columns_of_lines(lines[lines_ahead(lines[:PREAMBLE]) or 0 :])
+    if sum(bool(TAGGED.fullmatch(split_unit(one).name)) for one in titles) < 2:
         return signals_of_columns(titles, columns) or {}
     numbers, times = numbers_of_columns(titles, columns)
-    first = dict(zip("t", [numbers[k] for k in times[:1]], strict=False))
-    return first | dict(zip(titles, numbers, strict=False)) | first
+    first = {title_of_times(titles[k]): numbers[k] for k in times[:1]}
+    return first | dict(zip(titles, numbers, strict=False))
 
 
 def read_record(record: Record) -> Log:

@@ -6,7 +6,7 @@ import functools
 import io
 import itertools
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +21,11 @@ from undeadzone.util.arrays import Floats
 from undeadzone.util.files import LARGEST_TABLE, read_bytes, unreadable_file
 
 Arrays = dict[str, Floats]  # by the names of the signals, and their times
+Table = tuple[list[str], list[tuple[str, ...]]]  # titles of columns, and their cells
 FEWEST_VALUES = 3  # of two signals; others may be stored on change
-OF_NAMES = re.compile(r"(?i)tag|name|signal|point|variable")  # title of the column of names
-OF_VALUES = re.compile(r"(?i)val|wert|reading")  # and of that of the values
+# title of a column of names
+OF_NAMES = re.compile(r"(?i)tag|name|signal|point|variable|\bloop|field|measurement|asset")
+OF_VALUES = re.compile(r"(?i)value|wert|reading|\bval\b")  # and of that of the values
 MOST_NUMBERS = 0.9  # share of the cells of a column that are numbers, or of a column of names not
 
 
@@ -81,9 +83,11 @@ def signals_of_columns(titles: Sequence[str], columns: Sequence[Sequence[str]]) 
         [k for k in each if title.search(titles[k])] or each
         for each, title in ((values, OF_VALUES), (names, OF_NAMES))
     )
-    if not times or len(values) != 1 or len(names) != 1:
+    is_named = len(names) == 1 or all(OF_NAMES.search(titles[k]) for k in names)
+    if not times or len(values) != 1 or not names or not is_named:
         return None
-    name, t = np.array(columns[names[0]]), numbers[times[0]]
+    name = np.array(list(map(".".join, zip(*(columns[k] for k in names), strict=True))))
+    t = numbers[times[0]]
     known = np.isfinite(t) & np.isfinite(numbers[values[0]])
     different, of, counts = np.unique(name[known], return_inverse=True, return_counts=True)
     if different.size < 2 or np.sort(counts)[-2] < FEWEST_VALUES:
@@ -91,7 +95,7 @@ def signals_of_columns(titles: Sequence[str], columns: Sequence[Sequence[str]]) 
     t, x = t[known], numbers[values[0]][known]
     base = np.unique(t[of == np.argmax(counts)])
     late = base + np.median(np.diff(base)) / 2
-    arrays = {titles[times[0]] or "time": base}
+    arrays = {title_of_times(titles[times[0]]): base}
     for k in np.argsort(np.unique(of, return_index=True)[1]):
         own, order = np.unique(t[of == k], return_index=True)
         before = np.searchsorted(own, late) - 1
@@ -102,7 +106,9 @@ def signals_of_columns(titles: Sequence[str], columns: Sequence[Sequence[str]]) 
 def numbers_of_columns(
     titles: Sequence[str], columns: Sequence[Sequence[str]]
 ) -> tuple[list[Floats], list[int]]:
-    """Return the numbers of columns, and the columns of times, joined in the first.
+    """Return the numbers of columns, and the columns of times, the best first.
+
+    A column of dates is joined with one of times of day.
 
     Args:
         titles: of the columns.
@@ -110,33 +116,35 @@ def numbers_of_columns(
     """
     parse = functools.partial(parse_cell, mark="")
     numbers = [numbers_of_texts(x, parse) for x in columns]
-    times = [
-        k
-        for k, (title, cells) in enumerate(zip(titles, columns, strict=False))
-        if stamps_of(cells[:FIRST]) or time_rank(split_unit(title)) >= 0
-    ]
-    if times:
-        stamps = list(map(" ".join, zip(*(columns[k] for k in times), strict=True)))
-        numbers[times[0]] = numbers_of_texts(stamps, parse)
+    stamps = [stamps_of(x[:FIRST]) for x in columns]
+    dated = [k for k, one in enumerate(stamps) if one and one.dated]
+    clocks = [k for k, one in enumerate(stamps) if one and not one.dated]
+    times = dated + clocks
+    times += [k for k, one in enumerate(titles) if time_rank(split_unit(one)) >= 0 and not stamps[k]]
+    if dated and clocks and ":" not in columns[dated[0]][0]:
+        joined = zip(columns[dated[0]], columns[clocks[0]], strict=True)
+        numbers[dated[0]] = numbers_of_texts(list(map(" ".join, joined)), parse)
     return numbers, times
 
 
-def columns_of_lines(lines: Sequence[str]) -> tuple[list[str], list[tuple[str, ...]]]:
+def title_of_times(title: str) -> str:
+    """Return the title of a column of times, t where its name does not say so."""
+    return title if time_rank(split_unit(title)) >= 0 else "t"
+
+
+def columns_of_lines(lines: Sequence[str]) -> Table:
     """Return the titles of columns, "" without a header, and their cells.
 
-    Pairs of columns, of which the first has a tag above its times, become lines of a long table.
+    Pairs of columns, of which the first has a tag above its times, become lines of a long table,
+    and so do lines with one value each.
     """
     dialect = dialect_of(lines[:FIRST])
     tags = split_cells(lines[0], dialect.separator)
     if dialect.titles and len(tags) > 2 and not any(tags[1::2]):
-        table = [split_cells(line, dialect.separator) for line in lines[1:]]
-        triples = [
-            ([row[k] for row in table], [tag] * len(table), [row[k + 1] for row in table])
-            for k, tag in enumerate(tags)
-            if tag
-        ]
-        every = [tuple(itertools.chain(*one)) for one in zip(*triples, strict=True)]
-        return ["time", "tag", "value"], every
+        table = list(zip(*(split_cells(line, dialect.separator) for line in lines[1:]), strict=True))
+        return _join_signals(
+            (tag, table[k], table[k + 1]) for k, tag in enumerate(tags) if tag
+        )
     width = dialect.width
     titles = [f"{name} [{unit}]".removesuffix(" []") for name, unit in dialect.titles or ()] or [
         ""
@@ -148,4 +156,39 @@ def columns_of_lines(lines: Sequence[str]) -> tuple[list[str], list[tuple[str, .
         if cells[0].endswith(".Variable"):
             name, width, titles = cells[-1], 3, ["", "t [ms]", ""]
         rows.append([cells[0] or name, *cells[1:]])
-    return titles, list(zip(*(row for row in rows if len(row) == width), strict=True))
+    rows = [row for row in rows if len(row) == width]
+    columns = list(zip(*rows, strict=True))
+    if width > 2 and sum(sum(map(bool, row)) == 2 for row in rows) > MOST_NUMBERS * len(rows):
+        return _join_signals((titles[k], columns[0], columns[k]) for k in range(1, width))
+    return titles, columns
+
+
+def columns_of_files(files: Iterable[tuple[str, Path]]) -> Table:
+    """Return the columns of a long table of files with a time and a value in each line.
+
+    Args:
+        files: names of signals, and their files.
+
+    Raises:
+        FileError: one cannot be read.
+    """
+    signals = []
+    for name, path in files:
+        titles, columns = columns_of_lines(read_lines(path))
+        numbers, times = numbers_of_columns(titles, columns)
+        values = [k for k, x in enumerate(numbers) if k not in times and np.isfinite(x).any()]
+        if not times or not values:
+            raise FileError(f"{path}: expected a column of times and one of values")
+        signals.append((name, columns[times[0]], columns[values[0]]))
+    return _join_signals(signals)
+
+
+def _join_signals(signals: Iterable[tuple[str, Sequence[str], Sequence[str]]]) -> Table:
+    """Return the columns of a long table by the name, the times and the values of each signal."""
+    lines = [
+        (time, name, value)
+        for name, t, x in signals
+        for time, value in zip(t, x, strict=True)
+        if value
+    ]
+    return ["time", "tag", "value"], list(zip(*lines, strict=True))

@@ -6,7 +6,6 @@ fits the weights to loops of known cause and writes `loop.toml`.
 
 from __future__ import annotations
 
-import itertools
 import math
 import tomllib
 from functools import cache
@@ -33,10 +32,7 @@ FEATURES = {  # what is measured of a record, with the ends beyond which it coun
     "sines": (-6.0, 6.0),  # the same of an oscillation from outside
     "regularity": (-2.3, 3.0),  # ln r of Thornhill
     "sensitivity": (-0.7, 3.0),  # ln |1 / (1 + C G)| at the period
-    "square": (-3.0, 2.0),  # ln of the squares left by half sines over those by steps, of PV
-    "triangle": (-3.0, 2.0),  # the same by triangles, of OP
 }
-PEAKS = (0.15, 0.3, 0.5, 0.7, 0.85)  # of triangles, in a half period
 ALIKE = 0.5  # correlation of the evidence of two records of a valve
 PER_VALVE = 3.0  # odds that one valve of known cause supports: 20 to 1 for six or seven
 LEAST, MOST = 200, 8000  # samples of a part that is asked
@@ -277,8 +273,6 @@ def _measure_swing(grid: Grid, part: slice) -> Swing:
         math.asinh(none - fits.bic.get("external", none)),
         math.log(max(log.regularity, 1e-3)),
         math.log(max(fits.sensitivity(), 1e-3)),
-        compare_half_waves(log.y, log.period)[0],
-        compare_half_waves(log.u, log.period)[1],
     ]
     middle = float(np.mean(y[ok]))
     error = y[ok] - (middle if r is None else np.nan_to_num(r[ok], nan=middle))
@@ -313,30 +307,3 @@ def ellipse_width(log: LoopLog) -> float:
     u = log.u[log.ok]
     across = float(np.mean((u - u.mean()) * log.y[log.ok]))
     return math.sqrt(8 * max(float(u.var()) - across**2, 0.0))
-
-
-def compare_half_waves(x: Floats, period: float) -> Floats:
-    """Return by how much steps and triangles fit half waves better than sines, as logarithms (2).
-
-    Half waves lie between zero crossings of the signal without its trend (He and others 2007).
-
-    Args:
-        x: signal (N).
-        period: of the swing [samples].
-    """
-    if not math.isfinite(period) or 4 * period > x.size:
-        return np.zeros(2)
-    window = 2 * int(period) + 1
-    trend = np.convolve(np.pad(x, window // 2, "edge"), np.full(window, 1 / window), "valid")
-    x = x - trend
-    left = np.zeros(3)
-    crossings = np.flatnonzero(np.diff(np.signbit(x)))
-    for begin, end in itertools.pairwise(crossings):
-        wave, place = x[begin + 1 : end + 1], (np.arange(end - begin) + 0.5) / (end - begin)
-        if end - begin < max(4, period / 10):
-            continue
-        bent = [np.minimum(place / peak, (1 - place) / (1 - peak)) for peak in PEAKS]
-        shapes = np.array([np.sin(np.pi * place), np.ones(place.size), *bent])
-        squares = wave @ wave - (shapes @ wave) ** 2 / (shapes**2).sum(axis=1)
-        left += [squares[0], squares[1], squares[2:].min()]
-    return np.log(left[0] + 1e-9) - np.log(left[1:] + 1e-9)
