@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import undeadzone as uz
+from benchmarks.gears.contact import TOLD
 from benchmarks.markdown import head, row
 from undeadzone.analysis.identifiability.flanks import list_crossings
 from undeadzone.errors import TrackingError
@@ -30,6 +31,8 @@ from undeadzone.plants.robots.survey import Survey, survey_urdf
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.reader import parse
 from undeadzone.scenario.urdf_start import starting_scenario
+from undeadzone.simulation.collect import collect
+from undeadzone.simulation.simulate import prepare, signals_of
 
 Floats = NDArray[np.float64]
 FIRST = 100
@@ -58,26 +61,7 @@ class Robot(NamedTuple):
     at: Sequence[float] | None = None
 
 
-ROBOTS = {
-    "Panda": Robot("panda_description/urdf/panda.urdf", "panda_hand"),
-    "UR3": Robot("ur_description/urdf/ur3_robot.urdf", "tool0"),
-    "UR5": Robot("ur_description/urdf/ur5_robot.urdf", "tool0"),
-    "UR10": Robot("ur_description/urdf/ur10_robot.urdf", "tool0"),
-    "xArm7": Robot("xarm_description/urdf/xarm7.urdf"),
-    "Kinova j2s6s200": Robot("kinova_description/robots/kinova.urdf", "j2s6s200_end_effector"),
-    "SO-101": Robot(
-        "so_arm_description/urdf/so101.urdf",
-        "gripper_frame_link",
-        joints=("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll"),
-    ),
-    "Z1": Robot("z1_description/urdf/z1.urdf", joints=[f"joint{k}" for k in range(1, 7)]),
-    "Talos, left arm": Robot(
-        "talos_data/robots/talos_left_arm.urdf",
-        "arm_left_7_link",
-        at=[0.4, 0.0, -0.8, 0.0, 0.0, 0.0],
-    ),
-    "A1, a leg": Robot("a1_description/urdf/a1.urdf", "FR_foot"),
-}
+ROBOTS = {name: Robot(**places) for name, places in TOLD["robots"].items()}
 
 
 class Outcome(NamedTuple):
@@ -88,6 +72,9 @@ class Outcome(NamedTuple):
         known: verdicts (joints).
         narrowed: whether a gap that is not known is in a narrower range than declared (joints).
         crossed: whether each gap was crossed in truth (joints).
+        struck: whether a strike of it shows in the readings (joints).
+        own: error of each gap over the deviation of the filter alone, before the verdicts (joints).
+        share: that deviation over the declared one (joints).
         score: error of each gap over the deviation that is shown (joints).
         covered: whether the interval that is shown holds each gap (joints).
         tip: rms distance of the tip from its path, over that of the true state.
@@ -100,6 +87,9 @@ class Outcome(NamedTuple):
     known: NDArray[np.bool_]
     narrowed: NDArray[np.bool_]
     crossed: NDArray[np.bool_]
+    struck: NDArray[np.bool_]
+    own: Floats
+    share: Floats
     score: Floats
     covered: NDArray[np.bool_]
     tip: float
@@ -176,14 +166,22 @@ def draw_scenario(robot: Robot, seed: int) -> uz.Scenario:
 def outcome(robot: Robot, seed: int) -> Outcome:
     """Run one arm, and the same with the true state, and return the result."""
     scenario = draw_scenario(robot, seed)
-    exact = scenario.replace("observer", {"method": "full_state"})
-    run = uz.simulate(scenario)
-    exact_run, problem = uz.simulate(exact), resolve_scenario(exact)
+    problem = resolve_scenario(scenario)
+    signal, _ = signals_of(problem, prepare(problem), None)
+    run = collect(problem, signal, None, 0.0)
+    exact_run = uz.simulate(scenario.replace("observer", {"method": "full_state"}))
     plant = problem.plant
     assert plant.gears is not None
     assert run.width_std is not None
-    known = np.array([verdict["width"] for verdict in run.info.identifiable])
-    gap, true = run.d_hat[-1].reshape(-1, 2).sum(axis=1), 2 * np.array(run.info.widths[::2])
+    verdicts = run.info.identifiable
+    known, narrowed, strikes = (
+        np.array([verdict[name] for verdict in verdicts])
+        for name in ("width", "narrowed", "crossings")
+    )
+    true = 2 * np.array(run.info.widths[::2])
+    gap = run.d_hat[-1].reshape(-1, 2).sum(axis=1)
+    belief = signal.estimate
+    own = belief.width_std[[0, -1]]
     numbers = run.summary()
     crossings = list_crossings(plant.gears, plant.params, run.x)
     assert run.rms_tip is not None
@@ -192,8 +190,11 @@ def outcome(robot: Robot, seed: int) -> Outcome:
     return Outcome(
         run.divergence_time is not None,
         known,
-        np.array([verdict["narrowed"] for verdict in run.info.identifiable]),
+        narrowed,
         np.array([bool(each.rows.size) for each in crossings]),
+        strikes > 0,
+        np.abs(belief.right[-1] + belief.left[-1] - true) / own[1],
+        own[1] / own[0],
         np.abs(gap - true) / run.width_std[-1],
         (np.array(numbers["gap_low"]) <= true) & (true <= np.array(numbers["gap_high"])),
         run.rms_tip / exact_run.rms_tip,
@@ -224,17 +225,19 @@ def median_and_worst(ratios: list[float]) -> str:
 def line(label: str, results: list[Outcome]) -> str:
     """The row of a robot."""
     fine = [each for each in results if not each.diverged]
-    known, narrowed, crossed, score, covered = (
-        np.concatenate([getattr(each, name) for each in fine])
-        for name in ("known", "narrowed", "crossed", "score", "covered")
+    known, narrowed, crossed, struck, own, share, score, covered = (
+        np.concatenate(each) for each in list(zip(*fine, strict=True))[1:9]
     )
     shown = known | narrowed
+    mute = crossed & ~shown & ~struck
+    alone = f"{np.mean(own[mute] <= 1.96):.2f}, {np.median(share[mute]):.2f}" if mute.any() else ""
     held = [f"{np.mean(covered[each]):.2f}" if each.any() else "" for each in (known, narrowed)]
     return row(
         label,
         f"{len(results)} ({len(results) - len(fine)})",
-        f"{known.sum()}, {narrowed.sum()}, {(crossed & ~shown).sum()}, {(~crossed).sum()} of "
-        f"{known.size}",
+        f"{known.sum()}, {narrowed.sum()}, {(crossed & ~shown & struck).sum()}, {mute.sum()}, "
+        f"{(~crossed).sum()} of {known.size}",
+        alone,
         f"{(shown & ~crossed).sum()}",
         f"{np.max(score[shown], initial=0.0):.1f}; {(score[shown] > 4).sum()}",
         f"{held[0]}, {held[1]}, {np.mean(covered):.2f}",
@@ -250,7 +253,8 @@ and of 1 rad in turn. The filter is that of `undeadzone arm --gears`. Known: as 
 HEAD = head(
     "robot",
     "runs (diverged)",
-    "gaps known, narrowed; crossed, yet neither; not crossed",
+    "gaps known, narrowed; crossed, yet neither: a strike shows, none does; not crossed",
+    "no strike shows: own 95 % interval of the filter holds, its deviation over the prior",
     "known or narrowed, but not crossed",
     "known or narrowed: largest error / std; beyond 4",
     "95 % interval holds: known, narrowed, all",
@@ -272,7 +276,7 @@ def table() -> str:
         if words not in label:
             continue
         if not (folder() / robot.path).exists():
-            lines.append(row(label, "no file: pip install example-robot-data", *[""] * 6))
+            lines.append(row(label, "no file: pip install example-robot-data", *[""] * 7))
             continue
         results = []
         for seed in range(first, first + count):

@@ -76,7 +76,7 @@ def fit(
     """
     from undeadzone.scenario.reader import read_for_logs
     from undeadzone.util.own_files import require_own_file
-    from undeadzone_identify.fitting.joint import read_place, write_arm
+    from undeadzone_identify.fitting.joint import GEARS, read_place, write_arm
 
     folder = output.choose_folder(f"{scenario.stem}-fit")
     if (arm is None) is not (joint is None):
@@ -115,7 +115,9 @@ def fit(
     if further:
         last |= next_line(shell_command("undeadzone", "run", further[0]))
     elif written:
-        again = shell_command("undeadzone", "estimate", written[0], logs[0], columns=columns)
-        last |= next_line(again)
+        steps = [shell_command("undeadzone", "estimate", written[0], logs[0], columns=columns)]
+        if any(each.name.startswith(GEARS) for each in result.numbers):
+            steps.append("with --arm ARM.toml --joint NAME these gears become a joint's")
+        last |= next_line(*steps)
     output.print_result(result.summary, result.blocks, written + further, last)
     return 0 if result.consistent and any(each.shown for each in result.numbers) else 1

@@ -44,7 +44,7 @@ from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
 
 Contacts = Sequence[Any]  # of each joint: 1, 0 or -1, or a symbol of 1 or -1
-LONG = 4000  # instructions above which a shared graph is called, not inlined
+LONG = 3000  # instructions above which a shared graph is called, not inlined, and twice within one
 MOTION = ("motor", "link", "motor_speed", "link_speed")
 CONSTANTS = ("half", "centre", "friction", "f")  # named as the plant's parameters
 QUANTITIES = (*MOTION, *CONSTANTS, "firmness", "push")  # of each joint
@@ -370,7 +370,7 @@ def _project_to_bounds(layout: Layout, q: Numbers, belief: Gaussian) -> Gaussian
     mean, cov = belief
     for entry in layout.entries_of((*BOUNDED, *layout.further)):
         beyond = mean[entry] - clip(mean[entry], q.low[entry], q.high[entry])
-        mean -= beyond * cov[:, entry] / ca.fmax(cov[entry, entry], NONE)
+        mean -= beyond / ca.fmax(cov[entry, entry], NONE) * cov[:, entry]
     # Each move may take an entry past a bound again, and a known one has no variance to move by.
     return Gaussian(clip(mean, q.low, q.high), cov)
 
@@ -600,7 +600,7 @@ def _move_modes(drive: Drive, q: Numbers, before: Sequence[Mode], u: Any) -> lis
             return _move_mode(drive, q, contact, one, u)
 
         calls = [(ca.SX(ca.DM(modes[k])), q, before[k], u) for k in alike]
-        after |= zip(alike, share_step_graph(move, calls, LONG), strict=True)
+        after |= zip(alike, share_step_graph(move, calls, 2 * LONG), strict=True)
     return [after[k] for k in range(len(modes))]
 
 
