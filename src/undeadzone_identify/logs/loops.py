@@ -43,9 +43,7 @@ ROLES = {
 WEAK = ("X", "W", "Y", "VALUE", "OUTPUT")  # words of other things too: each counts half
 SURE = 1.5  # words that name a loop
 _ROLE = "|".join(ROLES).replace("_", r"[\W_]")
-TAGGED = re.compile(
-    rf"(?i)(?:(.*?)(?:[\W_]|(?<=\d))({_ROLE})(?:\.CV|\.VALUE)?|({_ROLE})[\W_](.+))"
-)
+TAGGED = re.compile(rf"(?i)(?:(.*?)(?:[\W_]|(?<=\d))({_ROLE})(?:\.CV|\.VALUE)?|({_ROLE})[\W_](.+))")
 BLOCK = re.compile(r"[/\\.](AI|AO|PID|DACA|PIDA)\d*$")  # function blocks of one module
 ENDINGS = (".csv", ".txt", ".tsv", ".parquet")
 Record = Path | Callable[[], Log]  # a file, or what builds the log of a table's columns

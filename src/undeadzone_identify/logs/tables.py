@@ -120,7 +120,9 @@ def numbers_of_columns(
     dated = [k for k, one in enumerate(stamps) if one and one.dated]
     clocks = [k for k, one in enumerate(stamps) if one and not one.dated]
     times = dated + clocks
-    times += [k for k, one in enumerate(titles) if time_rank(split_unit(one)) >= 0 and not stamps[k]]
+    times += [
+        k for k, one in enumerate(titles) if time_rank(split_unit(one)) >= 0 and not stamps[k]
+    ]
     if dated and clocks and ":" not in columns[dated[0]][0]:
         joined = zip(columns[dated[0]], columns[clocks[0]], strict=True)
         numbers[dated[0]] = numbers_of_texts(list(map(" ".join, joined)), parse)
@@ -141,10 +143,10 @@ def columns_of_lines(lines: Sequence[str]) -> Table:
     dialect = dialect_of(lines[:FIRST])
     tags = split_cells(lines[0], dialect.separator)
     if dialect.titles and len(tags) > 2 and not any(tags[1::2]):
-        table = list(zip(*(split_cells(line, dialect.separator) for line in lines[1:]), strict=True))
-        return _join_signals(
-            (tag, table[k], table[k + 1]) for k, tag in enumerate(tags) if tag
+        table = list(
+            zip(*(split_cells(line, dialect.separator) for line in lines[1:]), strict=True)
         )
+        return _join_signals((tag, table[k], table[k + 1]) for k, tag in enumerate(tags) if tag)
     width = dialect.width
     titles = [f"{name} [{unit}]".removesuffix(" []") for name, unit in dialect.titles or ()] or [
         ""
