@@ -127,7 +127,7 @@ from undeadzone_identify.selection.servo import (
 from undeadzone_identify.servo.gap import ServoGap
 
 Found = Identified | IdentifiedOutputs | IdentifiedMotion | IdentifiedAtRest | IdentifiedLoop
-READINGS = "readings alone"
+TABLE = "rows of a table"
 INTEGRATES = (
     "a torque or current moves a position, by their names, and no plant that settles explains it:"
     " taken to integrate, as with --integrators 1"
@@ -340,8 +340,8 @@ def _identify_logs(
             return IdentifiedLoop(tuple(logs), swing)
         spoken = choose_account(one.account, seen, looks, lambda: knows_the_end(one.answer))
         return dataclasses.replace(one, spoken=spoken)
-    if seen is None and is_one and is_plain and motion is None:  # nothing can be said
-        seen = Account(OPEN, {}, READINGS, (logs[0].input_unit, logs[0].output_units[0]))
+    if seen is None and is_one and is_plain and not logs[0].has_clock:  # a table needs no plant
+        seen = Account(OPEN, {}, TABLE, (logs[0].input_unit, logs[0].output_units[0]))
     if seen is not None:
         return IdentifiedAtRest(logs[0], looks, seen.with_doubts(f"no plant was fitted: {failure}"))
     if motion is None or not motion.are_positions:
