@@ -240,7 +240,7 @@ def read_width_ranges(right: Array, left: Array | None, p: int) -> Floats:
     )
 
 
-def widths_within(right: Array, left: Array | None, p: int) -> dict[str, Floats]:
+def widths_within(right: Array, left: Array | None, p: int) -> dict[str, Any]:
     """Return widths0 (p x 2) and width_max (p) of an observer that adapts within these ranges [z].
 
     Args:
