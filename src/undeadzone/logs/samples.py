@@ -367,10 +367,8 @@ def numbers_of_texts(texts: Sequence[str], parse: Callable[[str], float | None])
     """
     values = list(map(parse, texts))
     stamps = stamps_of(texts) if 2 * values.count(None) > len(values) else None
-    if stamps is None:
-        return np.array(values, float)
-    t = np.array(list(map(stamps.seconds, texts)), float)
-    return t if stamps.dated else over_midnight(t, math.nan)
+    numbers = np.array(values if stamps is None else list(map(stamps.seconds, texts)), float)
+    return numbers if stamps is None or stamps.dated else over_midnight(numbers, math.nan)
 
 
 def _stamp_text(cells: Sequence[str], layout: Layout) -> str:

@@ -86,9 +86,14 @@ def _find_day_first(found: list[re.Match[str]]) -> bool | None:
             return int(a) > NOON
     if 2 * len(dates) > len(found):
         return None
-    days = [[_day(one, is_first) for one in dates.values()] for is_first in (True, False)]
-    gaps = [max(np.diff(np.unique(each)), default=0) for each in days]
+    gaps = [_longest_gap(dates.values(), is_first) for is_first in (True, False)]
     return gaps[0] <= gaps[1] if min(gaps) <= 1 else None
+
+
+def _longest_gap(dates: Iterable[re.Match[str]], day_first: bool) -> float:
+    """Return the longest time between two dates [days]."""
+    days = np.unique(np.array([_day(one, day_first) for one in dates], float))
+    return float(np.diff(days, prepend=days[0]).max())
 
 
 def _match_stamp(text: str) -> re.Match[str] | None:

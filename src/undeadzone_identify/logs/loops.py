@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import re
 from collections import defaultdict
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from undeadzone.errors import InputError
-from undeadzone.logs.kinds import split_unit, time_rank
+from undeadzone.logs.kinds import split_unit
+from undeadzone.logs.names import parse_columns
 from undeadzone.logs.text import PREAMBLE, lines_ahead
 from undeadzone.logs.whole import samples_of
 from undeadzone_identify.logs.log import Log, log_from_samples, read_log
@@ -17,11 +19,11 @@ from undeadzone_identify.logs.tables import (
     Arrays,
     columns_of_files,
     columns_of_lines,
+    names_times,
     numbers_of_columns,
     read_lines,
     read_parquet,
     signals_of_columns,
-    title_of_times,
 )
 
 # Words of a tag, its last or its first, with the signals that they may name, the likeliest first.
@@ -47,7 +49,7 @@ TAGGED = re.compile(rf"(?i)(?:(.*?)(?:[\W_]|(?<=\d))({_ROLE})(?:\.CV|\.VALUE)?|(
 BLOCK = re.compile(r"[/\\.](AI|AO|PID|DACA|PIDA)\d*$")  # function blocks of one module
 ENDINGS = (".csv", ".txt", ".tsv", ".parquet")
 Record = Path | Callable[[], Log]  # a file, or what builds the log of a table's columns
-DAY = re.compile(r"(^|[-_. ])\d[\d_.\-T]*$")  # of a name, behind that of its valve or alone
+DAY = re.compile(r"(^|[-_. /])\d[\d_.\-T]*(?=/|$)")  # behind the name of a valve, or alone
 
 
 def find_loops(source: Path) -> dict[str, list[Record]]:
@@ -74,12 +76,13 @@ def find_loops(source: Path) -> dict[str, list[Record]]:
             for tag, one in several.items():
                 loops[tag].append(one)
             if not several:
-                parts = path.relative_to(source).with_suffix("").parts
-                name = "/".join(filter(None, (DAY.sub("", one) for one in parts)))
-                files[name or path.stem].append(path)
+                name = path.relative_to(source).with_suffix("").as_posix()
+                files[DAY.sub("", name).strip("/") or path.stem].append(path)
     for tag, roles in _find_roles(files).items():
-        own = [(name, path) for name in roles.values() for path in files.pop(name)]
-        arrays = signals_of_columns(*columns_of_files(own)) or {}
+        signals = list[tuple[str, Path]]()
+        for name in roles.values():
+            signals += itertools.product([name], files.pop(name))
+        arrays = signals_of_columns(*columns_of_files(signals)) or {}
         loops[tag] += _records_of(arrays, str(source)).values()
     for name, paths in files.items():
         loops[name] += paths
@@ -107,7 +110,7 @@ def _records_of(arrays: Arrays, source: str) -> dict[str, Record]:
         arrays: columns by name.
         source: of the table, for messages.
     """
-    time = [name for name in arrays if time_rank(split_unit(name)) >= 0][:1]
+    time = [*filter(names_times, arrays)][:1]
     return {
         tag.strip("/\\> "): functools.partial(
             _build_log,
@@ -138,7 +141,7 @@ def _find_roles(names: Iterable[str]) -> dict[str, dict[str, str]]:
 
 
 def _choose_roles(own: dict[str, str]) -> dict[str, str]:
-    """Return the columns of a tag by signal, y and u first; empty where they name no loop.
+    """Return the columns of a tag by signal; empty where they name no loop.
 
     Args:
         own: columns by the words of `ROLES`.
@@ -146,11 +149,12 @@ def _choose_roles(own: dict[str, str]) -> dict[str, str]:
     roles: dict[str, str] = {}
     sure = 0.0
     for word in sorted(own, key=lambda one: (one in WEAK, len(ROLES[one]))):
-        free = [signal for signal in ROLES[word] if signal not in roles]
-        roles |= dict.fromkeys(free[:1], own[word])
+        signal = next(filter(lambda one: one not in roles, ROLES[word]), None)
+        if signal is not None:
+            roles[signal] = own[word]
         sure += 0.5 if word in WEAK else 1.0
     is_loop = {"u", "y"} <= roles.keys() and sure >= SURE
-    return {signal: roles[signal] for signal in "yur" if signal in roles} if is_loop else {}
+    return roles if is_loop else {}
 
 
 def _build_log(source: str, arrays: Arrays, signals: list[str]) -> Log:
@@ -164,9 +168,7 @@ def _build_log(source: str, arrays: Arrays, signals: list[str]) -> Log:
     Raises:
         FileError: OP, PV or the time has no number that can be read.
     """
-    chosen = {
-        signal if signal in "tr" else f"{signal}[0]": str(k) for k, signal in enumerate(signals, 1)
-    }
+    chosen = parse_columns(",".join(map("{}={}".format, signals, itertools.count(1))))
     log = log_from_samples(*samples_of(arrays, None, None, chosen, source), source, strict=False)
     return log._replace(inputs=("OP",), outputs=("PV",))
 
@@ -180,8 +182,10 @@ def _read_arrays(path: Path) -> Arrays:
     if sum(bool(TAGGED.fullmatch(split_unit(one).name)) for one in titles) < 2:
         return signals_of_columns(titles, columns) or {}
     numbers, times = numbers_of_columns(titles, columns)
-    first = {title_of_times(titles[k]): numbers[k] for k in times[:1]}
-    return first | dict(zip(titles, numbers, strict=False))
+    arrays = dict(zip(titles, numbers, strict=False))
+    if times and not names_times(titles[times[0]]):
+        titles[times[0]] = "t"
+    return {titles[k]: numbers[k] for k in times[:1]} | arrays
 
 
 def read_record(record: Record) -> Log:

@@ -95,7 +95,8 @@ def signals_of_columns(titles: Sequence[str], columns: Sequence[Sequence[str]]) 
     t, x = t[known], numbers[values[0]][known]
     base = np.unique(t[of == np.argmax(counts)])
     late = base + np.median(np.diff(base)) / 2
-    arrays = {title_of_times(titles[times[0]]): base}
+    title = titles[times[0]]
+    arrays = {title if names_times(title) else "t": base}
     for k in np.argsort(np.unique(of, return_index=True)[1]):
         own, order = np.unique(t[of == k], return_index=True)
         before = np.searchsorted(own, late) - 1
@@ -116,22 +117,22 @@ def numbers_of_columns(
     """
     parse = functools.partial(parse_cell, mark="")
     numbers = [numbers_of_texts(x, parse) for x in columns]
-    stamps = [stamps_of(x[:FIRST]) for x in columns]
-    dated = [k for k, one in enumerate(stamps) if one and one.dated]
-    clocks = [k for k, one in enumerate(stamps) if one and not one.dated]
-    times = dated + clocks
-    times += [
-        k for k, one in enumerate(titles) if time_rank(split_unit(one)) >= 0 and not stamps[k]
-    ]
+    dated, clocks, others = list[int](), list[int](), list[int]()
+    for k, (title, cells) in enumerate(zip(titles, columns, strict=False)):
+        stamps = stamps_of(cells[:FIRST])
+        if stamps:
+            (dated if stamps.dated else clocks).append(k)
+        elif names_times(title):
+            others.append(k)
     if dated and clocks and ":" not in columns[dated[0]][0]:
-        joined = zip(columns[dated[0]], columns[clocks[0]], strict=True)
-        numbers[dated[0]] = numbers_of_texts(list(map(" ".join, joined)), parse)
-    return numbers, times
+        joined = map(" ".join, zip(columns[dated[0]], columns[clocks[0]], strict=True))
+        numbers[dated[0]] = numbers_of_texts(list(joined), parse)
+    return numbers, [*dated, *clocks, *others]
 
 
-def title_of_times(title: str) -> str:
-    """Return the title of a column of times, t where its name does not say so."""
-    return title if time_rank(split_unit(title)) >= 0 else "t"
+def names_times(title: str) -> bool:
+    """Return whether a column has times by its title."""
+    return time_rank(split_unit(title)) >= 0
 
 
 def columns_of_lines(lines: Sequence[str]) -> Table:
@@ -143,10 +144,9 @@ def columns_of_lines(lines: Sequence[str]) -> Table:
     dialect = dialect_of(lines[:FIRST])
     tags = split_cells(lines[0], dialect.separator)
     if dialect.titles and len(tags) > 2 and not any(tags[1::2]):
-        table = list(
-            zip(*(split_cells(line, dialect.separator) for line in lines[1:]), strict=True)
-        )
-        return _join_signals((tag, table[k], table[k + 1]) for k, tag in enumerate(tags) if tag)
+        split = functools.partial(split_cells, separator=dialect.separator)
+        table = list(itertools.zip_longest(*map(split, lines[1:]), fillvalue=""))
+        return _join_signals(zip(tags[::2], table[::2], table[1::2], strict=False))
     width = dialect.width
     titles = [f"{name} [{unit}]".removesuffix(" []") for name, unit in dialect.titles or ()] or [
         ""
@@ -161,7 +161,9 @@ def columns_of_lines(lines: Sequence[str]) -> Table:
     rows = [row for row in rows if len(row) == width]
     columns = list(zip(*rows, strict=True))
     if width > 2 and sum(sum(map(bool, row)) == 2 for row in rows) > MOST_NUMBERS * len(rows):
-        return _join_signals((titles[k], columns[0], columns[k]) for k in range(1, width))
+        return _join_signals(
+            zip(titles[1:], itertools.repeat(columns[0]), columns[1:], strict=False)
+        )
     return titles, columns
 
 
@@ -187,10 +189,7 @@ def columns_of_files(files: Iterable[tuple[str, Path]]) -> Table:
 
 def _join_signals(signals: Iterable[tuple[str, Sequence[str], Sequence[str]]]) -> Table:
     """Return the columns of a long table by the name, the times and the values of each signal."""
-    lines = [
-        (time, name, value)
-        for name, t, x in signals
-        for time, value in zip(t, x, strict=True)
-        if value
-    ]
-    return ["time", "tag", "value"], list(zip(*lines, strict=True))
+    lines = list[tuple[str, ...]]()
+    for name, t, x in signals:
+        lines += zip(t, itertools.repeat(name), x, strict=False)
+    return ["time", "tag", "value"], list(zip(*filter(all, lines), strict=True))
