@@ -93,7 +93,7 @@ def _find_day_first(found: list[re.Match[str]]) -> bool | None:
 def _longest_gap(dates: Iterable[re.Match[str]], day_first: bool) -> float:
     """Return the longest time between two dates [days]."""
     days = np.unique(np.array([_day(one, day_first) for one in dates], float))
-    return float(np.diff(days, prepend=days[0]).max())
+    return max(np.diff(days), default=0.0)
 
 
 def _match_stamp(text: str) -> re.Match[str] | None:
