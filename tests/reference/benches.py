@@ -13,6 +13,7 @@ from typing import Any
 from unittest import mock
 
 import numpy as np
+import pandas as pd
 from benchmarks.identify import (
     labelled_records,
     lost_motion,
@@ -27,6 +28,7 @@ from benchmarks.identify.logs.names import make as make_named
 from benchmarks.identify.logs.public_reports import KINDS as REPORTS
 from benchmarks.identify.logs.public_reports import judge_report
 from benchmarks.identify.logs.strangers import ALL, STEP
+from benchmarks.identify.logs.valves import make as make_loop
 
 import undeadzone as uz
 
@@ -169,11 +171,12 @@ def ask_valve(seed: str) -> Answer:
     Args:
         seed: of the loop.
     """
-    with tempfile.TemporaryDirectory() as folder, noted_answers() as noted:
-        one = valves.outcome_of_seed(int(seed), Path(folder))
-    right = valves.WORDS[one["cause"]]
-    sizes = {"width": one["S"] or None, "loop.J": one["J"] or None}
-    return judged(noted, judge_word(one["verdict"], right), right, None, sizes)
+    loop = make_loop(int(seed))
+    with noted_answers() as noted:
+        found = uz.identify(pd.DataFrame({"OP": loop.op, "PV": loop.pv, "SP": loop.sp}))
+    right = valves.WORDS[loop.cause]
+    sizes = {"width": loop.stick or None, "loop.J": loop.jump or None}
+    return judged(noted, judge_word(found.verdict, right), right, None, sizes)
 
 
 def ask_motion(kind: str) -> Answer:
