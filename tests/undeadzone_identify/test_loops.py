@@ -50,6 +50,9 @@ SHAPES = {
         "F.PV,,F.OP,,F.SP,",
         "{t:%d-%b-%y %X},{pv},{t:%d-%b-%y %X},{op},{t:%d-%b-%y %X},{sp}",
     ),
+    "ahead of tags": (f"Station 4\nJune\n{TAGGED}", LINE),
+    "one value a line": (TAGGED, '{k},{op},"",""\n{k},"",{pv},""\n{k},"","",{sp}'),
+    "names in two columns": ("time,loop,signal,value", LONG.replace(".", ",").replace("_", "")),
     "two loops": (f"{TAGGED},FIC102.OP,FIC102.PV,FIC102.SP", LINE + ",{op},{pv},{sp}"),
     "German": ("Zeit;F Stellgröße;F Istwert;F Sollwert", LINE.replace(",", ";")),
     "German lines": ("Zeitstempel;Variable;Wert", LONG.replace(",", ";")),
@@ -59,30 +62,39 @@ SHAPES = {
 @pytest.mark.parametrize("shape", SHAPES)
 def test_a_table_of_tags_is_read_at_the_first_call(shape: str, tmp_path: Path) -> None:
     head, line = SHAPES[shape]
-    path, lines, before = tmp_path / "table.csv", [head], dict.fromkeys(COLUMNS, "")
+    point = "," if ";" in head else "."
+    path, lines, before = tmp_path / "table.csv", [head], dict.fromkeys(COLUMNS)
     for k in range(SIZE):
-        now = {name: f"{column[k]:.6g}" for name, column in COLUMNS.items()}
+        now = {name: f"{x[k]:.6g}".replace(".", point) for name, x in COLUMNS.items()}
         new = {f"{name}_": text if text != before[name] else "" for name, text in now.items()}
-        texts = {
-            name: text.replace(".", "," if ";" in head else ".")
-            for name, text in (now | new).items()
-        }
         t = datetime(2024, 6, 13, 8) + timedelta(seconds=k)
-        lines += [one for one in line.format(k=k, t=t, **texts).split("\n") if one[-1] not in ",;"]
+        lines += re.findall(r"(?m)^.*[^,;]$", line.format(k=k, t=t, **now, **new))
         before = now
     path.write_text("\n".join(lines) + "\n", encoding="cp1252")
     log, *others = map(read_record, read_loops(path).values())
     assert len(others) == ("FIC102" in head)
+    assert log.t[0] == (1718265600.0 if "{t" in line else 0.0)
     read = np.hstack([log.u, log.y, log.r, log.t[:, None] - log.t[0]])
     assert read == pytest.approx(np.column_stack([*COLUMNS.values(), range(SIZE)]), rel=1e-5)
+
+
+def test_a_file_for_each_tag_is_a_loop(tmp_path: Path) -> None:
+    for name, x in COLUMNS.items():
+        write_log(tmp_path / f"FIC101.{name}_0612.csv", "time,value", 1.0, x)
+    ((record,),) = find_loops(tmp_path).values()
+    assert read_record(record).y[:, 0] == pytest.approx(COLUMNS["pv"])
 
 
 @pytest.fixture(scope="module")
 def plant(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder of two valves, of one of which there are two records."""
     folder = tmp_path_factory.mktemp("plant")
-    for seed, name in ((1, "FIC1_0612"), (6, "FIC1_0613"), (3, "LIC2_0612")):
-        one = make(seed, "stiction" if name[0] == "F" else "none", SIZE)
+    for seed, cause, name in (
+        (1, "stiction", "FIC1_0612"),
+        (6, "stiction", "FIC1_0613"),
+        (3, "none", "LIC2_0612"),
+    ):
+        one = make(seed, cause, SIZE)
         write_log(folder / f"{name}.csv", "time,OP,PV,SP", 1.0, one.op, one.pv, one.sp)
     return folder
 
@@ -164,7 +176,7 @@ def test_what_a_historian_left_out_is_named_with_its_cure(kept: str, tmp_path: P
 def test_odds_of_a_loop_end_where_the_number_of_valves_ends(count: int, share: float) -> None:
     """One valve of known cause supports odds of 3, ten of 30."""
     most = selection.PER_VALVE * min(selection.load_weights()["valves"])
-    wide = 1.0 if share > 0.5 else 0.0
+    wide = float(share > 0.5)
     row = [wide, 10.0 * wide - 3.0, 0.0, -1.0, 0.0]
     odds = selection.combine_odds(np.array([row] * count))
     assert sum(odds.values()) == pytest.approx(1.0)

@@ -42,8 +42,7 @@ ROLES = {
     ),
     "CV": "yu",  # controlled variable, or beside a PV the controller's
 }  # fmt: skip
-WEAK = ("X", "W", "Y", "VALUE", "OUTPUT")  # words of other things too: each counts half
-SURE = 1.5  # words that name a loop
+WEAK = {"X", "W", "Y", "VALUE", "OUTPUT"}  # words of other things too: two of them name no loop
 _ROLE = "|".join(ROLES).replace("_", r"[\W_]")
 TAGGED = re.compile(rf"(?i)(?:(.*?)(?:[\W_]|(?<=\d))({_ROLE})(?:\.CV|\.VALUE)?|({_ROLE})[\W_](.+))")
 BLOCK = re.compile(r"[/\\.](AI|AO|PID|DACA|PIDA)\d*$")  # function blocks of one module
@@ -81,7 +80,7 @@ def find_loops(source: Path) -> dict[str, list[Record]]:
     for tag, roles in _find_roles(files).items():
         signals = list[tuple[str, Path]]()
         for name in roles.values():
-            signals += itertools.product([name], files.pop(name))
+            signals += zip(itertools.repeat(name), files.pop(name), strict=False)
         arrays = signals_of_columns(*columns_of_files(signals)) or {}
         loops[tag] += _records_of(arrays, str(source)).values()
     for name, paths in files.items():
@@ -147,14 +146,12 @@ def _choose_roles(own: dict[str, str]) -> dict[str, str]:
         own: columns by the words of `ROLES`.
     """
     roles: dict[str, str] = {}
-    sure = 0.0
     for word in sorted(own, key=lambda one: (one in WEAK, len(ROLES[one]))):
         signal = next(filter(lambda one: one not in roles, ROLES[word]), None)
         if signal is not None:
             roles[signal] = own[word]
-        sure += 0.5 if word in WEAK else 1.0
-    is_loop = {"u", "y"} <= roles.keys() and sure >= SURE
-    return roles if is_loop else {}
+    is_named = len(own) > 2 or not own.keys() <= WEAK
+    return roles if is_named and {"u", "y"} <= roles.keys() else {}
 
 
 def _build_log(source: str, arrays: Arrays, signals: list[str]) -> Log:
