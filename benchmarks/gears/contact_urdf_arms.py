@@ -226,8 +226,11 @@ def line(label: str, results: list[Outcome]) -> str:
     """The row of a robot."""
     fine = [each for each in results if not each.diverged]
     known, narrowed, crossed, struck, own, share, score, covered = (
-        np.concatenate(each) for each in list(zip(*fine, strict=True))[1:9]
-    )
+        np.concatenate([getattr(each, name) for each in fine])
+        for name in (
+            "known", "narrowed", "crossed", "struck", "own", "share", "score", "covered",
+        )
+    )  # fmt: skip
     shown = known | narrowed
     mute = crossed & ~shown & ~struck
     alone = f"{np.mean(own[mute] <= 1.96):.2f}, {np.median(share[mute]):.2f}" if mute.any() else ""

@@ -68,7 +68,9 @@ class World(NamedTuple):
 
 
 WORLDS = {name: World(**numbers) for name, numbers in TOLD["worlds"].items()}
-for name, numbers in TOLD["further"].items():  # what the model has not, and what is told of it
+for name, numbers in TOLD[
+    "further"
+].items():  # what the model has not, without and with a range for it
     world = World(**numbers)
     WORLDS |= {f"{name}, not told": world._replace(unknown={}), f"{name}, told": world}
 

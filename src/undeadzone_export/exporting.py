@@ -299,7 +299,7 @@ def change_method(scenario: Scenario, method: str) -> tuple[Scenario, list[str]]
         value = getattr(observer, field.name)
         if np.size(value) and not np.array_equal(value, field.default):
             given[field.name] = value
-    if "width_max" in known and {"right"} <= given.keys() - known:
+    if "width_max" in known and "right" in given.keys() - known:
         ranges = given.pop("right"), given.pop("left", None), resolve_scenario(scenario).model.p
         given |= {key: each.tolist() for key, each in widths_within(*ranges).items()}
     table = {"method": name} | {key: given[key] for key in given.keys() & known} | changes
