@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.errors import InputError
-from undeadzone.util.arrays import Floats
+from undeadzone.util.arrays import Floats, require_number
 
 LARGEST = 200  # functions in a basis; each is computed at every step
 
@@ -55,15 +55,16 @@ def build_gaussians(key: str, reach: Floats, count: int, overlap: float, normali
         L.-X. Wang, J. M. Mendel (1992), doi:10.1109/72.159070
 
     Args:
-        key: named in errors.
+        key: of the count, named in errors, as is `overlap` beside it.
         reach: half the sides of the box (k).
         count: centres per axis.
         overlap: standard deviation of a Gaussian, in spacings of the grid.
         normalised: make the functions sum to 1.
 
     Raises:
-        InputError: fewer than 2 centres per axis, or too many functions.
+        InputError: fewer than 2 centres per axis, too many functions, or no positive overlap.
     """
+    overlap = require_number(f"{key.partition('.')[0]}.overlap", overlap, above=0.0)
     if count < 2:
         raise InputError(f"{key}: a grid needs at least 2 centres per axis, found {count}")
     spacing = 2 / (count - 1)

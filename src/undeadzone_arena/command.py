@@ -11,16 +11,18 @@ from click.core import ParameterSource
 
 from undeadzone.cli.common import (
     READ,
-    WRITTEN,
+    WRITTEN_FOLDER,
     add_guards,
     build_origin,
+    flag_option,
     force_option,
     print_blocks,
     print_json,
     print_line,
     require_writable,
+    value_option,
 )
-from undeadzone.cli.output import files_line, prepare_figures, report_fresh_start
+from undeadzone.cli.output import files_line, json_option, prepare_figures, report_fresh_start
 from undeadzone.util.progress import terminal_progress as progress
 
 if TYPE_CHECKING:
@@ -35,73 +37,55 @@ FOLDER = Path("arena-results")
     epilog="Example: undeadzone arena mine.toml --methods censored,adaptive_inverse,ekf --html"
 )
 @click.argument("scenarios", type=READ, metavar="[SCENARIO.toml ...]", nargs=-1)
-@click.option(
-    "--methods",
-    default=None,
-    metavar="A,B,...",
-    help="Only these (default: all), and the lines that make a regret.",
+@value_option(
+    "--methods", "A,B,...", "Only these (default: all), and the lines that make a regret."
 )
-@click.option(
+@value_option(
     "--seeds",
+    "N",
+    "Runs of each method on each scenario.",
     type=click.IntRange(1),
     default=3,
     show_default=True,
-    metavar="N",
-    help="Runs of each method on each scenario.",
 )
-@click.option(
+@value_option(
     "--set",
+    None,
+    "Set of scenarios of the arena, if you give none (default: dead_zones).",
     "chosen",
     type=click.Choice(("dead_zones", "plays", "both_ends")),
-    default=None,
-    help="Set of scenarios of the arena, if you give none (default: dead_zones).",
 )
-@click.option("--html", is_flag=True, help="Write results.json, figures and report.html to DIR.")
-@click.option(
+@flag_option("--html", "Write results.json, figures and report.html to DIR.")
+@value_option(
     "--out",
-    type=WRITTEN,
-    default=None,
-    metavar="DIR",
-    help=f"Folder for the files written, implies --html (default: {FOLDER}).",
+    "DIR",
+    f"Folder for the files written, implies --html (default: {FOLDER}).",
+    type=WRITTEN_FOLDER,
 )
-@click.option(
-    "--json",
-    "as_json",
-    is_flag=True,
-    help="Print one JSON object on stdout and nothing else there.",
-)
-@click.option(
+@json_option
+@flag_option(
     "--tune",
+    "Find the methods' numbers on the tuning scenarios instead, and write DIR/tuned.toml.",
     "tuning",
-    is_flag=True,
-    help="Find the methods' numbers on the tuning scenarios instead, and write DIR/tuned.toml.",
 )
-@click.option(
+@value_option(
     "--budget",
+    "N",
+    "With --tune: candidates of each method.",
     type=click.IntRange(2),
     default=60,
     show_default=True,
-    metavar="N",
-    help="With --tune: candidates of each method.",
 )
-@click.option(
-    "--tuned",
-    type=READ,
-    default=None,
-    metavar="FILE",
-    help="A tuned.toml to use in the place of the built-in one.",
-)
-@click.option(
+@value_option("--tuned", "FILE", "A tuned.toml to use in the place of the built-in one.", type=READ)
+@value_option(
     "--processes",
+    "N",
+    "Number of processes (default: one per processor).",
     type=click.IntRange(1),
-    default=None,
-    metavar="N",
-    help="Number of processes (default: one per processor).",
 )
-@click.option(
+@flag_option(
     "--resume",
-    is_flag=True,
-    help="Continue an interrupted command from DIR/results.json.partial or tuned.toml.partial.",
+    "Continue an interrupted command from DIR/results.json.partial or tuned.toml.partial.",
 )
 @force_option
 @add_guards

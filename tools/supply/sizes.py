@@ -23,6 +23,7 @@ PURPOSE: Final = {
     "matplotlib": "figures",
     "msgspec": "scenario files read and checked, TOML and JSON",
     "numpy": "arrays",
+    "openpyxl": "workbooks of Excel",
     "rich": "bars of progress",
     "scipy": "Riccati equations, optimisers, distributions, `.mat` files",
     "threadpoolctl": "one BLAS thread for `identify` and new observers",

@@ -33,9 +33,12 @@ LARGE = 1e7  # [bytes] of a table of signals that is written unasked
 csv_option = flag_option(
     "--csv", f"Write the table of signals even if it is larger than {LARGE / 1e6:g} MB.", "as_csv"
 )
+json_option = flag_option(
+    "--json", "Print one JSON object on stdout and nothing else there.", "as_json"
+)
 OUTPUTS = (
     flag_option("--no-figures", "Compute without drawing."),
-    flag_option("--json", "Print one JSON object on stdout and nothing else there.", "as_json"),
+    json_option,
     value_option(
         "--out", "DIR", "Folder for the files written (made if missing).", type=WRITTEN_FOLDER
     ),

@@ -70,7 +70,8 @@ _TABLE: Final = tuple(
         (
             r"\bbatt|\bvbat|supply|counter\b|star mass\b|\bcalculated\b|\bsnr\b|delta|\bdt\b"
             r"|^stat(e|us) \d|moving|\bpin\b|\bbus\b|\bvcc\b|\berror\b|\bwanted time\b|\bindex\b"
-            r"|\bid\b|^(n|no|nr|samples?|trial|test|run|point|row|measurement|record)"
+            r"|\bid\b|^(n|no|nr|samples?|trial|test|run|point|row|measurement|record"
+            r"|prueba|ensayo|essai|versuch|messung)"
             r"( (no|nr|number))?$",
             "aside",
             0.0,

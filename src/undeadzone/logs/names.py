@@ -202,34 +202,6 @@ def layout_of_titles(
     return header.layout({"t": time, "y": y, "u": u, "r": r}, {"t": time} | after)
 
 
-def layout_of_numbers(
-    width: int,
-    p: int | None,
-    m: int | None,
-    chosen: Mapping[str, str],
-    source: str,
-    values: Floats | None = None,
-) -> Layout:
-    """Return the columns of a log without a header, by numbers that the user names or their values.
-
-    Args:
-        width: how many columns there are.
-        p, m: numbers of readings and inputs that the plant has; None: as many as are named.
-        chosen: columns that the user names by number; see `parse_columns`.
-        source: the log, for messages.
-
-    Raises:
-        FileError: nothing is named: any order would be a guess; or a number is none of theirs.
-    """
-    if not chosen and (values is None or p is not None):
-        raise FileError(
-            f"{source}: without a header the order of columns is not known. Add one, t,y,u, or "
-            'name the columns by number: columns="t=1,y=2,u=3"'
-        )
-    titles = [Title(str(k + 1), "") for k in range(width)]
-    return layout_of_titles(titles, p, m, chosen, source, values)
-
-
 class _Header(NamedTuple):
     """Titles of the columns, and the columns that the user names.
 

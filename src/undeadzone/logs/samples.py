@@ -14,7 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from undeadzone.errors import FileError
-from undeadzone.logs.names import Layout, layout_of_numbers, layout_of_titles
+from undeadzone.logs.kinds import Title
+from undeadzone.logs.names import Layout, layout_of_titles
 from undeadzone.logs.stamps import Stamps, is_ambiguous, over_midnight, stamps_of, to_seconds
 from undeadzone.logs.text import (
     LARGEST,
@@ -246,12 +247,21 @@ class LogReader:
         return content
 
     def _layout(self, lines: Sequence[str]) -> Layout:
-        """Return the columns of the signals. Raises FileError."""
+        """Return the columns of the signals.
+
+        Raises:
+            FileError: a column is not known; without a header any order would be a guess.
+        """
         values = None if self._live else _values_of(self._dialect, lines)
-        others = (self._p, self._m, self._chosen, self._source, values)
-        if self._dialect.titles is not None:
-            return layout_of_titles(self._dialect.titles, *others)
-        return layout_of_numbers(self._dialect.width, *others)
+        titles = self._dialect.titles
+        if titles is None:
+            if not self._chosen and (values is None or self._p is not None):
+                raise FileError(
+                    f"{self._source}: without a header the order of columns is not known. Add one, "
+                    't,y,u, or name the columns by number: columns="t=1,y=2,u=3"'
+                )
+            titles = [Title(str(k + 1), "") for k in range(self._dialect.width)]
+        return layout_of_titles(titles, self._p, self._m, self._chosen, self._source, values)
 
     def _none(self) -> Samples:
         """Return samples of length 0."""

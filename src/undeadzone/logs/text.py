@@ -9,18 +9,18 @@ import codecs
 import itertools
 import math
 import re
+import zipfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import BinaryIO, Final, NamedTuple
 
 from undeadzone.errors import FileError, InputError
 from undeadzone.logs.kinds import Title, split_unit
-from undeadzone.util.files import open_plain, unreadable_file
+from undeadzone.util.files import open_plain, require_small_archive, unreadable_file
 
 BLOCK: Final = 1 << 22  # bytes of a file that are read at once
 LONGEST_LINE: Final = 65_536  # characters of a line; a longer one is no line of numbers
 _MARKS: Final = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
-_ZIP: Final = b"PK\3\4"  # how an archive begins, as .xlsx and .ods are
 REMARKS: Final = ("#", "%", "//")
 MARKS: Final = "#%/ \t"  # about the text of a remark
 # What stands in a cell whose number is missing.
@@ -46,6 +46,9 @@ _TELLING: Final = {
     for mark, grouped in _GROUPED.items()
 }
 _BLANKS: Final = re.compile("[ \t]+")
+_OPEN: Final = r'(?:^|[,;\t])"[^"\n]*'  # a cell in quotes that goes on in the next line
+_OPENS: Final = re.compile(f"{_OPEN}$")
+_BROKEN: Final = re.compile(rf'^(.*{_OPEN})\n([^"\n]*"(?=$|[,;\t]))', re.MULTILINE)
 OTHER: Final = {".": ",", ",": "."}
 TELLING_MARK: Final = 5000  # lines that tell the decimal mark
 PREAMBLE: Final = 60  # lines among which the header is looked for
@@ -64,6 +67,10 @@ def blocks_of(path: Path, largest: int) -> Iterator[tuple[bytes, bool]]:
     """
     try:
         with open_plain(path, largest) as file:
+            if zipfile.is_zipfile(file):
+                yield text_of_workbook(path, file, largest), True
+                return
+            file.seek(0)
             while True:
                 data = file.read(BLOCK)
                 yield data, not data
@@ -73,6 +80,30 @@ def blocks_of(path: Path, largest: int) -> Iterator[tuple[bytes, bool]]:
         if isinstance(error, InputError):
             raise
         raise unreadable_file(path, error) from None
+
+
+def text_of_workbook(path: Path, file: BinaryIO, largest: int) -> bytes:
+    """Return the first sheet of an Excel workbook as a text with tabs.
+
+    Args:
+        path: of the file, for messages.
+        file: its bytes.
+        largest: size [bytes] beyond which it is refused.
+
+    Raises:
+        FileError: it is another archive, or larger.
+    """
+    import openpyxl
+
+    require_small_archive(file, largest)
+    try:
+        sheet = openpyxl.load_workbook(file, read_only=True, data_only=True).worksheets[0]
+        rows = [
+            ["" if x is None else str(x) for x in row] for row in sheet.iter_rows(values_only=True)
+        ]
+    except Exception:  # of any type for another archive
+        raise FileError(f"{path}: no Excel workbook, but another archive: save it as CSV") from None
+    return "\n".join(map("\t".join, rows)).encode()
 
 
 class Text:
@@ -107,7 +138,9 @@ class Text:
             text += "\n"
         pending = "\r" if text.endswith("\r") else ""
         text = text.removesuffix("\r").replace("\r\n", "\n").replace("\r", "\n")
-        *lines, rest = text.split("\n")
+        *lines, rest = _BROKEN.sub(r"\n\1 \2", text).split("\n")
+        if lines and not last and _OPENS.search(lines[-1]):
+            rest = f"{lines.pop()}\n{rest}"
         if not self._is_text:
             self._require_text(lines, rest)
         self._rest = rest[: LONGEST_LINE + 1] + pending
@@ -131,11 +164,6 @@ class Text:
             if len(data) < 2 and not last:
                 self._mark = data
                 return ""
-            if data[:4] == _ZIP:
-                raise FileError(
-                    f"{self._source}: not CSV text but an Excel workbook, or another archive: save "
-                    "it as CSV"
-                )
             is_wide = data[:2] in _MARKS
             make = codecs.getincrementaldecoder("utf-16" if is_wide else "utf-8-sig")
             self._decoder = make("replace" if is_wide else "surrogateescape")

@@ -236,13 +236,18 @@ def load_arrays(path: Path, largest: int) -> dict[str, Any]:
     import numpy as np
 
     with open_plain(path, largest) as opened:
-        with zipfile.ZipFile(opened) as archive:
-            size = sum(entry.file_size for entry in archive.infolist())
-        if size > largest:
-            raise ValueError(f"it would unpack to {size / 1e6:,.0f} MB")
-        opened.seek(0)
+        require_small_archive(opened, largest)
         with np.load(opened, allow_pickle=False) as file:
             return {name: file[name] for name in file.files}
+
+
+def require_small_archive(file: BinaryIO, largest: int) -> None:
+    """Raise ValueError if an open zip archive would unpack to more than a number of bytes."""
+    with zipfile.ZipFile(file) as archive:
+        size = sum(entry.file_size for entry in archive.infolist())
+    if size > largest:
+        raise ValueError(f"it would unpack to {size / 1e6:,.0f} MB")
+    file.seek(0)
 
 
 def _require_plain_status(status: os.stat_result, largest: int | None) -> None:

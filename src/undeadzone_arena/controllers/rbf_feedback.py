@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from undeadzone.interfaces import Controller
 from undeadzone.plants.system import System
-from undeadzone.util.arrays import require_number
 from undeadzone_arena.approximators import build_gaussians
 from undeadzone_arena.controllers.learned_feedback import FeedbackOptions, build_learned_feedback
 
@@ -30,11 +29,10 @@ class RBFFeedback(FeedbackOptions, frozen=True, kw_only=True, tag="rbf_feedback"
 
     def build(self, model: System) -> Controller:
         """Build the controller for a linear model with a single input and a single output."""
-        overlap = require_number("controller.overlap", self.overlap, above=0.0)
         return build_learned_feedback(
             model,
             self,
             lambda reach: build_gaussians(
-                "controller.centres", reach, self.centres, overlap, False
+                "controller.centres", reach, self.centres, self.overlap, False
             ),
         )

@@ -7,7 +7,7 @@ import numpy as np
 from undeadzone.interfaces import Observer
 from undeadzone.nonlinearities.sensor import Zone
 from undeadzone.plants.system import System
-from undeadzone.util.arrays import Array, require_number
+from undeadzone.util.arrays import Array
 from undeadzone_arena.approximators import build_gaussians
 from undeadzone_arena.observers.parts.learned_residual import (
     LearnedOptions,
@@ -35,6 +35,5 @@ class FuzzyResidual(LearnedOptions, frozen=True, kw_only=True, tag="fuzzy_residu
 
     def build(self, model: System, sensor: Zone) -> Observer:
         """Build the observer for a model, continuous or sampled."""
-        overlap = require_number("observer.overlap", self.overlap, above=0.0)
-        basis = build_gaussians("observer.rules", np.ones(1), self.rules, overlap, True)
+        basis = build_gaussians("observer.rules", np.ones(1), self.rules, self.overlap, True)
         return build_residual_observer(model, sensor, self, self.reach, basis)

@@ -7,7 +7,7 @@ import numpy as np
 from undeadzone.interfaces import Observer
 from undeadzone.nonlinearities.sensor import Zone
 from undeadzone.plants.system import System
-from undeadzone.util.arrays import Array, require_number
+from undeadzone.util.arrays import Array
 from undeadzone_arena.approximators import build_gaussians
 from undeadzone_arena.observers.parts.learned_residual import (
     LearnedOptions,
@@ -35,6 +35,5 @@ class RBFResidual(LearnedOptions, frozen=True, kw_only=True, tag="rbf_residual")
 
     def build(self, model: System, sensor: Zone) -> Observer:
         """Build the observer for a model, continuous or sampled."""
-        overlap = require_number("observer.overlap", self.overlap, above=0.0)
-        basis = build_gaussians("observer.centres", np.ones(1), self.centres, overlap, False)
+        basis = build_gaussians("observer.centres", np.ones(1), self.centres, self.overlap, False)
         return build_residual_observer(model, sensor, self, self.reach, basis)

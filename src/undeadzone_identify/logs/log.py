@@ -29,13 +29,12 @@ from undeadzone.logs.samples import (
 from undeadzone.logs.whole import BINARY, WholeLog, read_whole, samples_of, samples_of_arrays
 from undeadzone.util.arrays import Floats, hold_last
 from undeadzone.util.files import LARGEST_TABLE
-from undeadzone_identify.logs.tables import Arrays, read_long_table, read_parquet
+from undeadzone_identify.logs.tables import Arrays, read_named_values, read_parquet
 
 T = TypeVar("T", int, float)
 
 MOST_POLES = 8
 MOST_LATE = 1000  # samples
-FEWEST_STALE = 5  # first readings of one value, that may be stale
 SESSIONS = 1000.0  # usual steps that are put between two sessions of one file
 AT_ONCE = "-1"  # delay of a recording whose readings answer to the input of their own row
 
@@ -249,8 +248,6 @@ def log_from_samples(samples: Samples, layout: Layout, source: str, strict: bool
     mended = [(repeated, "samples have the time of the one before, and are left out")]
     if not strict:
         samples = _mend_times(_hold_inputs(samples, mended), mended)
-        if kind_of(*layout.reading_titles[0]) == "speed":
-            samples = _drop_stale(samples, mended)
     require_increasing(samples, source)
     outputs = tuple(title.name for title in layout.reading_titles)
     inputs = tuple(title.name for title in layout.input_titles)
@@ -302,24 +299,6 @@ def _hold_inputs(samples: Samples, mended: list[tuple[int, str]]) -> Samples:
     return samples._replace(u=u).select_rows(begun)
 
 
-def _drop_stale(samples: Samples, mended: list[tuple[int, str]]) -> Samples:
-    """Return samples without the first ones, if a speed stands at a value never met again there.
-
-    Args:
-        samples: of the log, whose input moves meanwhile.
-        mended: counts of changes, with words, to which others are added.
-    """
-    y = samples.y[:, 0]
-    count = int(np.argmax(y != y[0]))
-    is_stale = count >= FEWEST_STALE and y[0] != 0 and not (y[count:] == y[0]).any()
-    if not is_stale or not np.ptp(samples.u[:count], axis=0).any():
-        return samples
-    mended.append(
-        (count, f"readings of {y[0]:g} ahead of the first change are stale, and left out")
-    )
-    return samples.select_rows(slice(count, None))
-
-
 def _mend_times(samples: Samples, mended: list[tuple[int, str]]) -> Samples:
     """Return samples without single wrong times, sessions one after another, equal times spread.
 
@@ -337,7 +316,7 @@ def _mend_times(samples: Samples, mended: list[tuple[int, str]]) -> Samples:
     rows = rows[~wrong]
     between = np.diff(samples.t[rows])
     left_out, begun = samples.t.size - rows.size, (between < 0).sum()
-    if max(left_out, 10 * begun) > REPEATED * samples.t.size or not (between > 0).any():
+    if max(left_out, begun) > REPEATED * samples.t.size or not (between > 0).any():
         return samples
     usual = np.median(between[between > 0])
     between[between < 0] = SESSIONS * usual
@@ -403,7 +382,7 @@ def _read_whole(source: Any, chosen: dict[str, str], strict: bool) -> WholeLog:
     except FileError:
         if path is None or path.suffix.lower() in BINARY:
             raise
-        arrays = read_long_table(path)
+        arrays = read_named_values(path)
         if arrays is None:
             raise
         read = _whole_of_arrays(path, arrays, chosen)

@@ -6,6 +6,7 @@ import functools
 import io
 import itertools
 import re
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,10 @@ Table = tuple[list[str], list[tuple[str, ...]]]  # titles of columns, and their 
 FEWEST_VALUES = 3  # of two signals; others may be stored on change
 # title of a column of names
 OF_NAMES = re.compile(r"(?i)tag|name|signal|point|variable|\bloop|field|measurement|asset")
+# a label and its value, `pwm: 120` or `pwm = 120`
+LABELLED = re.compile(
+    r"([^\W\d][\w .()/%°-]*?)\s*[:=]\s*([-+]?\.?\d[\d.]*(?:[eE][-+]?\d+)?)(?![\d:])"
+)
 OF_VALUES = re.compile(r"(?i)value|wert|reading|\bval\b")  # and of that of the values
 MOST_NUMBERS = 0.9  # share of the cells of a column that are numbers, or of a column of names not
 
@@ -53,13 +58,30 @@ def _numbers(values: Any) -> Any:
     return values
 
 
-def read_long_table(path: Path) -> Arrays | None:
-    """Read a text with a name, a time and a value in each line; None for any other table.
+def read_named_values(path: Path) -> Arrays | None:
+    """Read a text that names each value: `pwm: 120, rpm: 33`, or a name, a time and a value in each
+    line; None for any other table.
 
     A trace of a PLC names its values ahead of them. Other signals count at the times of the one
     that has most values, as they last were.
     """
-    return signals_of_columns(*columns_of_lines(read_lines(path)))
+    lines = read_lines(path)
+    return _read_labels(lines) or signals_of_columns(*columns_of_lines(lines))
+
+
+def _read_labels(lines: Sequence[str]) -> Arrays | None:
+    """Return the signals of lines with a label ahead of each value, and of a time ahead of all.
+
+    None where most lines do not have the same labels.
+    """
+    rows = [LABELLED.split(line) for line in lines]  # what is ahead, then label, value, rest
+    names = Counter(tuple(row[1::3]) for row in rows).most_common(1)[0][0]
+    alike = [[row[0].strip(" \t-=>,;[]"), *row[2::3]] for row in rows if tuple(row[1::3]) == names]
+    if not names or len(alike) < MOST_NUMBERS * len(lines):
+        return None
+    titles = ["time", *names]
+    numbers, _ = numbers_of_columns(titles, list(zip(*alike, strict=True)))
+    return {name: x for name, x in zip(titles, numbers, strict=True) if np.isfinite(x).any()}
 
 
 def read_lines(path: Path) -> list[str]:
@@ -69,7 +91,7 @@ def read_lines(path: Path) -> list[str]:
 
 
 def signals_of_columns(titles: Sequence[str], columns: Sequence[Sequence[str]]) -> Arrays | None:
-    """Return the signals of a long table; None for any other table. See `read_long_table`.
+    """Return the signals of a long table; None for any other table. See `read_named_values`.
 
     Args:
         titles: of its columns.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import codecs
 import re
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,6 @@ from undeadzone.errors import FileError, InputError
 from undeadzone.logs.kinds import is_regular_time, split_unit
 from undeadzone.logs.names import (
     Layout,
-    layout_of_numbers,
     layout_of_titles,
     parse_columns,
 )
@@ -24,7 +24,7 @@ from undeadzone.logs.samples import (
     samples_of_text,
 )
 from undeadzone.logs.stamps import stamps_of
-from undeadzone.logs.text import Text, dialect_of
+from undeadzone.logs.text import Text, blocks_of, dialect_of
 
 
 def titles(text: str) -> list:
@@ -105,14 +105,17 @@ def test_a_reference_is_found_beside_what_is_needed_and_never_in_its_place() -> 
         layout_of_titles(titles("t,u,y,r"), None, None, parse_columns("r=u"), "log")
     with pytest.raises(FileError, match="no name shows which column holds u"):
         layout_of_titles(titles("t,y,r"), 1, 1, {}, "log")  # a reference moves no known plant
-    assert layout_of_numbers(4, None, None, parse_columns("t=1,y=4,u=2,r=3"), "log").reference == 2
+    assert (
+        layout_of_titles(
+            titles("1,2,3,4"), None, None, parse_columns("t=1,y=4,u=2,r=3"), "log"
+        ).reference
+        == 2
+    )
 
 
 def test_without_a_header_the_user_says_the_columns() -> None:
-    assert layout_of_numbers(4, 1, 1, parse_columns("y=4,u=2"), "log").columns == [3, 1]
-    assert layout_of_numbers(4, None, None, parse_columns("y=4,u=2"), "log").columns == [3, 1]
     with pytest.raises(FileError, match="without a header the order"):
-        layout_of_numbers(3, 1, 1, {}, "log")
+        LogReader("log", 1, 1, {}).feed(b"1,2,3\n", last=True)
     reader = LogReader("log", 1, 1, parse_columns("t=1,y=2,u=3"))
     samples = reader.feed(b"12:00:00,1,2\n12:00:01,3,4\n", last=True)
     assert np.diff(samples.t) == 1.0, "its times may be stamps"
@@ -279,11 +282,13 @@ def test_a_glitch_in_a_log_of_numbers_is_no_time_of_day() -> None:
     assert samples.t[[0, 2]].tolist() == [0.0, 2.0]
 
 
-def test_what_is_no_text() -> None:
+def test_what_is_no_text(tmp_path: Path) -> None:
     with pytest.raises(FileError, match="not CSV text"):
         Text("log").feed(b"PK\x02\x04\0\0")
-    with pytest.raises(FileError, match="an Excel workbook, or another archive: save it as CSV"):
-        Text("log").feed(b"PK\x03\x04\0\0")
+    with zipfile.ZipFile(tmp_path / "log.csv", "w"):
+        pass
+    with pytest.raises(FileError, match="no Excel workbook, but another archive: save it as CSV"):
+        next(blocks_of(tmp_path / "log.csv", 100))
     with pytest.raises(FileError, match="not CSV text"):
         Text("log").feed(b"1" * 100_000)
     assert Text("log").feed(b"# " + b"1" * 100_000 + b"\n1\n") == ["# " + "1" * 100_000, "1"]
