@@ -140,7 +140,8 @@ def read_right() -> tuple[coverage.Problems, glitches.Outcome]:
 
 
 @pytest.mark.parametrize(
-    ("kind", "most"), [("one of 1e299", 1.3), ("five alike", 1.3), ("10 % are 0", 1.6)]
+    ("kind", "most"),
+    [("one of 1e299", 1.3), ("five alike", 1.3), ("10 % are 0", 1.6), ("10 % random", 1.6)],
 )
 def test_wrong_readings_cost_next_to_nothing(kind: str, most: float) -> None:
     spoil, _ = glitches.KINDS[kind]
@@ -150,13 +151,6 @@ def test_wrong_readings_cost_next_to_nothing(kind: str, most: float) -> None:
     assert np.median(outcome.rms / clean.rms) < 1.05
     assert np.quantile(outcome.rms / clean.rms, 0.9) < most
     assert outcome.verdict.covered().min() > clean.verdict.covered().min() - 0.04
-
-
-def test_a_tenth_of_wrong_readings_leaves_the_truth_covered() -> None:
-    posed = coverage.problems("both edges", glitches.SHAKEN, 2, 120, 4)
-    wrong = glitches.KINDS["10 % random"][0](np.random.default_rng(5), posed.y)
-    outcome = glitches.observe(coverage.censored, posed._replace(y=wrong))
-    assert outcome.verdict.covered().min() >= 0.9
 
 
 def test_doubt_is_free_where_readings_are_right() -> None:
@@ -180,13 +174,6 @@ def test_a_late_bias_is_noticed_and_covered() -> None:
     )
     assert doubting.verdict.covered().min() > max(0.9, sure.verdict.covered().min())
     assert np.mean(doubting.consistent == 0) > 0.4
-
-
-def test_an_overconfident_filter_is_found_inconsistent() -> None:
-    world = glitches.QUIET._replace(late=1.0)
-    posed = coverage.problems("both edges", world, 2, 60, 4)
-    outcome = glitches.observe(coverage.kalman, posed)
-    assert np.mean(outcome.consistent == 0) > 0.9
 
 
 # --- Its formulas

@@ -46,6 +46,7 @@ class Prior(NamedTuple):
         asymmetry: mean and standard deviation of each d_r - d_l (p x 2) [z] (None: only the
             consequences of the ranges).
         largest: width that the ranges allow, or gap of a play ahead of the zone [z].
+        declared: whether a noise is declared (p).
     """
 
     mean: Floats
@@ -57,6 +58,7 @@ class Prior(NamedTuple):
     ranges: Floats
     asymmetry: Floats | None = None
     largest: float = 0.0
+    declared: Any = True
 
     def width_moments(self) -> tuple[Floats, Floats]:
         """Return mean (2p) and covariance (2p x 2p) of `[d_r; d_l]`, asymmetry included."""
@@ -142,6 +144,7 @@ def build_prior(
         ranges=ranges,
         asymmetry=None if centre is None else _asymmetries(centre, ranges, p),
         largest=largest,
+        declared=rms > 0,
     )
 
 
@@ -386,7 +389,8 @@ class Assumptions(OptionTable, frozen=True, kw_only=True):
         centre: assumed range [lo, hi] of (d_r - d_l)/2, a number if it is known (0: a symmetric
             zone), or one range per output [z] (default: the range that follows from those of d_r
             and d_l).
-        noise: rms of a reading on an active side, one or one per output [z] (default the sensor's).
+        noise: least rms of a reading on an active side, one or one per output [z] (default the
+            sensor's): a larger one is learnt from the readings.
         x_std: standard deviation of x(0) about 0, one or one per state (default the deviation that
             appears in z as five times the largest width).
         drift: random walk of the widths [z / sqrt(s)] (default a 400th of the range's extent in 1 /
