@@ -487,10 +487,17 @@ def apply_rejections(setup: Setup, q: Params, s: State, side: Any, trust: Any) -
         trust: probability that a reading was not wrong (p).
     """
     constants = setup.augmentation.constants
-    cov, patience = inflate_covariance(
-        q, setup.model, constants, setup.entries, s.cov, s.patience, side != 0, trust
+    y = s.last / q.slope
+    branch = 0.0 * y if setup.is_jump_sensor else ca.sign(y)
+    missed = ca.vertcat(
+        *(y[i] - branch_output(setup, q, i, branch[i], s.mean) for i in range(setup.model.p))
     )
-    return s._replace(cov=cov, last=ca.if_else(trust < 0.5, 0.0, s.last), patience=patience)
+    cov, patience = inflate_covariance(
+        q, setup.model, constants, setup.entries, s.cov, s.patience, side != 0, trust, missed
+    )
+    pace = s.pace._replace(since=ca.if_else(patience.opened == 1, 0.0, s.pace.since))
+    last = ca.if_else(trust < 0.5, 0.0, s.last)
+    return s._replace(cov=cov, last=last, patience=patience, pace=pace)
 
 
 def predict_belief(setup: Setup, q: Params, belief: Gaussian, u: Any, side: Any) -> Gaussian:

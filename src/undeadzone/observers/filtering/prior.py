@@ -275,7 +275,7 @@ GLITCH_REACH = 10.0  # in largest assumed widths, over which a glitch is spread
 FAKE = 0.02  # share of the outliers that are a false reading inside the zone
 SPAN = 2.0  # quarter periods of the plant over which innovations are summed
 PATIENCE = 0.54  # quarter periods over which the share of rejected readings is averaged
-FEWEST = 6.0  # readings over which it is averaged at least
+FEWEST, MOST = 6.0, 36.0  # readings over which it is averaged at least, and at most
 # Mean square of the sums of innovations that counts as chance: for an assumed disturbance,
 # and for a default, whose colour is not that of the true one.
 CHANCE = 2.3
@@ -301,6 +301,7 @@ class Doubt(NamedTuple):
         fade: forgetting factor per step of the sum of innovations.
         keep: forgetting factor per step of the mean of its squares.
         std: standard deviations of `[x; d_r; d_l]` before the first reading (n + 2p).
+        units: amount of each state that appears as a z of 1 (n).
         forget: forgetting factor per reading of the rate of rejected readings.
         most: largest mean square of the sums of innovations that may be chance.
         limit: largest square of a score that may be chance.
@@ -318,6 +319,7 @@ class Doubt(NamedTuple):
     fade: Floats
     keep: Floats
     std: Floats
+    units: Floats
     forget: Floats
     most: Floats
     limit: Floats
@@ -355,7 +357,8 @@ def doubt_numbers(
         fade=np.exp(-model.Ts / (SPAN * quarter_period)),
         keep=np.exp(-model.Ts / (HISTORY * quarter_period)),
         std=prior.std,
-        forget=np.exp(-1 / max(PATIENCE * quarter_period / model.Ts, FEWEST)),
+        units=state_units(model.continuous, model.Ts),
+        forget=np.exp(-1 / np.clip(PATIENCE * quarter_period / model.Ts, FEWEST, MOST)),
         most=np.asarray(CHANCE if is_assumed else CHANCE_OF_DEFAULTS),
         limit=np.asarray(SCORE if is_assumed else SCORE_OF_DEFAULTS),
         stays=STAYS * np.sqrt(prior.R) * sensor.slope * (noisy & (not sensor.moves)),
