@@ -321,13 +321,14 @@ def describe_rejected_assumptions(names: Sequence[str], options: Collection[str]
     return [f"{check.words}: {check.cure(options)}" for check in first] + further
 
 
-LOUD: Final = 1.5  # variance of readings over the assumed one, from which words say so
+MOST_SQUARE: Final = 1.5
+"""Mean square of normalised errors of readings that still agrees with the assumed noise."""
 
 
 def describe_noise(found: Iterable[float], assumed: Iterable[float]) -> str:
     """Describe the noise of outputs whose readings have more of it than assumed, or return ''."""
     pairs = zip(found, assumed, strict=True)
-    louder = [pair for pair in pairs if pair[0] ** 2 > LOUD * pair[1] ** 2]
+    louder = [pair for pair in pairs if pair[0] ** 2 > MOST_SQUARE * pair[1] ** 2]
     return "; ".join(f"{one:.2g} found, {other:.2g} assumed" for one, other in louder)
 
 
