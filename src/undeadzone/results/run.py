@@ -429,7 +429,7 @@ def final_gap_rows(run: Run) -> list[list[Row]]:
     return sheet.build_width_rows(_last_widths(run), "gap", run.info.units.output, run.info.gaps)
 
 
-def describe_last_noise(run: Run) -> str:
+def describe_last_noise(run: files.SignalResult) -> str:
     """Describe the learnt noise where it exceeds the assumed one, or return ''."""
     return "" if run.noise is None else describe_noise(*np.split(run.noise[-1], 2))
 

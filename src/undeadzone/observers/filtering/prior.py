@@ -275,6 +275,9 @@ GLITCH_REACH = 10.0  # in largest assumed widths, over which a glitch is spread
 FAKE = 0.02  # share of the outliers that are a false reading inside the zone
 SPAN = 2.0  # quarter periods of the plant over which innovations are summed
 PATIENCE = 0.54  # quarter periods over which the share of rejected readings is averaged
+# MOST declares the delay of a jump: MOST ln 4 = 50 refused readings open a filter (TOO_MANY).
+# With 18 and 72 (25, 100 readings), honest or with 10 % of random readings (64 problems as above,
+# told and ranges alone), coverage, flags and medians are the same, rms of all within 1 %.
 FEWEST, MOST = 6.0, 36.0  # readings over which it is averaged at least, and at most
 # Mean square of the sums of innovations that counts as chance: for an assumed disturbance,
 # and for a default, whose colour is not that of the true one.
