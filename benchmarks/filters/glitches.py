@@ -57,9 +57,9 @@ def doubting(known: Problems, k: int) -> Any:
     return coverage.censored(known, k)
 
 
-def from_ranges(known: Problems, k: int) -> Any:
-    """`Auto` told the ranges of the widths alone."""
-    return Auto(right=known.ranges[k, 0], left=known.ranges[k, 1])
+def from_ranges(known: Problems, k: int, options: Any = Auto) -> Any:
+    """A filter told the ranges of the widths alone."""
+    return options(right=known.ranges[k, 0], left=known.ranges[k, 1])
 
 
 FILTERS = {

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from typing import Any, Final, Literal, NamedTuple
 
 import casadi as ca
@@ -144,6 +144,7 @@ class Estimate(NamedTuple):
         gap_right, gap_left: gaps c_r^, c_l^ of a play ahead of a dead zone (p).
         gap_right_std, gap_left_std: their standard deviations (p).
         gap_std: standard deviation of c_r^ + c_l^ (p).
+        noise, noise_assumed: rms of a reading outside the zone, as learnt and as assumed (p).
     """
 
     x: Any
@@ -175,6 +176,8 @@ class Estimate(NamedTuple):
     gap_right_std: Any = NONE
     gap_left_std: Any = NONE
     gap_std: Any = NONE
+    noise: Any = NONE
+    noise_assumed: Any = NONE
 
 
 _OF_FIELDS = Estimate(
@@ -223,6 +226,8 @@ _OF_FIELDS = Estimate(
     gap_right_std=Quantity("standard deviation of gap_right", "output", "c_std", float),
     gap_left_std=Quantity("standard deviation of gap_left", "output", "c_std", float),
     gap_std=Quantity("standard deviation of gap_right + gap_left", "output", "gap_std", float),
+    noise=Quantity("rms of a reading outside the zone, as learnt", "output", "noise", float),
+    noise_assumed=Quantity("the same as assumed", "output", "noise", float),
 )
 
 
@@ -314,6 +319,17 @@ def describe_rejected_assumptions(names: Sequence[str], options: Collection[str]
     further = ["the same readings contradict " + ", ".join(names[1:])] if names[1:] else []
     first = [ASSUMPTION_CHECKS[name] for name in names[:1]]
     return [f"{check.words}: {check.cure(options)}" for check in first] + further
+
+
+MOST_SQUARE: Final = 1.5
+"""Mean square of normalised errors of readings that still agrees with the assumed noise."""
+
+
+def describe_noise(found: Iterable[float], assumed: Iterable[float]) -> str:
+    """Describe the noise of outputs whose readings have more of it than assumed, or return ''."""
+    pairs = zip(found, assumed, strict=True)
+    louder = [pair for pair in pairs if pair[0] ** 2 > MOST_SQUARE * pair[1] ** 2]
+    return "; ".join(f"{one:.2g} found, {other:.2g} assumed" for one, other in louder)
 
 
 UNKNOWNS: Final = {"bias": "a constant at the input", "tolerance": "an error of the model"}

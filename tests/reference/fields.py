@@ -14,13 +14,22 @@ SKIPPED = {  # pattern of keys: why their values are no answer
     **dict.fromkeys(("files", "written", "source"), "paths"),
     "claims.*.id": "part of the key",
     "*narrowed": "follows from the deviation and the declared range",
+    "*noise_assumed*": "of the scenario",
     **dict.fromkeys(("boards.*.flash", "boards.*.measured"), "of the compilers that are here"),
     **dict.fromkeys(("*seconds", "leaderboard.*.cost", "results.*.cost"), "times"),
     **dict.fromkeys(
         (
             *("found", "reasons", "remarks", "*.reasons", "*.remarks", "cures", "why_unreadable"),
             *(f"claims.*.{key}" for key in ("where", "words", "claim", "quantity", "measured")),
-            *("claims.*.why", "letters", "answer.by", "answer.doubts", "answer.remedies"),
+            *(
+                "claims.*.why",
+                "boards.*.why",
+                "letters",
+                "proof",
+                "answer.by",
+                "answer.doubts",
+                "answer.remedies",
+            ),
         ),
         "prose, which may be worded anew",
     ),

@@ -420,10 +420,9 @@ def test_what_overflows_is_no_servo() -> None:
     assert identify_servo_gap(listened(log.u, log.y, log.step)) is None
 
 
-@pytest.mark.parametrize(("seed", "lost"), [(30036, 4.0), *further((30050, 10.0))])
-def test_a_filter_with_the_torques_of_a_servo_follows_its_log(seed: int, lost: float) -> None:
-    """Friction and slow torques were no part of the scenario, and the filter lost the log."""
-    log = random_log(seed)
+def test_a_filter_with_the_torques_of_a_servo_follows_its_log() -> None:
+    """Friction and slow torques were no part of the scenario: the filter learnt them as noise."""
+    log = random_log(30036)
     found = identify_log(log)
     assert isinstance(found, uz.Identified)
     text = found.scenario()
@@ -431,13 +430,17 @@ def test_a_filter_with_the_torques_of_a_servo_follows_its_log(seed: int, lost: f
     rms, time = re.findall(r"^(?:disturbance|correlation_time) = (\S+)", text, re.MULTILINE)
     assert (float(rms), float(time)) == pytest.approx(servo.motor_disturbance)
 
-    def apart(text: str) -> float:
-        """rms of y - z^, in gaps."""
-        z = uz.estimate(parse(text), u=log.u, y=log.y, smoothing=False).z_hat[:, 0]
-        return float(np.sqrt(np.mean((log.y - z)[log.y.size // 5 :] ** 2))) / log.servo.gap
+    def follow(text: str) -> tuple[float, bool | None]:
+        """Return the rms of y - z^ in gaps, and whether the log fits."""
+        followed = uz.estimate(parse(text), u=log.u, y=log.y, smoothing=False)
+        late = (log.y - followed.z_hat[:, 0])[log.y.size // 5 :]
+        return float(np.sqrt(np.mean(late**2))) / log.servo.gap, followed.info.consistent
 
-    assert apart(text) < 0.75
-    assert apart(re.sub(r"(?m)^(disturbance|correlation_time) = .*$", "", text)) > lost
+    apart, fits = follow(text)
+    lost, excused = follow(re.sub(r"(?m)^(disturbance|correlation_time) = .*$", "", text))
+    assert (fits, excused) == (True, False)
+    assert apart < 0.75
+    assert lost > 2 * apart
 
 
 def test_motors_and_lags_climb_side_by_side(with_friction: tuple[Observations, ServoGap]) -> None:

@@ -74,6 +74,7 @@ def estimate(
     delays are then tried, and a variant that fits is shown.
     """
     from undeadzone.report.log_page import write_estimation
+    from undeadzone.results.run import describe_last_noise
     from undeadzone.scenario.reader import read_for_logs
 
     if log.suffix == ".toml":
@@ -93,7 +94,7 @@ def estimate(
             progress=advance,
         )
     cure = None
-    if result.info.consistent is False:
+    if result.info.consistent is False or describe_last_noise(result):
         from undeadzone.simulation.log_diagnosis import what_would_fit
 
         with progress("trying what would fit", None, of=watched.observer):

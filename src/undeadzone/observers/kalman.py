@@ -43,7 +43,8 @@ class Kalman(Options, frozen=True, kw_only=True, tag="kalman"):
         centre: assumed range [lo, hi] of (d_r - d_l)/2, a number if it is known (0: a symmetric
             zone), or one range per output [z] (default: the range that follows from those of d_r
             and d_l).
-        noise: rms of a reading on an active side, one or one per output [z] (default the sensor's).
+        noise: least rms of a reading on an active side, one or one per output [z] (default the
+            sensor's): a larger one is learnt from the readings.
         x_std: standard deviation of x(0) about 0, one or one per state (default the deviation that
             appears in z as five times the largest width).
         disturbance: rms of an input disturbance that is new at every sample, one or one per input

@@ -13,6 +13,7 @@ from undeadzone.report import html
 from undeadzone.report.run_figures import overview, plot_phase, plot_tip
 from undeadzone.results.run import (
     Run,
+    describe_last_noise,
     final_actuator_rows,
     final_error_rows,
     final_gap_rows,
@@ -120,6 +121,8 @@ def _numbers_of_run(run: Run) -> dict[str, Any]:
     refuted = final_rejections(run.signals.arrays).get("claims")
     if refuted:
         numbers["NOT as told"] = "; ".join(describe_rejected_assumptions(refuted, run.info.options))
+    if louder := describe_last_noise(run):
+        numbers["noise"] = louder
     if unknown := describe_unknowns(run.info.options):
         numbers["not told"] = unknown
     rise = "largest rise of V above an earlier value, relative to its largest"

@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 
 from undeadzone.analysis.identifiability.linear import format_yes_no
-from undeadzone.interfaces import describe_rejected_assumptions, describe_unknowns
+from undeadzone.interfaces import describe_noise, describe_rejected_assumptions, describe_unknowns
 from undeadzone.nonlinearities.sensor import DIRECTIONS
 from undeadzone.results import files, sheet
 from undeadzone.results.feedback import describe_feedback as listening_in_words
@@ -82,6 +82,7 @@ class Run(files.SignalResult):
         c_hat: estimates [c_r^, c_l^] of the play ahead of each dead zone (N x 2p) [z].
         c_std: standard deviation of c_hat (N x 2p) [z].
         gap_std: standard deviation of c_r^ + c_l^ (N x p) [z].
+        noise: rms of a reading outside the zone, as learnt and as assumed (N x 2p) [z].
         level: level behind a play, y / m without noise (N x p) [z] (absent if its gaps drift).
         tip, tip_hat, tip_r: true, estimated and reference position of an arm's tip (N x 2 or 3)
             [m].
@@ -428,6 +429,11 @@ def final_gap_rows(run: Run) -> list[list[Row]]:
     return sheet.build_width_rows(_last_widths(run), "gap", run.info.units.output, run.info.gaps)
 
 
+def describe_last_noise(run: files.SignalResult) -> str:
+    """Describe the learnt noise where it exceeds the assumed one, or return ''."""
+    return "" if run.noise is None else describe_noise(*np.split(run.noise[-1], 2))
+
+
 def _last_widths(run: Run) -> dict[str, Any]:
     """Return the last widths and gaps by name, with known deviations."""
     names = "d_hat", "d_std", "b_hat", "b_std", "c_hat", "c_std", "gap_std"
@@ -463,6 +469,8 @@ def blocks_from_run(run: Run) -> list[Block]:
         summary["claims"] = "NOT as told: " + "; ".join(
             describe_rejected_assumptions(refuted, info.options)
         )
+    if louder := describe_last_noise(run):
+        summary["noise"] = louder
     if unknown := describe_unknowns(info.options):
         summary["not told"] = unknown
     if info.listens:

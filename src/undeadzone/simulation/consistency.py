@@ -17,6 +17,7 @@ import numpy as np
 from undeadzone.compile import interpret
 from undeadzone.interfaces import (
     ASSUMPTION_CHECKS,
+    MOST_SQUARE,
     Estimate,
     describe_rejected_assumptions,
     list_rejected_assumptions,
@@ -28,7 +29,6 @@ from undeadzone.util.arrays import Floats
 MOST_REFUSED: Final = (
     0.05  # share of readings, or censored samples, that may contradict the assumptions
 )
-MOST_SQUARE: Final = 1.5  # mean square of the normalised innovations that were not refused
 FEWEST: Final = 30  # readings that a test needs
 MOST_OF_THE_TIME: Final = 0.5  # share of the record during which the assumptions may not hold
 ROUNDING: Final = 1e-6  # of the size of z, by which z^ may be off without any noise

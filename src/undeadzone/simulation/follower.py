@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from undeadzone.errors import FileError
-from undeadzone.interfaces import Estimate, require_graph
+from undeadzone.interfaces import Estimate, describe_noise, require_graph
 from undeadzone.logs.clock import Clock, Piece
 from undeadzone.logs.names import Layout
 from undeadzone.logs.range_ends import RunningEnds
@@ -283,6 +283,9 @@ class Follower:
         They stick at the end of a range of which the scenario does not know, or repeat one another.
         """
         remarks = self._repeated_readings()
+        last = self._last
+        if last is not None and (louder := describe_noise(last.noise, last.noise_assumed)):
+            remarks.append(f"noise: {louder}")
         for i, running in enumerate(self._ends):
             ends = running.find_range_ends()
             if ends.has_ends:

@@ -349,7 +349,7 @@ def test_an_edge_that_is_not_reached_is_beyond_what_was() -> None:
 
 
 def test_a_missing_sample_is_not_a_silent_one() -> None:
-    observer = Censored(**EXACT, x_std=0.01).build(MODEL, zone())
+    observer = Censored(**EXACT, x_std=0.01).build(MODEL, zone(noise=1e-3))
     step = OnNumbers(observer, MODEL)
     state = observer.init(observer.params)
     moved = np.array([1.9, 0.0, *state.filter.mean[2:]])

@@ -213,9 +213,9 @@ def scenario(**options: Any) -> uz.Scenario:
     ("name", "wrong", "options"),
     [
         ("", {}, {}),
-        ("noise", {"noise": 4.0}, {}),
+        ("", {"noise": 4.0}, {}),  # which the filter learns
         ("dynamics", {"lag": 0.03}, {}),
-        ("sensor", {"offset": 0.3}, {}),
+        ("sensor", {"offset": -0.3}, {}),
         ("range", {}, {"right": [0.3, 0.8], "left": [0.3, 2.0]}),
     ],
 )

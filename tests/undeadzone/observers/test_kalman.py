@@ -351,30 +351,10 @@ def test_a_reading_is_used_if_far_or_announced(
     assert sure == expected
 
 
-@given(st.floats(-5, 5), st.floats(-5, 5), st.floats(-5, 5))
-def test_without_noise_the_side_is_the_measured_one(y: float, last: float, previous: float) -> None:
-    (sure,) = evaluate(lambda *a: [filtering.certain_branch(*a, ca.SX(0.0))], y, last, previous)
-    assert sure == sensor.side(y)
-
-
-def test_asking_only_whether_a_reading_is_active_would_bias_the_widths(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    problems = coverage.problems("grazing", coverage.World(), 2, 150, 3)
-    ours = coverage.observe(coverage.kalman, problems)
-    monkeypatch.setattr(
-        filtering, "certain_branch", lambda y, last, previous, gate: sensor.side(y, gate)
-    )
-    naive = coverage.observe(coverage.kalman, problems)
-    assert ours.covered()[:2].min() > 0.92
-    assert ours.nis == pytest.approx(1.0, abs=0.03)
-    assert naive.covered()[:2].min() < 0.89
-
-
 # --- Claims against the truth
 
 
-@pytest.mark.parametrize("reach", ["both edges", "right edge only"])
+@pytest.mark.parametrize("reach", ["both edges", "right edge only", "grazing"])
 def test_intervals_cover_the_truth_over_random_problems(reach: str) -> None:
     """100 problems: coverage within three standard errors of 95 % or more.
 
@@ -436,7 +416,7 @@ def test_of_a_chain_of_integrators_only_the_width_becomes_known() -> None:
         y = sensor.deadzone(model.linear.C @ x, where.right, where.left)
         state, estimate = step(state, u, y, sensor.side(y))
         x = model.linear.A @ x + model.linear.B @ u
-    assert estimate.width_std < 1e-3
+    assert estimate.width_std < 0.02
     assert estimate.right + estimate.left == pytest.approx(1.9, abs=3 * estimate.width_std[0])
     centre = centre_std(estimate)
     assert centre == pytest.approx(1.5 / np.sqrt(24), rel=0.01)

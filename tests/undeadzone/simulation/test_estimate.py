@@ -155,7 +155,10 @@ def batch(run: uz.Run, model: object, N: int, variance: float) -> np.ndarray:
     """
     A, B, C = model.linear
     online = uz.Online(
-        msgspec.structs.replace(KALMAN, disturbance=variance**0.5, x_std=10.0), PLANT, SENSOR, 0.01
+        msgspec.structs.replace(KALMAN, disturbance=variance**0.5, x_std=10.0, glitches=0.0),
+        PLANT,
+        SENSOR,
+        0.01,
     )
     e = online.update_many(run.y[:N], run.u[:N])[0].innovation[:, 0]
     size = 4 + N  # x(0), d_r, d_l, w

@@ -100,6 +100,7 @@ class Params(NamedTuple):
         rest: steps for which an edge with censored samples is not used again.
         gaps: of a play ahead of the dead zone, as `Gaps` (None: there is none).
         shape: of the sensor, as `ShapeNumbers` (None: it is exact).
+        level: of the noise, as `LevelNumbers` (None: it is as declared).
     """
 
     model: Any
@@ -119,6 +120,7 @@ class Params(NamedTuple):
     rest: Any = np.float64(1.0)
     gaps: Any = None
     shape: Any = None
+    level: Any = None
 
 
 def build_filter_params(

@@ -72,6 +72,13 @@ from undeadzone.observers.filtering.measurement_update import (
 )
 from undeadzone.observers.filtering.motion_detection import add_motion_detection
 from undeadzone.observers.filtering.multiple_models import add_disturbance_levels
+from undeadzone.observers.filtering.noise_level import (
+    Level,
+    level_numbers,
+    scale_noise,
+    start_level,
+    update_level,
+)
 from undeadzone.observers.filtering.prior import Prior, doubt_numbers
 from undeadzone.observers.filtering.recovery import (
     LIMIT,
@@ -108,6 +115,7 @@ class State(NamedTuple):
         pace: running record of the motion of z.
         columns: sensitivities of the unknowns to the sensor's shape, column by column (empty if
             it is exact).
+        level: of the noise.
     """
 
     mean: Any
@@ -119,6 +127,7 @@ class State(NamedTuple):
     patience: RejectionRate
     pace: Pace
     columns: Any
+    level: Level
 
 
 def build_branch_filter(
@@ -197,6 +206,7 @@ def build_branch_filter(
             start_rejection_rate(p),
             start_pace(setup),
             start_columns(setup),
+            start_level(q),
         )
 
     params = build_filter_params(model, sensor, prior, augmentation)
@@ -209,6 +219,7 @@ def build_branch_filter(
         rest=np.asarray(silence_pause(model, sensor, lasting)),
         gaps=gaps,
         shape=shape_numbers(sensor, shape),
+        level=level_numbers(setup, prior) if doubts else None,
     )
     smoothing = Smoothing(
         moments=partial(filter_moments, setup),
@@ -270,7 +281,7 @@ def filter_moments(
     setup: Setup, q: Params, s: State, u: Any, reading: Reading
 ) -> tuple[Moments, ...]:
     """Return the filter's moments at a sample for a smoother, a tuple of length 1."""
-    q = widen_gate(setup, q)
+    q = scale_noise(widen_gate(setup, q), s.level)
     updated = update_measurement(setup, q, s, reading)
     corrected = updated.corrected
     bounded = updated.bounded
@@ -345,7 +356,8 @@ def log_likelihood(setup: Setup, corrected: RobustUpdate, bounded: Corrected) ->
 
 def step_filter(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> Step:
     """Return the result for a sample: correct by the reading, apply bounds, estimate, predict."""
-    q = widen_gate(setup, q)
+    declared = q.R
+    q = scale_noise(widen_gate(setup, q), s.level)
     y, side, _, corrected, bounded, columns = update_measurement(setup, q, s, reading)
     clipped, fits = clip_belief(setup, q, bounded.belief)
     if setup.shape.fixed:
@@ -356,6 +368,9 @@ def step_filter(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> 
     estimated = add_unknown_estimates(setup, q, estimated, clipped, s.u)
     estimated = add_actuator_estimates(q.zones, estimated, clipped)
     estimated = add_gap_estimates(q, estimated, clipped, reading)
+    if q.level is not None:
+        found, assumed = (ca.sqrt(R) * q.slope for R in (q.R, declared))
+        estimated = estimated._replace(noise=found, noise_assumed=assumed)
     mean, cov, restarted = reset_if_invalid(
         q, setup.entries, predict_belief(setup, q, bounded.belief, u, reading.side)
     )
@@ -365,7 +380,9 @@ def step_filter(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> 
         sound = ca.logic_and(ca.logic_not(restarted), ca.fabs(moved) < LIMIT)
         columns = ca.vec(ca.if_else(sound, moved, 0.0))
         pace = pace._replace(ahead=ca.if_else(restarted, 0.0, pace.ahead))
-    after = State(mean, cov, y, s.last, bounded.wait, u, s.patience, pace, columns)
+    counted = side != 0 if reading.rms is None else ca.logic_and(side != 0, reading.rms <= 0)
+    level = update_level(q, s.level, declared, corrected, counted)
+    after = State(mean, cov, y, s.last, bounded.wait, u, s.patience, pace, columns, level)
     if setup.doubts:
         after = apply_rejections(setup, q, after, side, bounded.trust)
     return Step(
@@ -470,10 +487,17 @@ def apply_rejections(setup: Setup, q: Params, s: State, side: Any, trust: Any) -
         trust: probability that a reading was not wrong (p).
     """
     constants = setup.augmentation.constants
-    cov, patience = inflate_covariance(
-        q, setup.model, constants, setup.entries, s.cov, s.patience, side != 0, trust
+    y = s.last / q.slope
+    branch = 0.0 * y if setup.is_jump_sensor else ca.sign(y)
+    missed = ca.vertcat(
+        *(y[i] - branch_output(setup, q, i, branch[i], s.mean) for i in range(setup.model.p))
     )
-    return s._replace(cov=cov, last=ca.if_else(trust < 0.5, 0.0, s.last), patience=patience)
+    cov, patience = inflate_covariance(
+        q, setup.model, constants, setup.entries, s.cov, s.patience, side != 0, trust, missed
+    )
+    pace = s.pace._replace(since=ca.if_else(patience.opened == 1, 0.0, s.pace.since))
+    last = ca.if_else(trust < 0.5, 0.0, s.last)
+    return s._replace(cov=cov, last=last, patience=patience, pace=pace)
 
 
 def predict_belief(setup: Setup, q: Params, belief: Gaussian, u: Any, side: Any) -> Gaussian:

@@ -46,13 +46,15 @@ def inflate_covariance(
     patience: RejectionRate,
     used: Any,
     trust: Any,
+    missed: Any,
 ) -> tuple[Any, RejectionRate]:
     """Inflate the covariance (see `to_upper_entries`) if most recent measurements were rejected.
 
     Return the covariance with the new record.
 
     It then gains the prior's variances of state, disturbance and bias, and those of widths and
-    errors of the model too if it was inflated not long ago.
+    errors of the model too if it was inflated not long ago. A state gains at least the square of
+    what would explain the refused reading, so that a jump of any size is believed at once.
 
     Args:
         q: the filter's numbers.
@@ -63,6 +65,7 @@ def inflate_covariance(
         patience: record of rejected readings.
         used: whether readings were used (p).
         trust: probability that a reading was not wrong (p).
+        missed: by how much the prediction misses the readings (p) [z].
     """
     refused = trust < 0.5
     forget = q.doubt.forget
@@ -71,8 +74,12 @@ def inflate_covariance(
     opens = ca.mmax(share) > TOO_MANY
     moving = dynamic_variance_mask(model, constants, entries)
     again = ca.logic_and(opens, patience.opened > RECENT)
-    for gain, gained in ((opens, moving), (again, variance_mask(entries) & ~moving)):
-        cov = cov + ca.if_else(gain, ca.DM(1.0 * gained) * q.cov, 0.0)
+    jump = ca.mmax(ca.if_else(refused, ca.fabs(missed), 0.0))
+    unit = ca.vertcat(q.doubt.units, np.zeros(entries.size1() - model.n))
+    least = (jump * unit[entries.row()]) ** 2
+    still = variance_mask(entries) & ~moving
+    for gain, gained, of in ((opens, moving, ca.fmax(q.cov, least)), (again, still, q.cov)):
+        cov = cov + ca.if_else(gain, ca.DM(1.0 * gained) * of, 0.0)
     return cov, RejectionRate(
         share=ca.if_else(opens, 0.0, share),
         opened=ca.if_else(opens, 1.0, q.doubt.keep * patience.opened),

@@ -133,7 +133,7 @@ def build_joint_filter(
         patience = s.patience
         if share > 0:
             cov, patience = inflate_covariance(
-                q, model, 0, entries, cov, patience, seen, known.trust
+                q, model, 0, entries, cov, patience, seen, known.trust, known.e
             )
         state = JointState(mean, cov, patience)
         return Step(
