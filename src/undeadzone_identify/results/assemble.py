@@ -408,11 +408,14 @@ def _widen_by_drift(answer: Answer, intervals: DisplayedWidths) -> list[str]:
 
 
 def _doubt_of_zero(intervals: dict[str, Any]) -> str:
-    """Return the remark that a width, or friction, may be 0; empty if it is not or is missing."""
-    for name in ("width", "friction"):
-        one = intervals.get(name)
-        if one is not None and one.low <= 0 < one.half_width:
-            return f"the {name}'s interval holds 0: {one.value:.4g} [{one.low:.4g}, {one.high:.4g}]"
+    """Return the remark that a width, or friction, may be 0; empty if it is not or is missing.
+
+    Where a side was never met, no width is known, and the edge of the other side counts.
+    """
+    for name in ("friction", *(("width",) if intervals.get("width") else SIDES)):
+        own = intervals.get(name)
+        if own is not None and own.low <= 0 < own.half_width:
+            return f"the {name}'s interval holds 0: {own.value:.4g} [{own.low:.4g}, {own.high:.4g}]"
     return ""
 
 
