@@ -73,10 +73,9 @@ def test_a_sine_is_regular_and_noise_is_not() -> None:
 
 def test_a_valve_that_does_not_follow_widens_the_ellipse() -> None:
     u = walk()
-    follows = LoopLog(u, 2 * u, np.ones(u.size, bool), None)
-    stuck = LoopLog(
-        u, np.random.default_rng(1).standard_normal(u.size), np.ones(u.size, bool), None
-    )
+    follows = LoopLog(u, 2 * u, np.ones(u.size, bool), u)
+    noise = np.random.default_rng(1).standard_normal(u.size)
+    stuck = LoopLog(u, noise, np.ones(u.size, bool), u)
     assert ellipse_width(follows) < 1e-6 < 0.4 < ellipse_width(stuck)
 
 
