@@ -42,7 +42,7 @@ FEATURES = {  # what is measured of a record, with the ends beyond which it coun
 }
 ALIKE = 0.5  # correlation of the evidence of two records of a valve
 PER_VALVE = 3.0  # odds that one valve of known cause supports: 20 to 1 for six or seven
-LEAST, MOST = 200, 8000  # samples of a part that is asked
+LEAST, MOST = 200, 8640  # samples of a part that is asked; a day at 10 s is one
 LEAST_SHAPE = 0.02  # width of the ellipse, in the range of OP
 PARTS = 12  # of a valve's records that are asked at most, each of at most MOST samples
 REPEATED, FLOOR = 0.5, 0.25  # share of held readings, and of the usual change, of stored exceptions
