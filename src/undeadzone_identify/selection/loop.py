@@ -206,7 +206,7 @@ def combine_odds(features: Floats, table: dict[str, Any] | None = None) -> dict[
     """Return the odds of the causes by the features of all records, largest first.
 
     Records of one valve are alike, so that n of them count as n / (1 + (n - 1) ALIKE). Odds end at
-    PER_VALVE for each valve of known cause.
+    PER_VALVE for each valve of known cause: with the rest any other cause may be the true one.
 
     Args:
         features: of each record (n x F).
@@ -218,10 +218,9 @@ def combine_odds(features: Floats, table: dict[str, Any] | None = None) -> dict[
     count = len(features)
     total = np.log(prior) + terms.mean(axis=0) * count / (1 + (count - 1) * ALIKE)
     shares = np.exp(log_softmax(total))
-    most = PER_VALVE * min(table["valves"])
-    shares = np.clip(shares, 1 / (1 + most), most / (1 + most))
-    order = np.argsort(-shares)
-    return {CAUSES[k]: float(shares[k] / shares.sum()) for k in order}
+    wrong = 1 / (1 + PER_VALVE * min(table["valves"]))
+    shares = (1 - wrong) * shares + wrong * (1 - shares) / (len(CAUSES) - 1)
+    return {CAUSES[k]: float(shares[k]) for k in np.argsort(-shares)}
 
 
 @cache
