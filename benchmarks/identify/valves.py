@@ -61,7 +61,7 @@ def outcome_of_seed(seed: int) -> Outcome:
         "valve": found.odds["sticks"],
         "stick": list(found.stick),
         "jump": list(found.jump),
-        "shape": found.feature("ellipse"),
+        "shape": found.median("ellipse"),
     }
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import READ, build_origin, flag_option, value_option
+from undeadzone.cli.common import READ, build_origin, flag_option, to_json_text, value_option
 from undeadzone.cli.output import Output, add_output_options, files_line, partial_file
 from undeadzone.errors import InputError
 from undeadzone.util.progress import terminal_progress as progress
@@ -39,8 +39,7 @@ def loops(source: Path, workers: int, resume: bool, output: Output) -> int:
 
     Exit code 1: a loop was refused.
     """
-    from undeadzone.util.answers import Answers, MemoryAnswers
-    from undeadzone.util.arrays import to_json_value
+    from undeadzone.util.answers import open_answers
     from undeadzone.util.files import write_text
     from undeadzone.util.installed import use_one_blas_thread
     from undeadzone_identify.logs.loops import find_loops
@@ -63,18 +62,14 @@ def loops(source: Path, workers: int, resume: bool, output: Output) -> int:
                 advance(1)
                 yield result
 
-        if keep is None:
-            rows = MemoryAnswers().compute_missing([*found], answer_missing)
-        else:
-            answers = Answers(keep, {"source": str(source)}, "loops", resume)
-            with answers.hold_file():
-                rows = answers.compute_missing([*found], answer_missing)
+        with open_answers(keep, lambda: {"source": str(source)}, "loops", resume) as answers:
+            rows = answers.compute_missing([*found], answer_missing)
     rows.sort(key=lambda one: -one["cost"])
     written = []
     if folder is not None:
         written.append(write_loops(rows, folder, source.name))
-        numbers = to_json_value({"loops": rows})
-        written.append(write_text(_as_json(numbers), folder / "loops.json"))
+        numbers = to_json_text({"loops": rows}) + "\n"
+        written.append(write_text(numbers, folder / "loops.json"))
     if keep is not None:
         keep.unlink(missing_ok=True)
     table = [HEAD, *map(cells_of_row, rows)]
@@ -156,10 +151,3 @@ def write_loops(rows: list[dict[str, Any]], folder: Path, source: str) -> Path:
         origin=build_origin(None),
     )
     return write_text(text, folder / "report.html")
-
-
-def _as_json(numbers: Any) -> str:
-    """Return numbers as the text of a file."""
-    import json
-
-    return json.dumps(numbers, indent=2, allow_nan=False) + "\n"

@@ -23,7 +23,8 @@ from undeadzone.util.answers import Answers
 from undeadzone.util.installed import use_one_blas_thread
 from undeadzone.util.progress import notebook_progress
 from undeadzone_identify.logs.grid import Grid, find_sample_time, shorten_log, to_grid
-from undeadzone_identify.logs.log import AT_ONCE, Log, Options, log_from_arrays, read_log
+from undeadzone_identify.logs.log import AT_ONCE, Log, Options, log_from_arrays
+from undeadzone_identify.logs.loops import read_log_or_loop
 from undeadzone_identify.logs.prepare import (
     PreparedLog,
     feasible_orders,
@@ -378,7 +379,7 @@ def _collect_logs(
     sources = log if isinstance(log, list | tuple) else [log]
     if not sources:
         raise InputError("identify: the list of logs is empty")
-    return [read_log(source, columns, strict) for source in sources]
+    return [read_log_or_loop(source, columns, strict) for source in sources]
 
 
 # --- One output

@@ -73,10 +73,8 @@ def test_a_sine_is_regular_and_noise_is_not() -> None:
 
 def test_a_valve_that_does_not_follow_widens_the_ellipse() -> None:
     u = walk()
-    follows = LoopLog(u, 2 * u, np.ones(u.size, bool), None)
-    stuck = LoopLog(
-        u, np.random.default_rng(1).standard_normal(u.size), np.ones(u.size, bool), None
-    )
+    ok, noise = np.isfinite(u), np.random.default_rng(1).standard_normal(u.size)
+    follows, stuck = (LoopLog(u, y, ok, u) for y in (2 * u, noise))
     assert ellipse_width(follows) < 1e-6 < 0.4 < ellipse_width(stuck)
 
 

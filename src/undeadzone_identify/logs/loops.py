@@ -8,6 +8,7 @@ import re
 from collections import defaultdict
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import Any
 
 from undeadzone.errors import InputError
 from undeadzone.logs.kinds import split_unit
@@ -195,3 +196,16 @@ def read_record(record: Record) -> Log:
         FileError: it cannot be read.
     """
     return read_log(record) if isinstance(record, Path) else record()
+
+
+def read_log_or_loop(source: Any, columns: str | None, strict: bool) -> Log:
+    """Return the log of a file: that of its one loop where tags name OP, PV and SP.
+
+    Arguments and errors are those of `read_log`.
+    """
+    if columns is None and str(source).lower().endswith(ENDINGS):
+        found = [*read_loops(Path(source)).values()]
+        log = read_record(found[0]) if len(found) == 1 else None
+        if log is not None and log.r.size:
+            return log
+    return read_log(source, columns, strict)

@@ -36,6 +36,7 @@ from undeadzone_identify.models.likelihood import root_mean_square
 from undeadzone_identify.models.motion import last_reading_rows
 
 ORDERS = (1, 2, 3, 4, 6, 8, 12)  # autoregressive orders of the readings
+LOW = 4  # order at which delays are compared
 MEMORY = (3.0, 8.0, 20.0, 60.0)  # samples of the exponential averages that are regressors as well
 MORE = 2  # lags of the position beyond those of the reading
 LATEST = 30  # largest delay of a plant [samples]
@@ -74,7 +75,7 @@ def valve_positions(u: Floats, stick: Floats, jump: Floats, account: str) -> Flo
         jump: J of each valve (K) [u].
         account: model of the valve: KANO slides after its jump, HE sticks at every sample.
     """
-    begin = u[0] * np.array([1.0, 1.0, 0.0, 0.0] if account == KANO else [1.0, 0.0])
+    begin = u[0] * np.array(ACCOUNTS[account][1])
     moves = np.column_stack([u[1:], u[:-1]])
     valves = np.column_stack([stick, jump])
     kernel = build_valve_kernel(account)
@@ -97,8 +98,8 @@ def build_valve_kernel(account: str) -> lanes.Kernel:
         - parameters of a lane: S and J [u],
         - output: the position.
     """
-    step, entries = (_slide_on, 4) if account == KANO else (_stick_again, 2)
-    state, inputs, valve = ca.SX.sym("s", entries), ca.SX.sym("u", 2), ca.SX.sym("v", 2)
+    step, begin = ACCOUNTS[account]
+    state, inputs, valve = ca.SX.sym("s", len(begin)), ca.SX.sym("u", 2), ca.SX.sym("v", 2)
     after = step(ca.vertsplit(state), *ca.vertsplit(inputs), *ca.vertsplit(valve))
     function = ca.Function("valve", [state, inputs, valve], [ca.vertcat(*after), after[0]])
     return lanes.build_kernel(function, params=[0, 1])
@@ -149,6 +150,10 @@ def _stick_again(state: Sequence[Any], u: Any, before: Any, stick: Any, jump: An
     slips = ca.fabs(force) > (stick + jump) / 2
     remaining = ca.if_else(slips, ca.sign(force) * (stick - jump) / 2, force)
     return ca.if_else(slips, position + force - remaining, position), remaining
+
+
+# Steps of the models of a valve, and their states at first [u].
+ACCOUNTS = {KANO: (_slide_on, (1.0, 1.0, 0.0, 0.0)), HE: (_stick_again, (1.0, 0.0))}
 
 
 class Regression:
@@ -358,7 +363,7 @@ class LoopLog:
         u: output of the controller (N).
         y: readings (N).
         ok: flags of the readings that are not missing (N).
-        r: set point (N), NaN if missing; None: not recorded.
+        r: set point (N); the mean of the readings where none is recorded.
 
     Attributes:
         range, deviation: divisors of u and y.
@@ -366,16 +371,13 @@ class LoopLog:
         regularity, period: of its oscillation, as `oscillation_of` returns them.
     """
 
-    def __init__(self, u: Floats, y: Floats, ok: Flags, r: Floats | None) -> None:
+    def __init__(self, u: Floats, y: Floats, ok: Flags, r: Floats) -> None:
         self.range = float(np.ptp(u))
         self.deviation = float(y[ok].std()) or 1.0
         self.u = (u - u.mean()) / self.range
         self.y = np.where(ok, (y - y[ok].mean()) / self.deviation, 0.0)
         self.ok = ok
-        set_point = np.zeros(y.size)
-        if r is not None:
-            set_point = np.nan_to_num((r - y[ok].mean()) / self.deviation)
-        self.error = np.where(ok, self.y - set_point, 0.0)
+        self.error = np.where(ok, self.y - (r - y[ok].mean()) / self.deviation, 0.0)
         self.error -= self.error.mean()
         self.regularity, self.period = oscillation_of(self.error)
 
@@ -383,11 +385,6 @@ class LoopLog:
     def step(self) -> float:
         """Return the rms change of u in a sample [range of u]; a smaller S cannot be identified."""
         return root_mean_square(np.diff(self.u))
-
-    @property
-    def orders(self) -> list[int]:
-        """Return the orders for which the log has enough samples."""
-        return [k for k in ORDERS if 8 * (2 * k + MORE) < self.y.size]
 
     def regress(self, order: int, first: int, stride: int = 1) -> Regression:
         """Return the regression of an order.
@@ -411,12 +408,12 @@ class LoopLog:
             valves: positions of the valves (N x K) [range of u].
             stride: every how many samples are predicted.
         """
-        longest = min(LATEST, self.y.size // 20)
+        longest, orders = min(LATEST, self.y.size // 20), find_orders(self.ok)
         # In an oscillation a delay cannot be distinguished from one that is a period longer.
         latest = int(min(longest, max(self.period / 2, 4) + 1))
-        first = longest + MORE + max(self.orders) + 6
+        first = longest + MORE + max(orders) + 6
         positions = np.column_stack([self.u, valves])
-        low_order = self.regress(4, first, stride)
+        low_order = self.regress(LOW, first, stride)
         valve_numbers = 4 * (np.arange(positions.shape[1]) > 0)
         every = [
             low_order.mean_squares_of_each(positions, range(k, k + 3)) for k in range(1, latest)
@@ -426,7 +423,7 @@ class LoopLog:
         lag = max(1, int(before))
         waves = self._find_oscillation(low_order, range(lag, lag + 4 + MORE))
         costs = []
-        for order in self.orders:
+        for order in orders:
             regression = self.regress(order, first, stride)
             lags = range(lag, lag + order + MORE)
             rivals = (positions[:, best], waves[:, :0]), (self.u, waves)
@@ -661,6 +658,15 @@ def fit_loop(log: LoopLog) -> LoopFits:
     return log.fit_all(log.find_structure(first.positions))
 
 
+def find_orders(ok: Flags) -> list[int]:
+    """Return the orders for which enough readings follow one another.
+
+    Args:
+        ok: flags of the readings that are not missing (N).
+    """
+    return [k for k in ORDERS if 8 * (2 * k + MORE) < (np.convolve(ok, np.ones(k + 1)) > k).sum()]
+
+
 def oscillation_of(e: Floats) -> tuple[float, float]:
     """Return the regularity of an oscillation [1], and its period [samples].
 
@@ -677,8 +683,8 @@ def oscillation_of(e: Floats) -> tuple[float, float]:
     trend_window = max(3, e.size // 5)
     e = e - np.convolve(e, np.ones(trend_window) / trend_window, "same")  # without its slow trend
     autocorrelation = correlate(e, e)[e.size - 1 :][: e.size // 2]
-    crossings = np.flatnonzero(np.diff(np.signbit(autocorrelation)))
-    crossings = crossings[:12]  # later ones are sums of few products, and noisy
+    # later crossings are sums of few products, and noisy
+    crossings = np.flatnonzero(np.diff(np.signbit(autocorrelation)))[:12]
     if crossings.size < 5:
         return 0.0, math.inf
     half_periods = np.diff(crossings)

@@ -87,7 +87,7 @@ class IdentifiedLoop(SpokenWithoutPlant):
             "input reversal": {"gap": found.stick},
             "outside": _exact(period=found.median("period")),
             "tuning": _exact(
-                sensitivity=math.exp(found.feature("sensitivity")), **{"divide by": self.divisor}
+                sensitivity=math.exp(found.median("sensitivity")), **{"divide by": self.divisor}
             ),
         }.get(effect, {})
         if found.word == "undecided":
@@ -108,7 +108,7 @@ class IdentifiedLoop(SpokenWithoutPlant):
 
         Near its limit C G is about -1 + 1 / S at the period.
         """
-        sensitivity = max(math.exp(self.found.feature("sensitivity")), 1.0)
+        sensitivity = max(math.exp(self.found.median("sensitivity")), 1.0)
         return max((1 - 1 / sensitivity) / (1 - 1 / GOOD), 1.0)
 
     def numbers(self) -> dict[str, Any]:
@@ -116,7 +116,7 @@ class IdentifiedLoop(SpokenWithoutPlant):
         found, first = self.found, self.logs[0]
         fields = ("begin", "expected", "period", "error", "travel")
         rows = [
-            {name: getattr(one, name) for name in fields} | {"ellipse": one.ellipse}
+            {name: getattr(one, name) for name in fields} | {"ellipse": one.number("ellipse")}
             for one in found.swings
         ]
         period = found.median("period")
@@ -132,10 +132,10 @@ class IdentifiedLoop(SpokenWithoutPlant):
             "loop": {
                 "S": list(found.stick),
                 "J": list(found.jump),
-                "shape": found.feature("ellipse"),
+                "shape": found.median("ellipse"),
                 "period": period if math.isfinite(period) else None,
-                "regularity": math.exp(found.feature("regularity")),
-                "sensitivity": math.exp(found.feature("sensitivity")),
+                "regularity": math.exp(found.median("regularity")),
+                "sensitivity": math.exp(found.median("sensitivity")),
                 "error": found.median("error"),
                 "cost": found.median("share"),
                 "travel": found.median("travel"),
@@ -155,7 +155,7 @@ class IdentifiedLoop(SpokenWithoutPlant):
         """Return S and J with their intervals, and the ellipse."""
         found, unit = self.found, f"{unit_suffix(self.unit)} of OP"
         stick, jump = (describe_interval(one, "") for one in (found.stick, found.jump))
-        return f"S {stick}, J {jump}{unit} (ellipse {100 * found.feature('ellipse'):.0f} %)"
+        return f"S {stick}, J {jump}{unit} (ellipse {100 * found.median('ellipse'):.0f} %)"
 
     def summary(self) -> dict[str, Any]:
         """Return the answer in words, as the command prints."""
@@ -177,7 +177,7 @@ class IdentifiedLoop(SpokenWithoutPlant):
         if len(found.swings) > 1:
             lines["by record"] = [
                 f"{k}: S by the ellipse {read_number(one.expected)}{unit}"
-                f" ({100 * one.ellipse:.0f} %), rms {read_number(one.error)}{reading}"
+                f" ({100 * one.number('ellipse'):.0f} %), rms {read_number(one.error)}{reading}"
                 for k, one in enumerate(found.swings, 1)
             ]
         notes = [one for one in found.remarks if one not in self.account.doubts]
@@ -188,7 +188,7 @@ class IdentifiedLoop(SpokenWithoutPlant):
     @property
     def swing_in_words(self) -> str:
         """Return whether the loop swings regularly, and how long its period is."""
-        r, period = math.exp(self.found.feature("regularity")), self.found.median("period")
+        r, period = math.exp(self.found.median("regularity")), self.found.median("period")
         unit = "samples" if self.logs[0].counted else "s"
         how = (
             f"swings regularly, period {read_number(period)} {unit}"

@@ -22,7 +22,14 @@ from undeadzone_identify.logs.grid import Grid, find_sample_time, to_grid
 from undeadzone_identify.logs.log import Log
 from undeadzone_identify.models.estimates import Interval
 from undeadzone_identify.models.likelihood import root_mean_square
-from undeadzone_identify.models.valve import LoopLog, Sizes, combine_sizes, fit_loop
+from undeadzone_identify.models.valve import (
+    LOW,
+    LoopLog,
+    Sizes,
+    combine_sizes,
+    find_orders,
+    fit_loop,
+)
 
 NAMED = 0.9  # odds from which a cause is named
 CAUSES = ("sticks", "tight_tuning", "external", "none")
@@ -35,9 +42,9 @@ FEATURES = {  # what is measured of a record, with the ends beyond which it coun
 }
 ALIKE = 0.5  # correlation of the evidence of two records of a valve
 PER_VALVE = 3.0  # odds that one valve of known cause supports: 20 to 1 for six or seven
-LEAST, MOST = 200, 8000  # samples of a part that is asked
+LEAST, MOST = 200, 8640  # samples of a part that is asked; a day at 10 s is one
 LEAST_SHAPE = 0.02  # width of the ellipse, in the range of OP
-PARTS = 12  # of a valve's records that are asked, each of at most MOST samples
+PARTS = 12  # of a valve's records that are asked at most, each of at most MOST samples
 REPEATED, FLOOR = 0.5, 0.25  # share of held readings, and of the usual change, of stored exceptions
 # share of the steps between two changes of PV that are whole holds; from 0.45 to 0.99 the holds of
 # 78 logs of loops, each held for 1, 5 and 15 samples, are the same
@@ -58,7 +65,7 @@ class Swing(NamedTuple):
         error: rms of PV - SP, or of PV about its mean [y].
         share: the same in units of the rms of SP, or of PV [1].
         travel: of the stem in a day, or in 86400 samples [u].
-        is_at_end, is_noisy: whether OP rests at an end of its range, and PV is noise or few levels.
+        limits, noise: whether OP rests at an end of its range, and PV is noise or few levels.
     """
 
     begin: float
@@ -70,13 +77,13 @@ class Swing(NamedTuple):
     error: float
     share: float
     travel: float
-    is_at_end: bool
-    is_noisy: bool
+    limits: bool
+    noise: bool
 
-    @property
-    def ellipse(self) -> float:
-        """Return the width of PV over OP in the range of OP."""
-        return float(self.features[0])
+    def number(self, name: str) -> float:
+        """Return an attribute or a feature."""
+        own = dict(zip(FEATURES, self.features, strict=True))
+        return float(own[name] if name in own else getattr(self, name))
 
 
 class LoopFindings(NamedTuple):
@@ -102,12 +109,8 @@ class LoopFindings(NamedTuple):
     remarks: tuple[str, ...]
 
     def median(self, name: str) -> float:
-        """Return the median of a number over the records."""
-        return float(np.median([getattr(one, name) for one in self.swings]))
-
-    def feature(self, name: str) -> float:
-        """Return the median of a feature over the records."""
-        return float(np.median([one.features[list(FEATURES).index(name)] for one in self.swings]))
+        """Return the median of a number or a feature over the records."""
+        return float(np.median([one.number(name) for one in self.swings]))
 
 
 def is_named_loop(grid: Grid | Log) -> bool:
@@ -156,7 +159,7 @@ def find_loop_cause(logs: list[Log]) -> LoopFindings:
         raise InputError(
             f"{logs[0].source}: no record of the loop has {LEAST} samples in which OP moves"
         )
-    asked = [usable[k] for k in np.unique(np.linspace(0, len(usable) - 1, PARTS).astype(int))]
+    asked = usable[:: math.ceil(len(usable) / PARTS)]
     left = f"{len(asked)} of {len(usable)} parts of at most {MOST} samples were used"
     swings = tuple(_measure_swing(grid, part) for part in asked)
     odds = combine_odds(np.array([one.features for one in swings]))
@@ -176,8 +179,10 @@ def find_loop_cause(logs: list[Log]) -> LoopFindings:
 
 
 def _is_usable(grid: Grid, part: slice) -> bool:
-    """Return whether a part is long enough, and OP moves in it."""
-    return int(grid.ok[part].sum()) >= LEAST and bool(np.ptp(grid.u[part, 0]) > 0)
+    """Return whether a part has enough readings, also in a row, and OP moves in it."""
+    ok = grid.ok[part]
+    is_long = int(ok.sum()) >= LEAST and LOW in find_orders(ok)
+    return is_long and bool(np.ptp(grid.u[part, 0]) > 0)
 
 
 def _name_cause(odds: dict[str, float], swings: tuple[Swing, ...], is_blurred: bool) -> str:
@@ -186,22 +191,22 @@ def _name_cause(odds: dict[str, float], swings: tuple[Swing, ...], is_blurred: b
     Where the historian left out the shape of the swing no cause has a name.
     """
     top, share = next(iter(odds.items()))
-    if share >= NAMED and not is_blurred:
+    word = "undecided" if share < NAMED or is_blurred else top
+    if word == "sticks":
         gains = np.sum([one.gains for one in swings], axis=0)
-        sticking = "input_play" if gains[1] > gains[0] else "stiction"
-        if top != "none":
-            return sticking if top == "sticks" else top
-    for word in ("is_at_end", "is_noisy"):
-        if np.mean([getattr(one, word) for one in swings]) > 0.5:
-            return {"is_at_end": "limits", "is_noisy": "noise"}[word]
-    return top if top == "none" and share >= NAMED and not is_blurred else "undecided"
+        return "input_play" if gains[1] > gains[0] else "stiction"
+    for shown in ("limits", "noise"):
+        is_shown = np.mean([getattr(one, shown) for one in swings]) > 0.5
+        if is_shown and word in ("none", "undecided"):
+            return shown
+    return word
 
 
 def combine_odds(features: Floats, table: dict[str, Any] | None = None) -> dict[str, float]:
     """Return the odds of the causes by the features of all records, largest first.
 
     Records of one valve are alike, so that n of them count as n / (1 + (n - 1) ALIKE). Odds end at
-    PER_VALVE for each valve of known cause.
+    PER_VALVE for each valve of known cause: with the rest any other cause may be the true one.
 
     Args:
         features: of each record (n x F).
@@ -213,10 +218,9 @@ def combine_odds(features: Floats, table: dict[str, Any] | None = None) -> dict[
     count = len(features)
     total = np.log(prior) + terms.mean(axis=0) * count / (1 + (count - 1) * ALIKE)
     shares = np.exp(log_softmax(total))
-    most = PER_VALVE * min(table["valves"])
-    shares = np.clip(shares, 1 / (1 + most), most / (1 + most))
-    order = np.argsort(-shares)
-    return {CAUSES[k]: float(shares[k] / shares.sum()) for k in order}
+    wrong = 1 / (1 + PER_VALVE * min(table["valves"]))
+    shares = (1 - wrong) * shares + wrong * (1 - shares) / (len(CAUSES) - 1)
+    return {CAUSES[k]: float(shares[k]) for k in np.argsort(-shares)}
 
 
 @cache
@@ -262,22 +266,18 @@ def _undo_exceptions(y: Floats, ok: Flags) -> tuple[Floats, float]:
 def _measure_swing(grid: Grid, part: slice) -> Swing:
     """Return the evidence of a part of the log."""
     u, y, ok = grid.u[part, 0], grid.y[part], grid.ok[part]
-    r = grid.r[part, 0] if grid.r.shape[1] else None
-    log = LoopLog(u, y, ok, r)
+    middle = float(np.mean(y[ok]))
+    goal = np.nan_to_num(grid.r[part, 0], nan=middle) if grid.r.size else np.full(y.size, middle)
+    log = LoopLog(u, y, ok, goal)
     fits = fit_loop(log)
     none, sticks, plays = (fits.bic[word] for word in ("none", "stiction", "input_play"))
     shape = ellipse_width(log)
     features = [
         shape,
-        math.asinh(none - min(sticks, plays)),
-        math.asinh(none - fits.bic.get("external", none)),
-        math.log(max(log.regularity, 1e-3)),
-        math.log(max(fits.sensitivity(), 1e-3)),
+        *np.arcsinh(none - np.array([min(sticks, plays), fits.bic.get("external", none)])),
+        *np.log(np.maximum([log.regularity, fits.sensitivity()], 1e-3)),
     ]
-    middle = float(np.mean(y[ok]))
-    error = y[ok] - (middle if r is None else np.nan_to_num(r[ok], nan=middle))
-    rms = root_mean_square(error)
-    size = root_mean_square(y[ok] if r is None else np.nan_to_num(r))
+    rms = root_mean_square((y - goal)[ok])
     sizes = fits.weigh_sizes()
     at_end = max(np.mean(u == u.min()), np.mean(u == u.max()))
     noise = root_mean_square(np.diff(log.y[ok])) / math.sqrt(2)
@@ -289,7 +289,7 @@ def _measure_swing(grid: Grid, part: slice) -> Swing:
         none - np.array([sticks, plays]),
         log.period * grid.step,
         rms,
-        rms / max(size, 1e-12),
+        rms / max(root_mean_square(goal), 1e-12),
         float(np.abs(np.diff(u)).sum()) / (u.size * grid.step) * 86400,
         bool(np.unique(u).size > LEVELS and at_end > END),
         bool(noise > LOUD or np.unique(y[ok]).size < LEVELS / 2),
