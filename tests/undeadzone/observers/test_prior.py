@@ -310,12 +310,14 @@ def test_files_and_json_count_their_schemas_alike() -> None:
     assert SCHEMA == common.SCHEMA == 3
 
 
-def test_the_least_noise_is_a_share_of_the_wider_range() -> None:
+@pytest.mark.parametrize(("noise", "rms"), [(0.0, 3e-3), (1e-4, 1e-4)])
+def test_a_range_sets_the_noise_of_an_exact_sensor_alone(noise: float, rms: float) -> None:
+    """The wider range: that of an edge which does not exist hid a declared noise."""
     model = sample_plant(PAPER_PLANT, 0.01)
-    sensor = resolve(Sensor(right=0.5, left=0.5), 1, 0.01)
+    sensor = resolve(Sensor(right=0.5, left=0.5, noise=noise), 1, 0.01)
     for right, left in (([0.0, 1.0], [0.0, 3.0]), ([0.0, 3.0], [0.0, 1.0])):
-        prior = build_prior(Assumptions(right=right, left=left), model, sensor, floor=0.1, wear=0.0)
-        np.testing.assert_allclose(prior.R, 0.3**2)
+        prior = build_prior(Assumptions(right=right, left=left), model, sensor)
+        np.testing.assert_allclose(prior.R, rms**2)
 
 
 def test_one_output_without_noise_is_refused() -> None:

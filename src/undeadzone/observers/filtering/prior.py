@@ -24,7 +24,7 @@ from undeadzone.util.arrays import (
 )
 from undeadzone.util.toml import OptionTable
 
-FLOOR = 1e-3  # least noise, in assumed ranges of the widths
+FLOOR = 1e-3  # noise of a sensor without any, in assumed ranges of the widths
 SILENT = 4.0  # noise, in its rms, that is surely not beyond it
 HOLD = 6.0  # the same for a held play, which affects many readings, hold after hold
 REACH = 5.0  # default standard deviation of x(0) as it appears in z, in largest widths
@@ -81,7 +81,7 @@ def build_prior(
     model: System,
     sensor: Zone,
     *,
-    floor: float = FLOOR,
+    floor: float = 0.0,
     reach: float = REACH,
     wear: float = 0.0,
     start: Array = 0.0,
@@ -94,13 +94,14 @@ def build_prior(
 
     Args:
         assumptions: options with right, left (None: those of right), noise (None: the sensor's, but
-            at least `floor`), x_std (None: the deviation that appears as `reach` times the largest
-            width, `state_units`) and drift (None: `wear` times the extent of each range in 1 /
-            |pole|, which is 2 / pi quarter periods: a narrow range implies that the width stays in
-            it), as of `Assumptions`.
+            at least `floor`, and `FLOOR` for a sensor without noise), x_std (None: the deviation
+            that appears as `reach` times the largest width, `state_units`) and drift (None: `wear`
+            times the extent of each range in 1 / |pole|, which is 2 / pi quarter periods: a narrow
+            range implies that the width stays in it), as of `Assumptions`.
         model: the sampled model.
         sensor: the dead zone.
-        floor: least noise, as a share of the assumed range.
+        floor: least noise, as a share of the assumed range. A range of an edge that does not exist
+            is so wide that no share of it may be added to a declared noise.
         reach: standard deviation of x(0), in largest widths, if none is assumed.
         wear: drift, in extents of the range per 1 / sqrt(|pole|), if none is assumed.
         start: mean of x(0), one number or one per state.
@@ -120,7 +121,7 @@ def build_prior(
     if assumptions.noise is None:
         rms = sensor.rms
         gate_rms = np.hypot(sensor.noise, sensor.quantum / np.sqrt(12)) / sensor.slope
-        least = floor * span.reshape(2, p).max(axis=0)
+        least = np.where(rms > 0, floor, max(floor, FLOOR)) * span.reshape(2, p).max(axis=0)
     else:
         rms = gate_rms = _read_noise(assumptions.noise, p)
         least = np.zeros(p)
