@@ -110,7 +110,8 @@ ROWS = list(zip(COLUMNS["t"], COLUMNS["u"], COLUMNS["y"], strict=True))
          "2", "t=x-axis,y=2,u=1"),
         (["ready\n", *(f"00:00:{t:06.3f} -> PWM: {u:g}, wheel speed = {y:g} rad/s\n"
                        for t, u, y in ROWS)], "wheel speed", "t=time,y=wheel speed,u=PWM"),
-        (["t,note,duty,speed\n", *(f'{t:g},"a\nb",{u:g},{y:g}\n' for t, u, y in ROWS)],
+        (["t,note,duty,speed\n", *(f'"{t:.2f}";"a\nb";"{u:.1f}";"{y:.4f}"\n'.replace(".", ",")
+                              .replace(";", ",") for t, u, y in ROWS)],
          "speed", "not 'note'"),
         (["Log 2, begun\n" * 40, "t,u,y\n", *(f"{t:g},{u:g},{y:g}\n" for t, u, y in ROWS)],
          "y", "40 lines ahead of the header skipped"),

@@ -29,12 +29,12 @@ _TIMES: Final = tuple(
         re.compile,
         (
             r"^t$",
-            r"^(times?|zeit|temps|tiempo)$",
+            r"^(times?|zeit|temps|tiempo|tempo)$",
             r"^((zeit)?stempel|time ?stamp|date ?time|clock|uhrzeit|heure|hora|elapsed( time)?)$",
             r"^(date|datum|fecha|secs?|seconds|[mun]s|[mu]sec|(milli|micro|nano)(s|seconds)|minutes)$",
             r"^(t|times?|timestamp|zeit|elapsed|elapsed time) "
             r"([mun]?s|[mu]?secs?|seconds|min(ute)?s?|h|hours)$",
-            r"^(time|timestamp|stamp|zeit|temps|elapsed)\b|\b(time|timestamp|stamp|zeit)$",
+            r"^(time|timestamp|stamp|zeit|temps|tiempo|tempo|elapsed)\b|\b(time|timestamp|stamp|zeit)$",
         ),
     )
 )
@@ -55,8 +55,8 @@ REFERENCE: Final = 10.0  # rank of what a loop follows, which drives no plant by
 _TABLE: Final = tuple(
     (re.compile(pattern), kind, rank)
     for pattern, kind, rank in (
-        (r"^(u|input|in|control)( \d+)?$", "", EXACT),
-        (r"^(y|output|out)( \d+)?$", "", -EXACT),
+        (r"^(u|input|in|control|eingang|entrée|entrada|ingresso)( \d+)?$", "", EXACT),
+        (r"^(y|output|out|ausgang|sortie|salida|sa[ií]da|uscita)( \d+)?$", "", -EXACT),
         (
             r"^(op|co|mv|controller output|stellgr(ö|oe)(ß|ss)e)$|\w op$|\bpid\b.*\bout\b",
             "op",
@@ -69,7 +69,7 @@ _TABLE: Final = tuple(
         (r"^(reading|measured|measurement|istwert|mesure)$", "", -18.0),
         (
             r"\bbatt|\bvbat|supply|counter\b|star mass\b|\bcalculated\b|\bsnr\b|delta|\bdt\b"
-            r"|^stat(e|us) \d|moving|\bpin\b|\bbus\b|\bvcc\b|\berror\b|\bwanted time\b|\bindex\b"
+            r"|^stat(e|us) \d|moving|\bpin\b|\bbus\b|\bvcc\b|\berror?\b|\bwanted time\b|\bindex\b"
             r"|\bid\b|^(n|no|nr|samples?|trial|test|run|point|row|measurement|record"
             r"|prueba|ensayo|essai|versuch|messung)"
             r"( (no|nr|number))?$",
@@ -77,7 +77,11 @@ _TABLE: Final = tuple(
             0.0,
         ),
         (r"\bsp\b|^sv$", "sp", REFERENCE),
-        (r"^(r|ref|reference|set ?point|sollwert|consigne|consigna)$", "goal", REFERENCE),
+        (
+            r"^(r|ref|reference|set ?point|sollwert|consigne|consigna|referencia|riferimento)$",
+            "goal",
+            REFERENCE,
+        ),
         (r"\bdec ?(guide|pulse)|\bcontrol (signal|output|effort|value)\b|\bctrl\b", "drive", 16.5),
         (r"\b(measured|actual|real) volt|\bvolt\w* (measured|actual|real)\b", "drive", -4.0),
         (r"\bout(put)? volt", "drive", 0.0),  # of a driver, or of a sensor
@@ -107,8 +111,9 @@ _TABLE: Final = tuple(
             -12.0,
         ),
         (
-            r"pwm|steer|volt|spannung|tension|duty|throttle|joystick|pulse|guide distance|valve"
-            r"|ventil|vanne|heater|heiz|chauff|pump|\bfan\b|\bdac\b|stick\b|drive\b",
+            r"pwm|^input signal\b|steer|volt|spannung|tension|duty|throttle|joystick|pulse"
+            r"|guide distance|valve|ventil|vanne|heater|heiz|chauff|pump|\bfan\b|\bdac\b|stick\b"
+            r"|drive\b",
             "drive",
             14.0,
         ),

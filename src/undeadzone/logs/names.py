@@ -315,7 +315,7 @@ class _Header(NamedTuple):
         """Return the column of times; none if there is none. Raises FileError."""
         if "t" in self.chosen:
             return [self.column_of_name("t")]
-        ranks = np.array(list(map(time_rank, self.titles)))
+        ranks = np.where(self.moves(), list(map(time_rank, self.titles)), -1)
         best = np.flatnonzero((ranks >= 0) & (ranks == ranks[ranks >= 0].min(initial=99)))
         if self.values is not None:
             change = np.diff(self.values[:, best], axis=0)

@@ -6,6 +6,8 @@ That is its separator, its decimal comma, its remarks, its header.
 from __future__ import annotations
 
 import codecs
+import csv
+import io
 import itertools
 import math
 import re
@@ -98,12 +100,11 @@ def text_of_workbook(path: Path, file: BinaryIO, largest: int) -> bytes:
     require_small_archive(file, largest)
     try:
         sheet = openpyxl.load_workbook(file, read_only=True, data_only=True).worksheets[0]
-        rows = [
-            ["" if x is None else str(x) for x in row] for row in sheet.iter_rows(values_only=True)
-        ]
+        text = io.StringIO()
+        csv.writer(text, "excel-tab").writerows(sheet.iter_rows(values_only=True))
     except Exception:  # of any type for another archive
         raise FileError(f"{path}: no Excel workbook, but another archive: save it as CSV") from None
-    return "\n".join(map("\t".join, rows)).encode()
+    return text.getvalue().encode()
 
 
 class Text:
@@ -219,13 +220,10 @@ class Dialect(NamedTuple):
 
     def parse_number(self, cell: str) -> float | None:
         """Return the number in a cell, NaN for a missing one; None for an unreadable cell."""
-        mark = "." if self.separator == "," else self.mark
-        return None if self.is_open(cell) else parse_cell(cell, mark)
+        return None if self.is_open(cell) else parse_cell(cell, self.mark)
 
     def is_open(self, cell: str) -> bool:
         """Return whether the only mark in a cell may stand before decimals or between thousands."""
-        if self.separator == ",":
-            return False
         other = OTHER.get(self.mark, ",")  # where nothing tells a mark, a point is one
         return (
             not self.grouped
@@ -277,7 +275,8 @@ def split_cells(line: str, separator: str) -> list[str]:
     """Return the cells of a line, without blanks and quotes around them."""
     if separator == " ":  # of ASCII: others stand between thousands
         return _BLANKS.split(line.strip(" \t"))
-    return [cell.strip().strip('"').strip() for cell in line.split(separator)]
+    cells = next(csv.reader([line], delimiter=separator)) if '"' in line else line.split(separator)
+    return [cell.strip().strip('"').strip() for cell in cells]
 
 
 def parse_cell(cell: str, mark: str) -> float | None:
@@ -317,8 +316,6 @@ def decimal_mark(lines: Sequence[str], separator: str, live: bool, source: str) 
     Raises:
         FileError: each comma may stand before decimals or between thousands.
     """
-    if separator == ",":
-        return ".", False
     rows = (split_cells(line, separator) for line in lines[:TELLING_MARK])
     cells = list(itertools.chain.from_iterable(rows))
     counts = {mark: len([*filter(shape.fullmatch, cells)]) for mark, shape in _TELLING.items()}
