@@ -78,9 +78,7 @@ WANDERING = 5e-4  # random walk of an encoder's zero about the gears' centre [ra
 LOADED = 0.1  # of a payload, over its claimed range [1 / sqrt(s)]
 MOST_COUPLED = 2  # joints with gaps, beyond which there are too many combinations
 RESOLVED = 0.8  # largest product of a step of integration and the frequency of contact
-# Rate at which a link leaves a flank that pulls, joint by joint, where what other joints do is
-# noise [1/s]. In one filter it leaves at once: late crossings are short, and gaps too small.
-LEAVING = 800.0
+LEAVING = 800.0  # rate at which a link leaves a flank that pulls [1/s]
 COMPLIANCE = 3e-4  # deviation of where a flank is [rad]
 JERK = 1e-3  # variance that the speed of a motor gains in a second [rad^2 / s^3]
 STICKING = 0.03  # time for which what static friction takes lasts [s]
@@ -340,7 +338,7 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
             most=most,
             slack=np.asarray(slack),
             torque=TURNING * unknown,
-            leaving=np.asarray(1 - apart * decay_factor(Ts, 1 / LEAVING)),
+            leaving=np.asarray(1 - decay_factor(Ts, 1 / LEAVING)),
             impact=np.asarray(RESTITUTION),
             rest=STICKING * Ts / gear_parameter("inertia") ** 2,
             least=gear_parameter("friction"),
