@@ -394,10 +394,8 @@ def _find_arm_end(robot: Robot, moved: Sequence[str], movable: Sequence[str]) ->
             ends.append(link)
     if not ends:
         palm = _find_branching_link(robot, moved)
-        stem = _count_joints(robot, palm, moved)
-        depths = (_count_joints(robot, joint.child, moved) for joint in robot.joints)
-        longest = max(depths) - stem
-        if moved is movable and stem >= longest:
+        deepest = max(_count_joints(robot, joint.child, moved) for joint in robot.joints)
+        if moved is movable and deepest <= 2 * _count_joints(robot, palm, moved):
             return palm
         raise InputError(
             f"plant.arm.tip: the movable joints branch at {palm!r}: the arm must be a serial "
@@ -426,8 +424,9 @@ def _find_branching_link(robot: Robot, moved: Sequence[str]) -> str:
     """
     joints = {joint.name: joint for joint in robot.joints}
     paths = [robot.joints_to_link(joints[name].child) for name in moved]
-    # Names of joints that lead to another moving joint.
-    inner = {joint.name for path in paths for joint in path[:-1]}
+    inner: set[str] = set()  # names of joints that lead to another moving joint
+    for path in paths:
+        inner.update(joint.name for joint in path[:-1])
     # The paths to the moving joints that lead to no other one, each without that joint.
     outermost = [path[:-1] for path in paths if path[-1].name not in inner]
     link = next(name for name in robot.links if not robot.joints_to_link(name))  # the base
