@@ -14,6 +14,7 @@ from undeadzone.cli.common import (
     force_option,
     require_writable,
     shell_command,
+    typed_command,
     value_option,
 )
 from undeadzone.cli.output import Output, add_output_options
@@ -62,8 +63,11 @@ def arm(
     found = survey_urdf(robot, names, tip, None if at is None else _parse_numbers(at))
     written = [] if folder is None else [_write_scenario(found, robot, folder, gears, force)]
     weak = _list_weak_joints(found)
-    next_ = _advise_after_survey(found, weak, written, robot)
-    blocks: list[Block] = [_survey_to_text(found, robot), [HEAD, *_joint_rows(found)], next_]
+    blocks: list[Block] = [
+        _survey_to_text(found, robot),
+        [HEAD, *_joint_rows(found)],
+        _advise_after_survey(found, weak, written),
+    ]
     output.print_result(lambda: _survey_to_json(found), lambda: blocks, written, last={})
     return 1 if weak else 0
 
@@ -100,19 +104,20 @@ def _survey_to_text(found: Survey, robot: Path) -> dict[str, Any]:
     """Return the content of the file as text by name."""
     from undeadzone.util.arrays import list_numbers
 
-    tree = found.robot
     reach = "no limit: a sliding joint has none"
     if found.reach is not None:
         reach = f"{found.reach:.4g} m from {found.joints[0].name} to the tip at most"
     summary: dict[str, Any] = {
-        "file": f"{robot}: {len(tree.links)} links, {len(tree.joints)} joints",
+        "file": f"{robot}: {len(found.robot.links)} links, {len(found.robot.joints)} joints",
         "arm": f"{len(found.joints)} joints move, from {found.base} to {found.tip}",
         "posture": f"q = ({list_numbers(found.q)}) [rad or m]",
         "tip": f"({list_numbers(found.place)}) m there, seen from the base",
         "reach": reach,
     }
     if found.fixed:
-        summary["fixed at 0"] = ", ".join(found.fixed)
+        summary["fixed at 0"] = (
+            ", ".join(found.fixed) + ". Each link behind moves with the one that carries it"
+        )
     return summary
 
 
@@ -137,19 +142,18 @@ def _format_limit(value: float, unit: str) -> str:
     return f"{value:.4g} {unit}" if abs(value) < float("inf") else "none"
 
 
-def _advise_after_survey(found: Survey, weak: list[str], written: list[Path], robot: Path) -> str:
+def _advise_after_survey(found: Survey, weak: list[str], written: list[Path]) -> str:
     """Return the advice on the next step."""
     if weak:
         return f"NO: the motors of {', '.join(weak)} cannot hold the arm there. Try another --at"
     if written:
         return f"wrote {written[0]}; next: {shell_command('undeadzone', 'run', written[0])}"
-    missing = []
+    missing = ["the dead zone of each joint (sensor.right, sensor.left; --gears: their gaps)"]
     if not any(any(joint.friction) for joint in found.joints):
-        missing.append("friction (plant.parameters b1, f1, ...)")
-    missing.append("the dead zone of each joint (sensor.right, sensor.left; --gears: their gaps)")
+        missing.insert(0, "friction (plant.parameters b1, f1, ...)")
     return (
         f"the file does not know {' and '.join(missing)}. "
-        f"A scenario to start from: {shell_command('undeadzone', 'arm', robot, '--out', '.')}"
+        f"A scenario to start from: {typed_command('--out', '.')}"
     )
 
 

@@ -251,7 +251,12 @@ def build_origin(path: Path | None, seed: int | None = None) -> Origin:
     if path is not None:
         with suppress(OSError, ValueError):  # it was there when the command began
             text = read_text(path)
-    return Origin(shell_command("undeadzone", *sys.argv[1:]), text, seed)
+    return Origin(typed_command(), text, seed)
+
+
+def typed_command(*words: str) -> str:
+    """Return the command that runs, with more words, as text for a shell."""
+    return shell_command("undeadzone", *sys.argv[1:], *words)
 
 
 def shell_command(*words: object, **options: object) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,6 @@ import undeadzone as uz
 from commands import undeadzone
 from documents import EXAMPLES
 from requirements import import_package
-from undeadzone.errors import InputError
 from undeadzone.plants.robots.geared import fastest_contact
 from undeadzone.plants.robots.survey import survey_urdf
 from undeadzone.scenario.problem import resolve_scenario
@@ -172,12 +172,6 @@ def max_reach(slide: float) -> float:
     return float(np.hypot(slide + 0.3 * np.sin(turns), 0.4 + 0.3 * np.cos(turns)).max())
 
 
-@pytest.mark.parametrize("at", [None, [0.4, -1.57, 1.57, 0.0, 0.5, 0.0]])
-def test_a_started_scenario_of_a_large_arm_is_accepted(at: list[float] | None) -> None:
-    text = starting_scenario(survey_urdf(UR5, at=at), str(UR5))
-    assert resolve_scenario(parse(text)).plant.n == 12
-
-
 def test_with_gears_a_started_scenario_follows_its_path(tmp_path: Path) -> None:
     done = undeadzone("arm", two(tmp_path), "--at", "0.3,-0.5", "--gears", "--out", tmp_path)
     assert "two.toml" in done.stdout
@@ -286,7 +280,11 @@ def test_a_gripper_stays_at_0_and_two_arms_are_refused(tmp_path: Path) -> None:
     )
     done = undeadzone("arm", gripper)
     assert "from base to palm" in done.stdout
-    assert "left_finger, right_finger" in done.stdout
+    assert "left_finger, right_finger. Each link behind" in done.stdout
+    done = undeadzone("arm", gripper, "--tip", "left", "--gears")
+    words = shlex.split(done.stdout.split("undeadzone ")[-1])
+    assert undeadzone(*words, cwd=tmp_path).returncode == 0
+    assert 'tip = "left"\n\n[plant]' in (tmp_path / "two.toml").read_text()
     found = survey_urdf(gripper)
     assert found.fixed == ["left_finger", "right_finger"]
     assert found.masses.tolist() == [8.0]
@@ -313,8 +311,3 @@ def test_wrong_options_are_explained(tmp_path: Path, words: list[str], expected:
     assert done.returncode == 2
     assert expected in done.stderr
     assert len(done.stderr.strip().split("\n")) == 1
-
-
-def test_a_posture_must_lie_within_the_limits(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="shoulder moves from -3 to 3"):
-        survey_urdf(two(tmp_path), at=[4.0, 0.0])

@@ -288,16 +288,18 @@ def test_a_part_of_a_tree(tmp_path: Path) -> None:
     )
     with pytest.raises(InputError, match=r"plant\.arm\.tip: the movable joints branch"):
         load_urdf_chain(path, ["shoulder", "elbow", "left", "right"])
-    whole = load_urdf_chain(path)
-    assert whole.joints == ("shoulder", "elbow")
-    assert whole.parameters == {"m1": 1.0, "m2": 3.0, "payload": 0.0}
+    for names in (None, ["shoulder", "elbow"]):
+        arm = load_urdf_chain(path, names)
+        assert arm.joints == ("shoulder", "elbow")
+        assert arm.parameters == {"m1": 1.0, "m2": 3.0, "payload": 0.0}
     assert load_urdf_chain(path, ["elbow"], tip="lower").parameters == {"m1": 3.0, "payload": 0.0}
+    with pytest.raises(InputError, match="'right' mimics 'left'"):
+        load_urdf_chain(path, tip="finger")
+    path.write_text(path.read_text().replace("prismatic", "fixed"))
     with pytest.raises(
         InputError, match=r"plant\.arm\.tip: the arm ends in finger, thumb: name one"
     ):
-        load_urdf_chain(path, ["shoulder", "elbow"])
-    with pytest.raises(InputError, match="'right' mimics 'left'"):
-        load_urdf_chain(path, tip="finger")
+        load_urdf_chain(path, names)
 
 
 @pytest.mark.parametrize(

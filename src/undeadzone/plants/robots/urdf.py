@@ -327,7 +327,7 @@ def select_joints(
         )
     moved = movable if joints is None else joints
     if tip is None:
-        tip = _find_arm_end(robot, moved, joints is None)
+        tip = _find_arm_end(robot, moved, movable)
     way = [joint.name for joint in robot.joints_to_link(tip)]
     serial = [name for name in way if name in movable and name in moved]
     if not serial:
@@ -374,16 +374,17 @@ def _require_uncoupled(robot: Robot, serial: list[str]) -> None:
             )
 
 
-def _find_arm_end(robot: Robot, moved: Sequence[str], whole: bool) -> str:
+def _find_arm_end(robot: Robot, moved: Sequence[str], movable: Sequence[str]) -> str:
     """Return the single link without children to which all of these joints lead.
 
     Of a whole file whose joints branch it is the link at which they do, if no branch has more
-    joints than lead there: those of a gripper or of fingers stay at 0.
+    joints than lead there: those of a gripper or of fingers stay at 0. Of joints by name that lead
+    to several such links, it is the link at which joints without a name begin.
 
     Args:
         robot: the tree of links and joints.
         moved: names of the moving joints.
-        whole: whether these are all that can move.
+        movable: names of the joints that can move.
     """
     parents = {joint.parent for joint in robot.joints}
     ends = []
@@ -393,10 +394,8 @@ def _find_arm_end(robot: Robot, moved: Sequence[str], whole: bool) -> str:
             ends.append(link)
     if not ends:
         palm = _find_branching_link(robot, moved)
-        stem = _count_joints(robot, palm, moved)
-        children = [joint.child for joint in robot.joints if joint.name in moved]
-        longest = max(_count_joints(robot, child, moved) for child in children) - stem
-        if whole and stem >= longest:
+        deepest = max(_count_joints(robot, joint.child, moved) for joint in robot.joints)
+        if moved is movable and deepest <= 2 * _count_joints(robot, palm, moved):
             return palm
         raise InputError(
             f"plant.arm.tip: the movable joints branch at {palm!r}: the arm must be a serial "
@@ -404,6 +403,9 @@ def _find_arm_end(robot: Robot, moved: Sequence[str], whole: bool) -> str:
             "at 0)"
         )
     if len(ends) > 1:
+        palm = _find_branching_link(robot, movable)
+        if _count_joints(robot, palm, moved) == len(moved):
+            return palm
         raise InputError(f"plant.arm.tip: the arm ends in {', '.join(ends)}: name one of them")
     return ends[0]
 
