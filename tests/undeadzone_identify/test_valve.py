@@ -48,7 +48,7 @@ def walk(size: int = 400) -> np.ndarray:
 @pytest.mark.parametrize("account", [KANO, HE])
 def test_without_a_jump_a_valve_is_a_play(account: str) -> None:
     u = walk()
-    v = valve_positions(u, np.array([2.0]), np.array([0.0]), account)[0, :, :1]
+    v = valve_positions(u, np.array([[2.0, 0.0]]), account)[0, :, :1]
     gap = np.array([1.0])
     assert v == pytest.approx(levels(u[:, None], gap, gap, u[:1]))
 
@@ -56,7 +56,7 @@ def test_without_a_jump_a_valve_is_a_play(account: str) -> None:
 @pytest.mark.parametrize("account", [KANO, HE])
 def test_many_valves_move_as_each_does_alone(account: str) -> None:
     u, stick, jump = walk(), np.array([1.0, 3.0, 4.0]), np.array([0.5, 3.0, 1.0])
-    together = valve_positions(u, stick, jump, account)
+    together = valve_positions(u, np.column_stack([stick, jump]), account)
     for k in range(3):
         valve = ACCOUNTS[account](float(stick[k]), float(jump[k]), float(u[0]))
         assert together[k, :, 0] == pytest.approx([valve(float(one)) for one in u])
@@ -97,7 +97,7 @@ def test_many_positions_are_regressed_as_each_is_alone(stride: int, missing: flo
     ok = np.random.default_rng(0).uniform(size=SIZE) >= missing
     log = LoopLog(loop.op, loop.pv, ok, loop.sp)
     widths = np.geomspace(0.02, 0.4, 2 * CHUNK + 1)
-    positions = valve_positions(log.u, widths, 0.4 * widths, KANO)
+    positions = valve_positions(log.u, np.outer(widths, [1.0, 0.4]), KANO)
     regression = log.regress(3, 40, stride)
     squares = np.mean(regression.prediction_errors_of_each(positions, range(2, 7)) ** 2, axis=1)
     none = np.empty((SIZE, 0))

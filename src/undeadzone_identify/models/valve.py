@@ -66,27 +66,25 @@ CHUNK = 16  # positions that are regressed at once: their regressors fit into th
 COARSELY = 2000  # readings that a coarse grid predicts: more tell its points apart no better
 
 
-def valve_positions(u: Floats, stick: Floats, jump: Floats, account: str) -> Floats:
+def valve_positions(u: Floats, valves: Floats, account: str) -> Floats:
     """Return the positions of valves along an input, each before its averages (K x N x A).
 
     The averages are exponential, over each memory. A valve was at rest before the first sample.
 
     Args:
         u: output of the controller (N).
-        stick: S of each valve (K) [u].
-        jump: J of each valve (K) [u].
+        valves: S and J of each (K x 2) [u].
         account: model of the valve: KANO slides after its jump, HE sticks at every sample.
     """
     kernel = build_valve_kernel(account)
     begin = u[0] * np.append(ACCOUNTS[account][1], np.ones(len(MEMORY)))
     moves = np.column_stack([u, np.append(u[0], u[:-1])])
-    valves = np.column_stack([stick, jump])
     return lanes.run_lanes(kernel, begin, moves, np.zeros(2), lane_params=valves, threads=1)[0]
 
 
 def average(x: Floats) -> Floats:
     """Return a signal (N) before its averages (N x A): the position of an ideal valve, S = 0."""
-    return valve_positions(x, np.zeros(1), np.zeros(1), KANO)[0]
+    return valve_positions(x, np.zeros((1, 2)), KANO)[0]
 
 
 @cache
@@ -288,7 +286,7 @@ class Regression:
             lags: lags of their positions [samples].
         """
         chunks = (pairs[begin : begin + CHUNK] for begin in range(0, len(pairs), CHUNK))
-        positions = (valve_positions(u, *chunk.T, account) for chunk in chunks)
+        positions = (valve_positions(u, chunk, account) for chunk in chunks)
         return np.vstack([self.prediction_errors_of_each(v, lags) for v in positions])
 
     def rank_valves(
@@ -484,8 +482,7 @@ class LoopLog:
             square, *pair = self._refine_grid(regression, coarse, lags, account, pairs, rounds)
             cost = _bic(square, size, numbers + BREAKS + 1 + (word == "stiction"))
             bic[word] = min(cost, bic.get(word, cost))
-            stick, jump = np.array(pair)[:, None]
-            positions.append(valve_positions(self.u, stick, jump, account))
+            positions.append(valve_positions(self.u, np.array([pair]), account))
         return LoopFits(self, structure, bic, np.vstack(positions))
 
     def _refine_grid(
@@ -643,8 +640,9 @@ def fit_loop(log: LoopLog) -> LoopFits:
     Args:
         log: log of the loop.
     """
-    coarse = np.array(list(itertools.product(np.geomspace(0.02, 1.0, 18), (0.0, 0.4, 1.0))))
-    valves = valve_positions(log.u, coarse[:, 0], coarse[:, 0] * coarse[:, 1], KANO)
+    coarse = itertools.product(np.geomspace(0.02, 1.0, 18), (0.0, 0.4, 1.0))
+    pairs = np.array([(s, s * ratio) for s, ratio in coarse])
+    valves = valve_positions(log.u, pairs, KANO)
     first = log.fit_all(log.find_structure(valves, log.coarse_stride), 3, 0)
     return log.fit_all(log.find_structure(first.positions))
 
