@@ -285,9 +285,11 @@ class Regression:
             account: model of the valves.
             lags: lags of their positions [samples].
         """
-        chunks = (pairs[begin : begin + CHUNK] for begin in range(0, len(pairs), CHUNK))
-        positions = (valve_positions(u, chunk, account) for chunk in chunks)
-        return np.vstack([self.prediction_errors_of_each(v, lags) for v in positions])
+        chunks = np.split(pairs, range(CHUNK, len(pairs), CHUNK))
+        return np.vstack([
+            self.prediction_errors_of_each(valve_positions(u, chunk, account), lags)
+            for chunk in chunks
+        ])  # fmt: skip
 
     def rank_valves(
         self, u: Floats, pairs: Floats, account: str, lags: range
@@ -478,7 +480,7 @@ class LoopLog:
             ("stiction", HE, few),
         ):
             each = itertools.product(widths[:: thinned if any(ratios) else 1], ratios)
-            pairs = np.array([(s, s * ratio) for s, ratio in each])
+            pairs = np.cumprod(list(each), axis=1)
             square, *pair = self._refine_grid(regression, coarse, lags, account, pairs, rounds)
             cost = _bic(square, size, numbers + BREAKS + 1 + (word == "stiction"))
             bic[word] = min(cost, bic.get(word, cost))
@@ -641,7 +643,7 @@ def fit_loop(log: LoopLog) -> LoopFits:
         log: log of the loop.
     """
     coarse = itertools.product(np.geomspace(0.02, 1.0, 18), (0.0, 0.4, 1.0))
-    pairs = np.array([(s, s * ratio) for s, ratio in coarse])
+    pairs = np.cumprod(list(coarse), axis=1)
     valves = valve_positions(log.u, pairs, KANO)
     first = log.fit_all(log.find_structure(valves, log.coarse_stride), 3, 0)
     return log.fit_all(log.find_structure(first.positions))
