@@ -48,7 +48,7 @@ def walk(size: int = 400) -> np.ndarray:
 @pytest.mark.parametrize("account", [KANO, HE])
 def test_without_a_jump_a_valve_is_a_play(account: str) -> None:
     u = walk()
-    v = valve_positions(u, np.array([2.0]), np.array([0.0]), account)
+    v = valve_positions(u, np.array([[2.0, 0.0]]), account)[0, :, :1]
     gap = np.array([1.0])
     assert v == pytest.approx(levels(u[:, None], gap, gap, u[:1]))
 
@@ -56,10 +56,10 @@ def test_without_a_jump_a_valve_is_a_play(account: str) -> None:
 @pytest.mark.parametrize("account", [KANO, HE])
 def test_many_valves_move_as_each_does_alone(account: str) -> None:
     u, stick, jump = walk(), np.array([1.0, 3.0, 4.0]), np.array([0.5, 3.0, 1.0])
-    together = valve_positions(u, stick, jump, account)
+    together = valve_positions(u, np.column_stack([stick, jump]), account)
     for k in range(3):
         valve = ACCOUNTS[account](float(stick[k]), float(jump[k]), float(u[0]))
-        assert together[:, k] == pytest.approx([valve(float(one)) for one in u])
+        assert together[k, :, 0] == pytest.approx([valve(float(one)) for one in u])
 
 
 def test_a_sine_is_regular_and_noise_is_not() -> None:
@@ -83,7 +83,7 @@ def test_a_missing_reading_is_left_out_of_the_regression() -> None:
     ok = np.random.default_rng(0).uniform(size=SIZE) > 0.02
     pv = np.where(ok, loop.pv, 1e6)  # never looked at
     fits = fit_loop(LoopLog(loop.op, pv, ok, loop.sp))
-    assert not set(fits.regression.rows) & set(np.flatnonzero(~ok))
+    assert not set(fits.structure.regression.rows) & set(np.flatnonzero(~ok))
     assert fits.bic["stiction"] < fits.bic["none"]
     stick = combine_sizes([fits.weigh_sizes()], 0.3)[0].scale_by(float(np.ptp(loop.op)))
     assert holds(stick, loop.stick)
@@ -97,11 +97,11 @@ def test_many_positions_are_regressed_as_each_is_alone(stride: int, missing: flo
     ok = np.random.default_rng(0).uniform(size=SIZE) >= missing
     log = LoopLog(loop.op, loop.pv, ok, loop.sp)
     widths = np.geomspace(0.02, 0.4, 2 * CHUNK + 1)
-    positions = valve_positions(log.u, widths, 0.4 * widths, KANO)
+    positions = valve_positions(log.u, np.outer(widths, [1.0, 0.4]), KANO)
     regression = log.regress(3, 40, stride)
-    squares = regression.mean_squares_of_each(positions, range(2, 7))
+    squares = np.mean(regression.prediction_errors_of_each(positions, range(2, 7)) ** 2, axis=1)
     none = np.empty((SIZE, 0))
-    alone = [regression.mean_square_beside(v, range(2, 7), none) for v in positions.T]
+    alone = [regression.mean_square_beside(v, range(2, 7), none) for v in positions]
     assert squares == pytest.approx(alone, rel=1e-6)
     assert list(regression.rows) == list(log.regress(3, 40).rows[::stride])
 
@@ -189,9 +189,12 @@ def test_the_sensitivity_of_a_loop_is_that_of_its_controller_and_plant() -> None
     e = draw.normal(size=300)
     u = lfilter(numerator, np.convolve([1.0, -1.0], [1.0, -filtered]), e)
     loop: Any = SimpleNamespace(
-        log=SimpleNamespace(period=20.0, error=e, u=u),
-        regression=SimpleNamespace(responses=lambda v, lags, at, others: [-0.4] * len(at)),
-        structure=SimpleNamespace(lags=range(1), oscillation=None),
+        log=SimpleNamespace(period=20.0, error=e, u=u, ideal=None),
+        structure=(
+            SimpleNamespace(responses=lambda v, lags, at, others: [-0.4] * len(at)),
+            range(1),
+            None,
+        ),
     )
     at = 2 * np.pi / 20.0 * np.linspace(0.85, 1.15, 13)
     controller = freqz(numerator, np.convolve([1.0, -1.0], [1.0, -filtered]), at)[1]

@@ -253,7 +253,7 @@ class LogReader:
             FileError: a column is not known; without a header any order would be a guess.
         """
         values = None if self._live else _values_of(self._dialect, lines)
-        titles = self._dialect.titles
+        titles: Sequence[Title] | None = self._dialect.titles
         if titles is None:
             if not self._chosen and (values is None or self._p is not None):
                 raise FileError(

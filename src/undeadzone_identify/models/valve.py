@@ -18,14 +18,13 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from copy import copy
 from functools import cache
 from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from scipy.signal import correlate, freqz, lfilter, zoom_fft
+from scipy.signal import correlate, freqz, zoom_fft
 from scipy.special import expit, softmax
 
 from undeadzone.compile import lanes
@@ -38,6 +37,7 @@ from undeadzone_identify.models.motion import last_reading_rows
 ORDERS = (1, 2, 3, 4, 6, 8, 12)  # autoregressive orders of the readings
 LOW = 4  # order at which delays are compared
 MEMORY = (3.0, 8.0, 20.0, 60.0)  # samples of the exponential averages that are regressors as well
+DECAY = np.exp(-1 / np.array(MEMORY))
 MORE = 2  # lags of the position beyond those of the reading
 LATEST = 30  # largest delay of a plant [samples]
 HARMONICS = (1, 2, 3)  # of an external oscillation
@@ -62,25 +62,29 @@ NEAR = 0.3  # |ln S| from the median, within which pairs tell J
 ELLIPSE_LESS, ELLIPSE_OFF = -0.17, 0.8  # ln(S / width of the ellipse): mean, standard deviation
 SCATTER = 3.0  # safety factor of the standard deviation of differences of log likelihoods
 DRAWS = 500  # draws of the log likelihoods
-CHUNK = 12  # positions that are regressed at once: their regressors fit into the cache
+CHUNK = 16  # positions that are regressed at once: their regressors fit into the cache
 COARSELY = 2000  # readings that a coarse grid predicts: more tell its points apart no better
 
 
-def valve_positions(u: Floats, stick: Floats, jump: Floats, account: str) -> Floats:
-    """Return the positions of valves along an input (N x K).
+def valve_positions(u: Floats, valves: Floats, account: str) -> Floats:
+    """Return the positions of valves along an input, each before its averages (K x N x A).
+
+    The averages are exponential, over each memory. A valve was at rest before the first sample.
 
     Args:
         u: output of the controller (N).
-        stick: S of each valve (K) [u].
-        jump: J of each valve (K) [u].
+        valves: S and J of each (K x 2) [u].
         account: model of the valve: KANO slides after its jump, HE sticks at every sample.
     """
-    begin = u[0] * np.array(ACCOUNTS[account][1])
-    moves = np.column_stack([u[1:], u[:-1]])
-    valves = np.column_stack([stick, jump])
     kernel = build_valve_kernel(account)
-    positions, _ = lanes.run_lanes(kernel, begin, moves, np.zeros(2), lane_params=valves, threads=1)
-    return np.vstack([np.full(stick.size, u[0]), positions[:, :, 0].T])
+    begin = u[0] * np.append(ACCOUNTS[account][1], np.ones(len(MEMORY)))
+    moves = np.column_stack([u, np.append(u[0], u[:-1])])
+    return lanes.run_lanes(kernel, begin, moves, np.zeros(2), lane_params=valves, threads=1)[0]
+
+
+def average(x: Floats) -> Floats:
+    """Return a signal (N) before its averages (N x A): the position of an ideal valve, S = 0."""
+    return valve_positions(x, np.zeros((1, 2)), KANO)[0]
 
 
 @cache
@@ -93,15 +97,19 @@ def build_valve_kernel(account: str) -> lanes.Kernel:
     Returns:
         A kernel with
 
-        - state: of the valve, its position first,
+        - state: of the valve, its position first, and averages of the position,
         - inputs: output of the controller, now and a sample before [u],
         - parameters of a lane: S and J [u],
-        - output: the position.
+        - output: the position and its averages.
     """
     step, begin = ACCOUNTS[account]
     state, inputs, valve = ca.SX.sym("s", len(begin)), ca.SX.sym("u", 2), ca.SX.sym("v", 2)
+    averages = ca.SX.sym("a", len(MEMORY))
     after = step(ca.vertsplit(state), *ca.vertsplit(inputs), *ca.vertsplit(valve))
-    function = ca.Function("valve", [state, inputs, valve], [ca.vertcat(*after), after[0]])
+    averaged = DECAY * averages + (1 - DECAY) * after[0]
+    states = ca.vertcat(state, averages), ca.vertcat(*after, averaged)
+    output = ca.vertcat(after[0], averaged)
+    function = ca.Function("valve", [states[0], inputs, valve], [states[1], output])
     return lanes.build_kernel(function, params=[0, 1])
 
 
@@ -164,13 +172,14 @@ class Regression:
     regressors held only a short past.
 
     Args:
-        y: readings (N).
+        y: readings before their averages, the last one in place of a missing one (N x A).
         ok: flags of the readings that are not missing (N).
         order: lags of the readings.
         first: first sample that is predicted.
         stride: every how many of the samples that can be predicted are.
 
     Attributes:
+        order, first: as given.
         rows: samples that are predicted (n).
         past: lags and averages of the readings (n x L).
         y: readings that are predicted (n).
@@ -180,73 +189,56 @@ class Regression:
         whole = sliding_window_view(ok, order + 1)[first - order :].all(axis=1)
         # A slice is read ten times as fast as samples by their numbers.
         self._chosen = np.s_[::stride] if whole.all() else np.flatnonzero(whole)[::stride]
-        self.rows: Integers = np.arange(first, y.size)[self._chosen]
-        self.order, self._first = order, first
-        lags = [self._before(y, k) for k in range(1, order + 1)]
-        averages = self._before(_averages(y[last_reading_rows(ok)][None])[0], 1)
-        self.past = np.column_stack([*lags, *averages])
-        self.y = y[self.rows]
-        self._explain_by(np.column_stack([np.ones(self.rows.size), self.past]))
+        self.rows: Integers = np.arange(first, len(y))[self._chosen]
+        self.order, self.first = order, first
+        self.past = self.lagged(y[None], range(1, order + 1))[0].T
+        self.y = y[self.rows, 0]
+        # Each regressor is a row, so that products of rows run along the memory.
+        ones = np.ones(self.rows.size)
+        self._basis = np.linalg.qr(np.column_stack([ones, self.past]))[0].T.copy()
+        self._target = self.y - (self._basis @ self.y) @ self._basis
 
     def _before(self, x: Floats, lag: int) -> Floats:
         """Return signals (... x N) a lag before the samples that are predicted (... x n)."""
-        return x[..., self._first - lag : x.shape[-1] - lag][..., self._chosen]
-
-    def _explain_by(self, columns: Floats) -> None:
-        """Set the regressors of every model (n x L)."""
-        self._basis = np.linalg.qr(columns)[0]
-        self._target = self._project_out_past(self.y)
-
-    def with_position(self, v: Floats, lags: range) -> Regression:
-        """Return the regression with a position (N) at some lags among its own regressors."""
-        extended = copy(self)
-        extended._explain_by(self.regressors(v, lags))
-        return extended
-
-    def _project_out_past(self, columns: Floats) -> Floats:
-        """Return columns (n x L) without the part that the constant and the past explain.
-
-        Regressing these on each other gives the coefficients of the full regression (Frisch, Waugh
-        and Lovell).
-        """
-        return columns - self._basis @ (self._basis.T @ columns)
+        return x[..., self.first - lag : x.shape[-1] - lag][..., self._chosen]
 
     def lagged(self, v: Floats, lags: range) -> Floats:
-        """Return lagged positions, and their averages up to the first lag (K x L x n).
+        """Return lagged signals, and their averages up to the first lag (K x L x n).
 
         Args:
-            v: positions (K x N).
+            v: signals before their averages (K x N x A).
             lags: lags [samples].
         """
         columns = np.empty((len(v), len(lags) + len(MEMORY), self.rows.size))
+        signals = np.ascontiguousarray(v[:, :, 0])
         for place, k in enumerate(lags):
-            columns[:, place] = self._before(v, k)
-        columns[:, len(lags) :] = self._before(_averages(v), lags[0])
+            columns[:, place] = self._before(signals, k)
+        columns[:, len(lags) :] = self._before(v[:, :, 1:].transpose(0, 2, 1), lags[0])
         return columns
 
     def mean_square_beside(self, v: Floats, lags: range, others: Floats) -> float:
         """Return the mean squared one-step prediction error for a position.
 
-        Args:
-            v: position (N).
-            lags: lags of the position [samples].
-            others: further regressors (N x M).
+        Arguments of `regressors`.
         """
-        beside = self.with_position(v, lags)
-        columns = beside._project_out_past(others[self.rows])
-        return float(np.mean(regression_residual(columns, beside._target) ** 2))
+        errors = regression_residual(self.regressors(v, lags, others), self.y)
+        return float(np.mean(errors**2))
 
-    def mean_squares_beside_waves(self, frequencies: Floats) -> Floats:
+    def mean_squares_beside_waves(self, v: Floats, lags: range, frequencies: Floats) -> Floats:
         """Return the mean squared one-step prediction errors beside waves (F x H).
 
         Products with the waves of all frequencies are chirp transforms, and a Cholesky factor has
         the regressions on one harmonic, on two and so on.
 
         Args:
+            v: position before its averages (N x A).
+            lags: lags of the position [samples].
             frequencies: of the first harmonic, at equal distances (F) [1/sample].
         """
-        columns = np.zeros((self.rows[-1] + 1, self._basis.shape[1] + 2))
-        columns[self.rows] = np.column_stack([self._basis, self._target, np.ones(self.rows.size)])
+        basis = np.linalg.qr(self.regressors(v, lags, v[:, :0]))[0]
+        target = self.y - basis @ (basis.T @ self.y)
+        columns = np.zeros((self.rows[-1] + 1, basis.shape[1] + 2))
+        columns[self.rows] = np.column_stack([basis, target, np.ones(self.rows.size)])
         ends = np.outer(range(2 * len(HARMONICS) + 1), frequencies[[0, -1]])
         sums = [
             zoom_fft(columns, one, frequencies.size, fs=1.0, endpoint=True, axis=0) for one in ends
@@ -261,47 +253,64 @@ class Regression:
         )
         along = np.linalg.solve(factor, product[waves, :, -2].T[:, :, None])
         explained = np.cumsum(np.abs(along[:, :, 0]) ** 2, axis=1)[:, 1::2]
-        return np.mean(self._target**2) - explained / self.rows.size
+        return np.mean(target**2) - explained / self.rows.size
 
     def prediction_errors_of_each(self, v: Floats, lags: range) -> Floats:
         """Return the one-step prediction errors for each of several positions (K x n).
 
+        The positions without the part that the past explains are regressed on the readings
+        without it (Frisch, Waugh and Lovell), from products with the positions as they are.
+
         Args:
-            v: positions (N x K).
+            v: positions before their averages (K x N x A).
             lags: lags of the positions [samples].
         """
-        # Each regressor is a row, so that products of rows run along the memory.
-        positions = np.ascontiguousarray(v.T)
-        found = np.empty((len(positions), self.rows.size))
-        for begin in range(0, len(positions), CHUNK):
-            each = self.lagged(positions[begin : begin + CHUNK], lags)
-            flat = each.reshape(-1, self.rows.size)
-            flat -= (flat @ self._basis) @ self._basis.T
-            # Normal equations of all positions at once, with a ridge against collinear columns.
-            gram = np.matmul(each, each.transpose(0, 2, 1))
-            trace = np.trace(gram, axis1=1, axis2=2)[:, None, None]
-            gram += 1e-10 * (trace + 1e-12) * np.eye(gram.shape[1])
-            coefficients = np.linalg.solve(gram, np.matmul(each, self._target)[:, :, None])
-            explained = np.matmul(coefficients.transpose(0, 2, 1), each)[:, 0]
-            found[begin : begin + CHUNK] = self._target - explained
-        return found
+        each = self.lagged(v, lags)
+        along = each @ self._basis.T
+        # Normal equations of all positions at once, with a ridge against collinear columns.
+        gram = each @ each.transpose(0, 2, 1) - along @ along.transpose(0, 2, 1)
+        trace = np.trace(gram, axis1=1, axis2=2)[:, None, None]
+        gram += 1e-10 * (trace + 1e-12) * np.eye(gram.shape[1])
+        weights = np.linalg.solve(gram, each @ self._target[:, None]).transpose(0, 2, 1)
+        return self._target - (weights @ each - weights @ along @ self._basis)[:, 0]
 
-    def mean_squares_of_each(self, v: Floats, lags: range) -> Floats:
-        """Return the mean squared one-step prediction error for each of several positions (K).
-
-        Arguments of `prediction_errors_of_each`.
-        """
-        return np.mean(self.prediction_errors_of_each(v, lags) ** 2, axis=1)
-
-    def regressors(self, v: Floats, lags: range) -> Floats:
-        """Return the past, the lagged position, and a constant (n x columns).
+    def prediction_errors_by_valves(
+        self, u: Floats, pairs: Floats, account: str, lags: range
+    ) -> Floats:
+        """Return the one-step prediction errors for each of several valves (K x n).
 
         Args:
-            v: position (N).
+            u: output of the controller (N).
+            pairs: S and J (K x 2) [u].
+            account: model of the valves.
+            lags: lags of their positions [samples].
+        """
+        chunks = np.split(pairs, range(CHUNK, len(pairs), CHUNK))
+        return np.vstack([
+            self.prediction_errors_of_each(valve_positions(u, chunk, account), lags)
+            for chunk in chunks
+        ])  # fmt: skip
+
+    def rank_valves(
+        self, u: Floats, pairs: Floats, account: str, lags: range
+    ) -> list[tuple[float, float, float]]:
+        """Return mean squared errors with pairs of S and J, the least error first (K).
+
+        Arguments of `prediction_errors_by_valves`.
+        """
+        squares = np.mean(self.prediction_errors_by_valves(u, pairs, account, lags) ** 2, axis=1)
+        return sorted(zip(squares.tolist(), *pairs.T.tolist(), strict=True))
+
+    def regressors(self, v: Floats, lags: range, others: Floats) -> Floats:
+        """Return the past, the lagged position, a constant and others (n x columns).
+
+        Args:
+            v: position before its averages (N x A).
             lags: lags of the position [samples].
+            others: further regressors (N x M).
         """
         ones = np.ones((self.rows.size, 1))
-        return np.hstack([self.past, self.lagged(v[None], lags)[0].T, ones])
+        return np.hstack([self.past, self.lagged(v[None], lags)[0].T, ones, others[self.rows]])
 
     def responses(self, v: Floats, lags: range, points: Floats, others: Floats) -> Floats:
         """Return the frequency responses from the position of the valve to y.
@@ -310,43 +319,31 @@ class Regression:
         through / (1 - past), with z in place of q^-1.
 
         Args:
-            v: position of the valve (N).
+            v: position of the valve before its averages (N x A).
             lags: lags of the position [samples].
             points: values of z = exp(-i w), with w the frequency [rad/sample] (M).
             others: further regressors (N x M).
         """
-        columns = np.hstack([self.regressors(v, lags), others[self.rows]])
-        coefficients = np.linalg.lstsq(columns, self.y, rcond=1e-9)[0]
-        decay = np.exp(-1 / np.array(MEMORY))
+        coefficients = np.linalg.lstsq(self.regressors(v, lags, others), self.y, rcond=1e-9)[0]
         z = points[:, None]
-        averaged = (1 - decay) / (1 - decay * z)  # response of each exponential average
+        averaged = (1 - DECAY) / (1 - DECAY * z)  # response of each exponential average
         past = np.hstack([z ** np.arange(1, self.order + 1), z * averaged])
         through = np.hstack([z ** np.array(lags), z ** lags[0] * averaged])
         own, acting = np.split(coefficients[: past.shape[1] + through.shape[1]], [past.shape[1]])
         return through @ acting / (1 - past @ own)
 
 
-def _averages(x: Floats) -> Floats:
-    """Return the exponential averages of signals x (K x N) over each memory (K x M x N)."""
-    decays = np.exp(-1 / np.array(MEMORY))
-    # the filters' states if x was constant before
-    each = [lfilter([1 - one], [1.0, -one], x, zi=one * x[:, :1])[0] for one in decays]
-    return np.stack(each, axis=1)
-
-
 class Structure(NamedTuple):
     """Order and delay of the regression, with the external oscillation that suits the log.
 
     Attributes:
-        order: lags of the readings.
+        regression: regression of all readings.
         lags: lags of the position [samples].
-        first: first sample that is predicted.
         oscillation: sines and cosines of its harmonics (N x 2 K), no column without an oscillation.
     """
 
-    order: int
+    regression: Regression
     lags: range
-    first: int
     oscillation: Floats
 
 
@@ -367,6 +364,7 @@ class LoopLog:
 
     Attributes:
         range, deviation: divisors of u and y.
+        ideal: u before its averages, as an ideal valve follows it (N x A).
         error: control error y - r, without its mean (N).
         regularity, period: of its oscillation, as `oscillation_of` returns them.
     """
@@ -375,7 +373,9 @@ class LoopLog:
         self.range = float(np.ptp(u))
         self.deviation = float(y[ok].std()) or 1.0
         self.u = (u - u.mean()) / self.range
+        self.ideal = average(self.u)
         self.y = np.where(ok, (y - y[ok].mean()) / self.deviation, 0.0)
+        self._readings = average(self.y[last_reading_rows(ok)])
         self.ok = ok
         self.error = np.where(ok, self.y - (r - y[ok].mean()) / self.deviation, 0.0)
         self.error -= self.error.mean()
@@ -394,7 +394,7 @@ class LoopLog:
             first: first sample that is predicted.
             stride: every how many samples are predicted.
         """
-        return Regression(self.y, self.ok, order, first, stride)
+        return Regression(self._readings, self.ok, order, first, stride)
 
     @property
     def coarse_stride(self) -> int:
@@ -405,18 +405,19 @@ class LoopLog:
         """Find order and delay by BIC, for u itself and for several valves.
 
         Args:
-            valves: positions of the valves (N x K) [range of u].
+            valves: positions of the valves before their averages (K x N x A) [range of u].
             stride: every how many samples are predicted.
         """
         longest, orders = min(LATEST, self.y.size // 20), find_orders(self.ok)
         # In an oscillation a delay cannot be distinguished from one that is a period longer.
         latest = int(min(longest, max(self.period / 2, 4) + 1))
         first = longest + MORE + max(orders) + 6
-        positions = np.column_stack([self.u, valves])
+        positions = np.vstack([self.ideal[None], valves])
         low_order = self.regress(LOW, first, stride)
-        valve_numbers = 4 * (np.arange(positions.shape[1]) > 0)
+        valve_numbers = 4 * (np.arange(len(positions)) > 0)
         every = [
-            low_order.mean_squares_of_each(positions, range(k, k + 3)) for k in range(1, latest)
+            np.mean(low_order.prediction_errors_of_each(positions, range(k, k + 3)) ** 2, axis=1)
+            for k in range(1, latest)
         ]
         bic = _bic(every, low_order.rows.size, valve_numbers)
         before, best = np.unravel_index(np.argmin(bic), bic.shape)  # samples less than the delay
@@ -426,13 +427,13 @@ class LoopLog:
         for order in orders:
             regression = self.regress(order, first, stride)
             lags = range(lag, lag + order + MORE)
-            rivals = (positions[:, best], waves[:, :0]), (self.u, waves)
+            rivals = (positions[best], waves[:, :0]), (self.ideal, waves)
             for v, others in rivals[: 1 + (waves.size > 0)]:
                 square = regression.mean_square_beside(v, lags, others)
                 numbers = 2 * order + others.shape[1] + (others.size > 0)
                 costs.append((_bic(square, regression.rows.size, numbers), order))
         order = min(costs)[1]
-        return Structure(order, range(lag, lag + order + MORE), first, waves)
+        return Structure(self.regress(order, first), range(lag, lag + order + MORE), waves)
 
     def _find_oscillation(self, regression: Regression, lags: range) -> Floats:
         """Find the external oscillation of least BIC, with a period near that of the error.
@@ -449,9 +450,8 @@ class LoopLog:
         if self.period > t.size / 4:
             return np.empty((t.size, 0))
         frequencies = np.arange(0.75, 1.25, self.period / (6 * t.size)) / self.period
-        beside = regression.with_position(self.u, lags)
-        squares = beside.mean_squares_beside_waves(frequencies)
-        bic = _bic(squares, beside.rows.size, 2 * np.array(HARMONICS))
+        squares = regression.mean_squares_beside_waves(self.ideal, lags, frequencies)
+        bic = _bic(squares, regression.rows.size, 2 * np.array(HARMONICS))
         best, more = np.unravel_index(np.argmin(bic), bic.shape)
         phases = 2 * np.pi * frequencies[best] * np.outer(t, HARMONICS[: more + 1])
         return np.hstack([np.sin(phases), np.cos(phases)])
@@ -464,15 +464,14 @@ class LoopLog:
             thinned: stride of the grid of S and J / S.
             rounds: number of refinements of the grid.
         """
-        regression = self.regress(structure.order, structure.first)
-        lags, waves, size = structure.lags, structure.oscillation, regression.rows.size
-        numbers = 2 + structure.order + len(lags) + 2 * len(MEMORY)
-        bic = {
-            "none": _bic(regression.mean_square_beside(self.u, lags, waves[:, :0]), size, numbers)
-        }
-        if waves.size:
-            square = regression.mean_square_beside(self.u, lags, waves)
-            bic["external"] = _bic(square, size, numbers + waves.shape[1] + 1)
+        regression, lags, waves = structure
+        coarse = self.regress(regression.order, regression.first, self.coarse_stride)
+        size = regression.rows.size
+        numbers = 2 + regression.order + len(lags) + 2 * len(MEMORY)
+        bic = {}
+        for word, others in (("none", waves[:, :0]), ("external", waves)):
+            square = regression.mean_square_beside(self.ideal, lags, others)
+            bic[word] = _bic(square, size, numbers + others.shape[1] + (others.size > 0))
         widths = np.geomspace(max(FINEST, self.step), 1.0, TRIED)
         few, positions = RATIOS[::thinned], []
         for word, account, ratios in (
@@ -481,28 +480,34 @@ class LoopLog:
             ("stiction", HE, few),
         ):
             each = itertools.product(widths[:: thinned if any(ratios) else 1], ratios)
-            pairs = np.array([(s, s * ratio) for s, ratio in each])
-            square, *pair = self._refine_grid(structure, account, pairs, rounds)
+            pairs = np.cumprod(list(each), axis=1)
+            square, *pair = self._refine_grid(regression, coarse, lags, account, pairs, rounds)
             cost = _bic(square, size, numbers + BREAKS + 1 + (word == "stiction"))
             bic[word] = min(cost, bic.get(word, cost))
-            stick, jump = np.array(pair)[:, None]
-            positions.append(valve_positions(self.u, stick, jump, account))
-        return LoopFits(self, structure, regression, bic, np.hstack(positions))
+            positions.append(valve_positions(self.u, np.array([pair]), account))
+        return LoopFits(self, structure, bic, np.vstack(positions))
 
     def _refine_grid(
-        self, structure: Structure, account: str, pairs: Floats, rounds: int
+        self,
+        regression: Regression,
+        coarse: Regression,
+        lags: range,
+        account: str,
+        pairs: Floats,
+        rounds: int,
     ) -> tuple[float, float, float]:
         """Return the least mean squared prediction error with its S and J, by a refined grid.
 
         Args:
-            structure: order and delay of the regression.
+            regression, coarse: of all readings, and of those that rank a grid.
+            lags: lags of the position [samples].
             account: model of the valve.
             pairs: grid of S and J (K x 2) [range of u].
             rounds: number of refinements about the best pairs, by all readings.
         """
         most = LARGEST * pairs[:, 1].any()  # 0 of a play
-        tops = self._rank_pairs(structure, account, pairs, self.coarse_stride)[:TOPS]
-        best = self._rank_pairs(structure, account, np.array(tops)[:, 1:], 1)
+        tops = coarse.rank_valves(self.u, pairs, account, lags)[:TOPS]
+        best = regression.rank_valves(self.u, np.array(tops)[:, 1:], account, lags)
         a, b = np.meshgrid(np.linspace(-1, 1, 7), np.linspace(-2, 2, 5 if most else 1))
         for k in range(rounds):
             width = 0.09 / 2.5**k
@@ -510,24 +515,8 @@ class LoopLog:
             moved = jump + stick * width * b.ravel()
             jumps = np.clip(moved, min(0.02, most) * stick, most * stick)
             pairs = np.stack([stick * (1 + width * a.ravel()), jumps], axis=-1).reshape(-1, 2)
-            best = sorted(best + self._rank_pairs(structure, account, pairs, 1))[:3]
+            best = sorted(best + regression.rank_valves(self.u, pairs, account, lags))[:3]
         return best[0]
-
-    def _rank_pairs(
-        self, structure: Structure, account: str, pairs: Floats, stride: int
-    ) -> list[tuple[float, float, float]]:
-        """Return mean squared errors with pairs of S and J, the least error first (K).
-
-        Args:
-            structure: order and delay of the regression.
-            account: model of the valve.
-            pairs: S and J (K x 2) [range of u].
-            stride: every how many samples are predicted.
-        """
-        v = valve_positions(self.u, pairs[:, 0], pairs[:, 1], account)
-        regression = self.regress(structure.order, structure.first, stride)
-        squares = regression.mean_squares_of_each(v, structure.lags)
-        return sorted(zip(squares.tolist(), *pairs.T.tolist(), strict=True))
 
 
 class LoopFits(NamedTuple):
@@ -536,14 +525,13 @@ class LoopFits(NamedTuple):
     Attributes:
         log: log of the loop.
         structure: order and delay of the regression.
-        regression: regression of the readings.
-        bic: least of each class: none, external, input_play, stiction.
-        positions: of the likeliest faulty valves (N x 3) [range of u].
+        bic: least of each class: none, external (that of none without an oscillation),
+            input_play, stiction.
+        positions: of the likeliest faulty valves (3 x N x A) [range of u].
     """
 
     log: LoopLog
     structure: Structure
-    regression: Regression
     bic: dict[str, float]
     positions: Floats
 
@@ -556,16 +544,18 @@ class LoopFits(NamedTuple):
         least = max(FINEST, 0.5 * self.log.step)
         pairs = itertools.product(np.geomspace(least, max(WIDEST, 2 * least), SIZES), SLIPS)
         stick, ratio = np.array(list(pairs)).T
+        valves, (regression, lags, _) = np.column_stack([stick, stick * ratio]), self.structure
         errors = np.vstack([
-            self.regression.prediction_errors_of_each(
-                valve_positions(self.log.u, stick, stick * ratio, account), self.structure.lags
+            regression.prediction_errors_by_valves(
+                self.log.u, valves, account, lags
             )
             for account in (KANO, HE)
         ]).T  # fmt: skip
-        variance = np.maximum(np.mean(errors**2, axis=0), 1e-20)
+        squares = errors**2
+        variance = np.maximum(squares.mean(axis=0), 1e-20)
         # The log likelihoods are drawn with the covariance that their long-run variance estimates
         # (BayesBag), so that a single log does not overrule close rivals.
-        values = -0.5 * errors**2 / variance - 0.5 * np.log(variance)
+        values = -0.5 * (squares / variance + np.log(variance))
         weights = softmax(draw_sums(values - values[:, :1], DRAWS, SCATTER), axis=1).mean(axis=0)
         gain = self.bic["none"] - min(self.bic["input_play"], self.bic["stiction"])
         seen = (1 - ASIDE) * float(expit(gain / 2))
@@ -588,8 +578,8 @@ class LoopFits(NamedTuple):
         c = np.linalg.lstsq(moves, u[t] - u[t - 1], rcond=None)[0]
         angles = 2 * np.pi / self.log.period * np.linspace(0.85, 1.15, 13)
         controller = freqz(c[:3], np.convolve([1.0, -1.0], [1.0, -c[3]]), angles)[1]
-        lags, z = self.structure.lags, np.exp(-1j * angles)
-        plants = self.regression.responses(u, lags, z, self.structure.oscillation)
+        regression, lags, waves = self.structure
+        plants = regression.responses(self.log.ideal, lags, np.exp(-1j * angles), waves)
         return float(1 / max(np.abs(1 - controller * plants).min(), 1e-9))
 
 
@@ -652,8 +642,9 @@ def fit_loop(log: LoopLog) -> LoopFits:
     Args:
         log: log of the loop.
     """
-    coarse = np.array(list(itertools.product(np.geomspace(0.02, 1.0, 18), (0.0, 0.4, 1.0))))
-    valves = valve_positions(log.u, coarse[:, 0], coarse[:, 0] * coarse[:, 1], KANO)
+    coarse = itertools.product(np.geomspace(0.02, 1.0, 18), (0.0, 0.4, 1.0))
+    pairs = np.cumprod(list(coarse), axis=1)
+    valves = valve_positions(log.u, pairs, KANO)
     first = log.fit_all(log.find_structure(valves, log.coarse_stride), 3, 0)
     return log.fit_all(log.find_structure(first.positions))
 

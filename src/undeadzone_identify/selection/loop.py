@@ -270,11 +270,13 @@ def _measure_swing(grid: Grid, part: slice) -> Swing:
     goal = np.nan_to_num(grid.r[part, 0], nan=middle) if grid.r.size else np.full(y.size, middle)
     log = LoopLog(u, y, ok, goal)
     fits = fit_loop(log)
-    none, sticks, plays = (fits.bic[word] for word in ("none", "stiction", "input_play"))
+    none, outside, *faults = (
+        fits.bic[word] for word in ("none", "external", "stiction", "input_play")
+    )
     shape = ellipse_width(log)
     features = [
         shape,
-        *np.arcsinh(none - np.array([min(sticks, plays), fits.bic.get("external", none)])),
+        *np.arcsinh(none - np.array([min(faults), outside])),
         *np.log(np.maximum([log.regularity, fits.sensitivity()], 1e-3)),
     ]
     rms = root_mean_square((y - goal)[ok])
@@ -286,7 +288,7 @@ def _measure_swing(grid: Grid, part: slice) -> Swing:
         np.clip(features, *np.transpose([*FEATURES.values()])),
         sizes._replace(stick=sizes.stick * log.range),
         max(shape, LEAST_SHAPE) * log.range,
-        none - np.array([sticks, plays]),
+        none - np.array(faults),
         log.period * grid.step,
         rms,
         rms / max(root_mean_square(goal), 1e-12),
