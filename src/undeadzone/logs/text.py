@@ -275,7 +275,8 @@ def split_cells(line: str, separator: str) -> list[str]:
     """Return the cells of a line, without blanks and quotes around them."""
     if separator == " ":  # of ASCII: others stand between thousands
         return _BLANKS.split(line.strip(" \t"))
-    cells = next(csv.reader([line], delimiter=separator)) if '"' in line else line.split(separator)
+    has_pairs = '"' in line and line.count('"') % 2 == 0  # a single one is no quote
+    cells = next(csv.reader([line], delimiter=separator)) if has_pairs else line.split(separator)
     return [cell.strip().strip('"').strip() for cell in cells]
 
 
