@@ -368,7 +368,8 @@ def _add_edges(answer: Answer) -> Answer:
     remarks = [*_delay_remarks(answer), *_edge_remarks(answer, intervals, has_residual)]
     _widen_rare_edges(answer, intervals)
     remarks += _widen_by_drift(answer, intervals)
-    doubt = _doubt_of_zero(intervals) or _doubt_of_unmoved(answer, intervals)
+    edges = SIDES if intervals.get("width") is None else ()  # of one met side
+    doubt = _doubt_of_zero(intervals, *edges) or _doubt_of_unmoved(answer, intervals)
     if doubt:
         return _with_doubt(answer, doubt)
     word = "unreached" if answer.case.unreached else answer.verdict
@@ -407,12 +408,14 @@ def _widen_by_drift(answer: Answer, intervals: DisplayedWidths) -> list[str]:
     return [f"{words} along the log: both edges are given for any time of it, and their sum holds"]
 
 
-def _doubt_of_zero(intervals: dict[str, Any]) -> str:
-    """Return the remark that a width, or friction, may be 0; empty if it is not or is missing.
+def _doubt_of_zero(intervals: dict[str, Any], *edges: str) -> str:
+    """Return the remark that a width, friction or an edge may be 0; empty if none is or is known.
 
-    Where a side was never met, no width is known, and the edge of the other side counts.
+    Args:
+        intervals: by name.
+        edges: names that count as well.
     """
-    for name in ("friction", *(("width",) if intervals.get("width") else SIDES)):
+    for name in ("width", "friction", *edges):
         own = intervals.get(name)
         if own is not None and own.low <= 0 < own.half_width:
             return f"the {name}'s interval holds 0: {own.value:.4g} [{own.low:.4g}, {own.high:.4g}]"
