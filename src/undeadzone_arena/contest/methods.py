@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterable, Mapping
 from functools import reduce
 from importlib.resources import files
 from operator import or_
-from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
 import msgspec
@@ -24,7 +23,7 @@ from undeadzone_arena.contest.prior_knowledge import UNITS, PriorKnowledge
 Options = dict[str, Any]
 Knobs = Mapping[str, float]  # numbers of one method's knobs, by address
 Numbers = Mapping[str, Knobs]  # by method
-NOTHING: Final[Mapping[str, Any]] = MappingProxyType({})
+NOTHING: Final[Mapping[str, Any]] = {}
 
 
 class Knob(NamedTuple):
@@ -123,7 +122,9 @@ PARTS: Final = {"observer": OBSERVERS, "controller": CONTROLLERS, "compensator":
 
 def _read_methods() -> dict[str, Method]:
     """Read the methods of `methods.toml`, in its order."""
-    tables = tomllib.loads(files("undeadzone_arena.contest").joinpath("methods.toml").read_text("utf-8"))
+    tables = tomllib.loads(
+        files("undeadzone_arena.contest").joinpath("methods.toml").read_text("utf-8")
+    )
     groups = tables.pop("knobs")
     methods = {}
     for name, entry in tables.items():

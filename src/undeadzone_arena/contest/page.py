@@ -31,6 +31,7 @@ from undeadzone_arena.contest.figures import (
 from undeadzone_arena.contest.leaderboard import CAP, NAIVE, ZERO, Row, compute_regrets
 from undeadzone_arena.contest.metric import TAIL
 from undeadzone_arena.contest.traces import Trace
+from undeadzone_arena.contest.words import regret_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -158,7 +159,7 @@ def _top_table(contest: Contest) -> Html:
     """Return a table of the best methods in a few numbers."""
     rows = []
     for row in contest.contestants[:MOST]:
-        regret = f"{row.median_regret:.3f} {_interval_text(row.median_interval)}"
+        regret = regret_text(row.median_regret, row.median_interval)
         rows.append((row.method, regret, f"{row.worst_regret:.3f}, {row.worst_scenario}"))
     return build_table(("method", "median regret", "worst, where"), rows)
 
@@ -212,7 +213,7 @@ def _leader_text(contest: Contest) -> Html:
     if not contest.contestants:
         return build_paragraph("Lines to compare with only.")
     first, *rest = contest.contestants
-    regret = f"{first.median_regret:.3f} {_interval_text(first.median_interval)}"
+    regret = regret_text(first.median_regret, first.median_interval)
     text = f"{contest_size_text(contest)}. Least median regret: {first.method}, {regret}"
     text += f"; its worst is {first.worst_regret:.3f}, on {first.worst_scenario}."
     if rest:

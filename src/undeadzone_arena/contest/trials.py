@@ -117,26 +117,6 @@ def _run_interpreted(loop: Loop, problem: Problem, exogenous: Floats) -> Outputs
     return name_outputs(loop, outputs)
 
 
-class TrialJob(NamedTuple):
-    """Trial to run: all data that is sent to a process.
-
-    Attributes:
-        name: of the method.
-        method: the method (None: that of this name in the catalogue).
-        title: of the scenario.
-        scenario: the scenario.
-        seeds: of the runs.
-        numbers: of the method's knobs, by address.
-    """
-
-    name: str
-    method: Method | None
-    title: str
-    scenario: Scenario
-    seeds: tuple[int, ...]
-    numbers: Mapping[str, float]
-
-
 def score_methods(
     methods: Sequence[str] | Mapping[str, Method] | None = None,
     scenarios: Mapping[str, Scenario] | None = None,
@@ -162,15 +142,16 @@ def score_methods(
     Raises:
         InputError: or a subclass.
     """
-    own = methods if isinstance(methods, Mapping) else {}
+    own = methods if isinstance(methods, Mapping) else NOTHING
+    known = {**method_registry(), **own}
     grounds = scenarios_of("held_out") if scenarios is None else scenarios
     names = list(dict.fromkeys([*FRAME, *resolve_names(methods, grounds)]))
     values = built_in() if numbers is None else numbers
-    jobs = []
+    jobs: list[tuple[Any, ...]] = []
     for title, scenario in grounds.items():
         for name in names:
-            knobs = dict(values.get(name, {}))
-            jobs.append(TrialJob(name, own.get(name), title, scenario, tuple(seeds), knobs))
+            rest = scenario, tuple(seeds), dict(values.get(name, NOTHING))
+            jobs.append((title, name, known[name], *rest))
 
     def compute(missing: list[int]) -> Iterator[tuple[int, list[Any]]]:
         """Yield results as they finish, in the form in which they are stored."""
@@ -179,7 +160,7 @@ def score_methods(
             if progress is not None:
                 progress(len(results))
 
-    questions = [[job.title, job.name] for job in jobs]
+    questions = [list(job[:2]) for job in jobs]
     plain = (saved_results or MemoryAnswers()).compute_missing(questions, compute)
     every: list[Result] = []
     for results in plain:
@@ -220,7 +201,7 @@ def process_count(jobs: int, processes: int | None) -> int:
 
 
 def _iterate_jobs(
-    jobs: Sequence[TrialJob], processes: int | None
+    jobs: Sequence[tuple[Any, ...]], processes: int | None
 ) -> Iterator[tuple[int, list[Result]]]:
     """Yield results by number of the job, in order of completion.
 
@@ -228,14 +209,11 @@ def _iterate_jobs(
     """
     count = process_count(len(jobs), processes)
     if count == 1:
-        yield from ((k, _run_job(job)) for k, job in enumerate(jobs))
+        yield from ((k, _run_job(*job)) for k, job in enumerate(jobs))
         return
-    yield from iterate_results(count, _run_job, {k: (job,) for k, job in enumerate(jobs)})
+    yield from iterate_results(count, _run_job, dict(enumerate(jobs)))
 
 
-def _run_job(job: TrialJob) -> list[Result]:
-    """Run a job and return its results."""
-    method = method_registry()[job.name] if job.method is None else job.method
-    return run_trial(
-        job.name, method, job.title, build_setting(job.scenario), job.seeds, job.numbers
-    )
+def _run_job(title: str, name: str, method: Method, scenario: Scenario, *rest: Any) -> list[Result]:
+    """Run a method on a scenario and return its results (rest: seeds and knobs)."""
+    return run_trial(name, method, title, build_setting(scenario), *rest)
