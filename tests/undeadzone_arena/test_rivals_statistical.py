@@ -59,7 +59,7 @@ from undeadzone.simulation.online import Online
 from undeadzone.simulation.simulate import simulate
 from undeadzone.util.arrays import Floats
 from undeadzone_arena import EKF, UKF, MovingHorizon, ParticleFilter, Tobit
-from undeadzone_arena.observers import moving_horizon, particle
+from undeadzone_arena.observers import particle
 from undeadzone_arena.observers.particle import systematic_indices, update_particle_weights
 from undeadzone_arena.observers.parts import window as horizon
 from undeadzone_arena.observers.parts.joint_claims import (
@@ -476,7 +476,7 @@ def test_with_active_constraints_moving_horizon_is_what_scipy_finds(seed: int, s
         [[3.0, 3.0], np.full(2, 0.7 / np.sqrt(12)), np.full(history.size - 4, 5.0)]
     )
     mean = np.concatenate([np.zeros(2), [0.85, 0.85], np.zeros(history.size - 4)])
-    gate = float(build_joint_prior(options, MODEL, zone(), moving_horizon.DEFAULTS).prior.gate[0])
+    gate = float(build_joint_prior(options, MODEL, zone()).prior.gate[0])
     bends: list[float] = []
 
     def cost(v: Floats) -> tuple[float, Floats]:

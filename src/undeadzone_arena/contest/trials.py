@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from typing import Any, Final, NamedTuple
 
 import msgspec
@@ -17,9 +18,9 @@ from undeadzone.scenario.reader import digests
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation import exogenous as inputs
 from undeadzone.simulation import sample_by_sample as live
-from undeadzone.simulation.loop import Loop, Outputs
-from undeadzone.simulation.simulate import close_problem, name_outputs
-from undeadzone.util import toml, tree
+from undeadzone.simulation.loop import Outputs
+from undeadzone.simulation.simulate import outputs_of, prepare
+from undeadzone.util import toml
 from undeadzone.util.answers import MemoryAnswers
 from undeadzone.util.arrays import Floats
 from undeadzone_arena.contest.entry import enter_method
@@ -90,15 +91,15 @@ def trial_signals(problem: Problem, seed: int) -> Outputs:
 def _iterate_runs(problem: Problem, seeds: Sequence[int]) -> Iterator[_TrialRun]:
     """Yield the runs of a problem."""
     observer = problem.observer
-    loop = None if observer.python is not None else close_problem(problem)
+    start = None if observer.python is not None else prepare(problem)
     for seed in seeds:
         exogenous = inputs.exogenous(problem, seed=seed)
         began = time.perf_counter()
-        if observer.python is not None:
+        if start is None:
             out = live.run_sample_by_sample(_with_seed(problem, seed), exogenous)
         else:
-            assert loop is not None
-            out = _run_interpreted(loop, problem, exogenous)
+            run = start._replace(exogenous=exogenous)
+            out = outputs_of(run, run=partial(interpret.run_interpreted, start.loop.step))
         truth = inputs.widths(problem, exogenous)[-1]
         yield _TrialRun(out, truth, (time.perf_counter() - began) / len(exogenous))
 
@@ -108,13 +109,6 @@ def _with_seed(problem: Problem, seed: int) -> Problem:
     simulation = msgspec.structs.replace(problem.scenario.simulation, seed=seed)
     scenario = msgspec.structs.replace(problem.scenario, simulation=simulation)
     return problem._replace(scenario=scenario)
-
-
-def _run_interpreted(loop: Loop, problem: Problem, exogenous: Floats) -> Outputs:
-    """Run a loop on CasADi's virtual machine and return its outputs."""
-    state = tree.pack_tree(loop.state._replace(plant=problem.x0))
-    outputs, _ = interpret.run_interpreted(loop.step, state, exogenous, tree.pack_tree(loop.params))
-    return name_outputs(loop, outputs)
 
 
 def score_methods(

@@ -35,7 +35,6 @@ from undeadzone.util.arrays import Array, Floats, require_nonnegative, require_n
 from undeadzone_arena.observers.parts import window as horizon
 from undeadzone_arena.observers.parts.joint_claims import (
     JointAssumptions,
-    JointDefaults,
     JointPrior,
     build_joint_prior,
     glitch_probability,
@@ -44,7 +43,6 @@ from undeadzone_arena.observers.parts.joint_claims import (
 from undeadzone_arena.observers.parts.tangents import Tangents, model_tangents
 from undeadzone_arena.observers.parts.window import HorizonWeights, Window
 
-DEFAULTS = JointDefaults(noise=0.01, drift=0.005, x_std=5.0)
 NODES = 40  # of a horizon, if the period is not given
 
 
@@ -85,7 +83,7 @@ class MovingHorizon(JointAssumptions, frozen=True, kw_only=True, tag="moving_hor
                 "another of daqp, osqp"
             )
         nodes, stride = self._horizon_grid(model)
-        prior = build_joint_prior(self, model, sensor, DEFAULTS, stride)
+        prior = build_joint_prior(self, model, sensor, stride=stride)
         rms = np.sqrt(prior.prior.R)
         slack = rms
         if self.slack is not None:

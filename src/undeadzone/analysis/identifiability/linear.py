@@ -286,6 +286,7 @@ def unobservable_changes(
     bias: Floats | None = None,
     jump: bool = False,
     drives: Sequence[Floats] | None = None,
+    repeats: int = 1,
 ) -> Unobservable:
     """Return the changes of `[x(0); d; beta]` that do not change any reading.
 
@@ -301,6 +302,7 @@ def unobservable_changes(
             sampled).
         jump: whether the sensor jumps (its readings do not contain d).
         drives: in place of `bias`, how beta enters x' (n x b each) in the modes that are visited.
+        repeats: how often each output stands in turn, its widths the same.
     """
     A, _, C = delta_form(linear, Ts)
     n = A.shape[0]
@@ -322,12 +324,26 @@ def unobservable_changes(
     tolerance = TOLERANCE + rounding / rate
     U = unobservable_subspace(A, C[visited.any(axis=1)], tolerance)
     beyond = np.eye(n) - U @ U.T
-    rows = [np.hstack([beyond @ A, np.zeros((n, 2 * p)), beyond @ mode]) for mode in B]
+    shared = share_widths(p, repeats)
+    widths = shared.shape[1]
+    rows = [np.hstack([beyond @ A, np.zeros((n, widths)), beyond @ mode]) for mode in B]
     for sides in (visited[:, 0] * 1, visited[:, 1] * -1):
-        S = 0 * branch_pattern(tuple(sides)) if jump else branch_pattern(tuple(sides))
+        S = (not jump) * branch_pattern(tuple(sides)) @ shared
         rows.append(np.hstack([C * np.abs(sides)[:, None], -S, np.zeros((p, B.shape[2]))]))
     basis = null_space_basis(np.vstack(rows), tolerance)
-    return Unobservable(basis, np.concatenate([state, np.repeat(output, 2), rate / drive]), n)
+    return Unobservable(
+        basis, np.concatenate([state, np.repeat(output[::repeats], 2), rate / drive]), n
+    )
+
+
+def share_widths(rows: int, repeats: int) -> Floats:
+    """Return the matrix (2 rows x 2p) from the widths of p outputs to those of every row.
+
+    Args:
+        rows: readings, `repeats` of each output in turn.
+        repeats: their number.
+    """
+    return np.kron(np.eye(rows // repeats), np.tile(np.eye(2), (repeats, 1)))
 
 
 def width_identifiability(
@@ -347,36 +363,25 @@ def width_identifiability(
         prior: prior information (`prior_rows`).
     """
     visited = schedule.branch_visits(linear.A.shape[0])
-    if jump:
-        return [_jump_identifiability(schedule, visited, i) for i in range(visited.shape[0])]
-    hidden = unobservable_changes(linear, visited, schedule.Ts, bias)
-    if prior is not None:
-        hidden = hidden.exclude_known(prior)
+    if jump:  # a width is known if its edge is passed
+        passed = [(*row, all(row), all(row)) for row in visited.tolist()]
+        flags = [dict(zip(DIRECTIONS, row, strict=True)) for row in passed]
+    else:
+        hidden = unobservable_changes(linear, visited, schedule.Ts, bias)
+        if prior is not None:
+            hidden = hidden.exclude_known(prior)
+        flags = [hidden.width_flags(i) for i in range(len(visited))]
     judged = []
-    for i in range(visited.shape[0]):
-        confounded = {} if prior is not None else _confounding_reasons(linear, schedule, bias, i)
+    for i, known in enumerate(flags):
+        alone = prior is None and not jump
+        confounded = _confounding_reasons(linear, schedule, bias, i) if alone else {}
         reasons = (
             *describe_unreached_edges(schedule, visited, i),
             *confounded,
             *describe_rare_exactness(schedule, i),
         )
-        judged.append(WidthIdentifiability(**hidden.width_flags(i), reasons=reasons))
+        judged.append(WidthIdentifiability(**known, reasons=reasons))
     return judged
-
-
-def _jump_identifiability(schedule: Schedule, visited: np.ndarray, i: int) -> WidthIdentifiability:
-    """Return the identifiability from a jump sensor's readings of output i.
-
-    A width is known if its edge is passed.
-    """
-    right = bool(visited[i, 0])
-    left = bool(visited[i, 1])
-    both = right and left
-    reasons = (
-        *describe_unreached_edges(schedule, visited, i),
-        *describe_rare_exactness(schedule, i),
-    )
-    return WidthIdentifiability(right, left, both, both, reasons)
 
 
 def find_remedies(
