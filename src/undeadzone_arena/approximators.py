@@ -73,7 +73,7 @@ def build_gaussians(key: str, reach: Floats, count: int, overlap: float, normali
         """Return the Gaussians at v (k)."""
         scaled = v / p.reach
         if normalised:
-            scaled = _clip_to_box(scaled)
+            scaled = clip_to_box(scaled)
         width = spacing * p.overlap
         axes = [ca.exp(-(((x - p.centres) / width) ** 2) / 2) for x in ca.vertsplit(scaled)]
         if normalised:
@@ -104,7 +104,7 @@ def build_monomials(key: str, reach: Floats, degree: int) -> Basis:
 
     def phi(reach: Any, v: Any) -> Any:
         """Return the monomials at v (k)."""
-        scaled = ca.vertsplit(_clip_to_box(v / reach))
+        scaled = ca.vertsplit(clip_to_box(v / reach))
         return ca.vertcat(*(_monomial_value(scaled, power) for power in powers))
 
     return _require_small_basis(key, Basis(reach, phi, len(powers)))
@@ -137,7 +137,7 @@ def build_jump_functions(key: str, count: int) -> Basis:
     return _require_small_basis(key, Basis(None, phi, 2 * count))
 
 
-def _clip_to_box(v: Any) -> Any:
+def clip_to_box(v: Any) -> Any:
     """Clip v to the box |v_i| <= 1."""
     return ca.fmax(ca.fmin(v, 1.0), -1.0)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 from click.core import ParameterSource
@@ -114,32 +114,37 @@ def arena(
     kill or a crash --resume goes on. See docs/arena.md.
     """
     from undeadzone.util.own_files import require_own_file
+    from undeadzone_arena.contest.contest import run_contest
+    from undeadzone_arena.contest.entry import read_knob_numbers
+    from undeadzone_arena.contest.leaderboard import FRAME
     from undeadzone_arena.contest.scenario_sets import SETS, scenarios_from_files
     from undeadzone_arena.contest.scenario_sets import arena_scenarios as built_in
+    from undeadzone_arena.contest.trials import resolve_names
 
     if chosen and scenarios:
         raise click.UsageError("--set names scenarios of the arena. Leave your own out, or --set")
     _require_used_options(tuning)
     tuned_on, held_out = SETS[chosen or "dead_zones"]
-    names = None if methods is None else _parse_method_names(methods)
+    asked = None if methods is None else _parse_method_names(methods)
     own = scenarios_from_files(scenarios, confine)
+    grounds = own or built_in(tuned_on if tuning else held_out)
+    names = resolve_names(asked, grounds)
     folder = out or FOLDER
     writes = tuning or html or out is not None
     if tuning:
         require_own_file(require_writable(folder) / "tuned.toml", force)
         if resume:
             report_fresh_start(folder / "tuned.toml.partial")
-        return _run_tuning(
-            names, own or built_in(tuned_on), budget, processes, folder, as_json, resume
-        )
+        return _run_tuning(names, grounds, budget, processes, folder, as_json, resume)
     keep = folder / "results.json.partial" if _can_store_results(folder, writes) else None
     if resume and keep is not None:
         report_fresh_start(keep)
-    grounds = own or built_in(held_out)
+    every = list(dict.fromkeys([*FRAME, *names]))
     try:
-        contest = _announce_and_run(
-            names, grounds, tuple(range(seeds)), tuned, processes, keep, resume
-        )
+        _announce(every, grounds, seeds, "seed", processes)
+        with progress("arena", len(grounds) * seeds * len(every), "runs") as advance:
+            rest = tuple(range(seeds)), read_knob_numbers(tuned), processes, advance, keep, resume
+            contest = run_contest(names, grounds, *rest)
         if writes:
             prepare_figures()
         written = _write_results(contest, folder, bool(own)) if writes else []
@@ -151,7 +156,7 @@ def arena(
     if as_json:
         print_json(contest.summary(), written)
     else:
-        _print_leaderboard(contest, written)
+        print_blocks(contest.blocks(), files_line(written))
     return 0
 
 
@@ -198,34 +203,15 @@ def _parse_method_names(methods: str) -> list[str]:
     return named
 
 
-def _announce_and_run(
-    names: list[str] | None,
-    grounds: dict[str, Scenario],
-    seeds: tuple[int, ...],
-    tuned: Path | None,
-    processes: int | None,
-    keep: Path | None,
-    resume: bool,
-) -> Contest:
-    """Run the contest after printing its size."""
-    from undeadzone_arena.contest.contest import run_contest
+def _announce(names: list[str], grounds: dict[str, Scenario], runs: int, *more: Any) -> None:
+    """Print the size of the work (more: name of a run, processes)."""
     from undeadzone_arena.contest.effort import effort_text
-    from undeadzone_arena.contest.entry import read_knob_numbers
-    from undeadzone_arena.contest.leaderboard import FRAME
-    from undeadzone_arena.contest.trials import resolve_names
 
-    chosen = resolve_names(names, grounds)
-    every = list(dict.fromkeys([*FRAME, *chosen]))
-    print_line(f"arena: {effort_text(every, grounds, len(seeds), 'seed', processes)}", err=True)
-    runs = len(grounds) * len(seeds) * len(every)
-    with progress("arena", runs, "runs") as advance:
-        return run_contest(
-            names, grounds, seeds, read_knob_numbers(tuned), processes, advance, keep, resume
-        )
+    print_line(f"arena: {effort_text(names, grounds, runs, *more)}", err=True)
 
 
 def _run_tuning(
-    names: list[str] | None,
+    names: list[str],
     grounds: dict[str, Scenario],
     budget: int,
     processes: int | None,
@@ -234,29 +220,25 @@ def _run_tuning(
     resume: bool,
 ) -> int:
     """Tune methods, write and print their numbers."""
-    from undeadzone_arena.contest.effort import effort_text
     from undeadzone_arena.contest.methods import method_registry
-    from undeadzone_arena.contest.trials import resolve_names
     from undeadzone_arena.contest.tune import tune_methods
     from undeadzone_arena.contest.tuned_file import save_tuned
 
-    chosen = resolve_names(names, grounds)
-    adjustable = [name for name in chosen if method_registry()[name].knobs]
-    print_line(
-        f"arena: {effort_text(adjustable, grounds, budget, 'candidate', processes)}", err=True
-    )
-    with progress("tuning", len(chosen), "methods") as advance:
+    adjustable = [name for name in names if method_registry()[name].knobs]
+    _announce(adjustable, grounds, budget, "candidate", processes)
+    partial = folder / "tuned.toml.partial"
+    with progress("tuning", len(names), "methods") as advance:
         tuned = tune_methods(
-            chosen,
+            names,
             grounds,
             budget,
             processes=processes,
             progress=advance,
-            keep=folder / "tuned.toml.partial",
+            keep=partial,
             resume=resume,
         )
     path = save_tuned(tuned, folder / "tuned.toml")
-    (folder / "tuned.toml.partial").unlink(missing_ok=True)
+    partial.unlink(missing_ok=True)
     if as_json:
         import msgspec
 
@@ -288,11 +270,6 @@ def _write_results(contest: Contest, folder: Path, own: bool) -> list[Path]:
                 continue
             written.append(write_text(text, folder / f"{title}-{best}.toml"))
     return written
-
-
-def _print_leaderboard(contest: Contest, written: list[Path]) -> None:
-    """Print the leaderboard."""
-    print_blocks(contest.blocks(), files_line(written))
 
 
 def _print_tuned(tuned: Tuned, path: Path) -> None:

@@ -8,7 +8,9 @@ estimated from the operations. The shares an operation were measured with gcc 12
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from undeadzone_export.compiler import object_bytes
@@ -43,16 +45,8 @@ class Board(NamedTuple):
     compiler: str = "unknown"
 
 
-AVR: Final = "avr-gcc -mmcu=atmega328p"
-M0: Final = "arm-none-eabi-gcc -mthumb -mcpu=cortex-m0plus"
-M4F: Final = "arm-none-eabi-gcc -mthumb -mcpu=cortex-m4 -mfloat-abi=hard -mfpu=fpv4-sp-d16"
-BOARDS: Final = (
-    Board("Arduino Uno", 32_256, 2_048, 16e6, 32.0, (150.0, 150.0), False, AVR),
-    Board("Nano Every", 48_640, 6_144, 16e6, 32.0, (150.0, 150.0), False, AVR),
-    Board("Cortex-M0+ (SAMD21)", 262_144, 32_768, 48e6, 12.0, (90.0, 180.0), True, M0),
-    Board("Cortex-M4F (STM32F4)", 524_288, 131_072, 168e6, 10.0, (4.0, 120.0), True, M4F),
-    Board("ESP32", 1_310_720, 327_680, 240e6, 12.0, (5.0, 100.0)),
-)
+_TABLES: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+BOARDS: Final = [Board(**entry) for entry in _TABLES["boards"]]
 
 
 class BoardFit(NamedTuple):

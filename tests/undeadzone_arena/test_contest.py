@@ -559,20 +559,13 @@ def test_every_method_gets_the_same_budget_and_the_search_finds_the_least() -> N
 
 def test_the_line_that_knows_everything_has_regret_0_and_the_naive_one_is_a_zone_off() -> None:
     ground = {"small": build_setting(small())}
-    frame = [
-        each
-        for name in leaderboard.FRAME
-        for each in run_trial(name, METHODS[name], "small", ground["small"], [7])
-    ]
+    frame = score_methods((), {"small": small()}, [7], processes=1)
     assert tuning.mean_regret(METHODS["informed"], ground, frame, [7], {}) == 0
     assert 0 < tuning.mean_regret(METHODS["full_state"], ground, frame, [7], {}) < 0.3
     assert 0.7 < tuning.mean_regret(METHODS["luenberger"], ground, frame, [7], {}) < 1.3
-    jump = {"small": build_setting(small(sensor={"kind": "jump", "noise": 0.02}))}
-    frame = [
-        each
-        for name in leaderboard.FRAME
-        for each in run_trial(name, METHODS[name], "small", jump["small"], [7])
-    ]
+    jumping = small(sensor={"kind": "jump", "noise": 0.02})
+    jump = {"small": build_setting(jumping)}
+    frame = score_methods((), {"small": jumping}, [7], processes=1)
     assert tuning.mean_regret(METHODS["kalman"], jump, frame, [7], {}) == CAP
 
 

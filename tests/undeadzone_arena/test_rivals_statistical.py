@@ -59,7 +59,7 @@ from undeadzone.simulation.online import Online
 from undeadzone.simulation.simulate import simulate
 from undeadzone.util.arrays import Floats
 from undeadzone_arena import EKF, UKF, MovingHorizon, ParticleFilter, Tobit
-from undeadzone_arena.observers import moving_horizon, particle
+from undeadzone_arena.observers import particle
 from undeadzone_arena.observers.particle import systematic_indices, update_particle_weights
 from undeadzone_arena.observers.parts import window as horizon
 from undeadzone_arena.observers.parts.joint_claims import (
@@ -476,7 +476,7 @@ def test_with_active_constraints_moving_horizon_is_what_scipy_finds(seed: int, s
         [[3.0, 3.0], np.full(2, 0.7 / np.sqrt(12)), np.full(history.size - 4, 5.0)]
     )
     mean = np.concatenate([np.zeros(2), [0.85, 0.85], np.zeros(history.size - 4)])
-    gate = float(build_joint_prior(options, MODEL, zone(), moving_horizon.DEFAULTS).prior.gate[0])
+    gate = float(build_joint_prior(options, MODEL, zone()).prior.gate[0])
     bends: list[float] = []
 
     def cost(v: Floats) -> tuple[float, Floats]:
@@ -794,10 +794,9 @@ def test_a_window_moves_as_its_motions_say() -> None:
     xs, newest = horizon.node_trajectory(window, Affine(oldest.M[:2], oldest.b[:2]))
     assert xs.M @ v + xs.b == pytest.approx(np.array(expected))
     assert newest.M @ v + newest.b == pytest.approx(x)
-    right, left = horizon.excess_over_breakpoints(window, xs, Affine(oldest.M[2:], oldest.b[2:]))
+    beyond = horizon.excess_over_breakpoints(window, xs, Affine(oldest.M[2:], oldest.b[2:]))
     z = np.einsum("ki,ki->k", window.C[:, 0], expected) + window.offset[:, 0]
-    assert right.M @ v + right.b == pytest.approx(z - X[2])
-    assert left.M @ v + left.b == pytest.approx(z + X[3])
+    assert beyond.M @ v + beyond.b == pytest.approx(np.concatenate([z - X[2], -z - X[3]]))
 
 
 def test_readings_are_errors_and_silence_is_a_constraint() -> None:
@@ -806,19 +805,19 @@ def test_readings_are_errors_and_silence_is_a_constraint() -> None:
     weights = HorizonWeights(np.array([0.1]), np.array([0.2]), np.array([0.05]), ranges)
     unknowns, rows = horizon.programme_size(window)
     v = rng.normal(size=unknowns)
-    right, left, d = (
-        Affine(rng.normal(size=(size, unknowns)), rng.normal(size=size)) for size in (3, 3, 2)
+    beyond, d = (
+        Affine(rng.normal(size=(size, unknowns)), rng.normal(size=size)) for size in (6, 2)
     )
-    M, b = horizon.reading_errors(window, weights, right, left)
-    beyond = (right.M @ v + right.b)[0], (left.M @ v + left.b)[2]
-    assert M @ v - b == pytest.approx((beyond - window.y[[0, 2], 0]) / 0.1)
-    A, low, high = horizon.qp_constraints(window, weights, right, left, d)
+    M, b = horizon.reading_errors(window, weights, beyond)
+    read = window.y[[0, 2], 0] * [1, -1]
+    assert M @ v - b == pytest.approx(((beyond.M @ v + beyond.b)[[0, 5]] - read) / 0.1)
+    A, low, high = horizon.qp_constraints(window, weights, beyond, d)
     assert A.shape == (rows, unknowns)
     outside = 0.2 * v[-3:]  # z of a silent sensor, beyond its zone
-    assert (A @ v)[:3] == pytest.approx(right.M @ v - outside)
-    assert (A @ v)[3:6] == pytest.approx(left.M @ v + outside)
-    assert high[:6] == pytest.approx([np.inf, 0.05 - right.b[1], *[np.inf] * 4])
-    assert low[:6] == pytest.approx([*[-np.inf] * 4, -0.05 - left.b[1], -np.inf])
+    assert (A @ v)[:6] == pytest.approx(beyond.M @ v - np.tile(outside, 2))
+    inside = np.where([False, True, False] * 2, 0.05 - beyond.b, np.inf)
+    assert high[:6] == pytest.approx(inside)
+    assert np.isneginf(low[:6]).all()
     assert np.stack([low[6:] + d.b, high[6:] + d.b], axis=1) == pytest.approx(ranges)
 
 

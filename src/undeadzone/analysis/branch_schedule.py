@@ -40,6 +40,7 @@ class Schedule(NamedTuple):
             of them).
         contacts: of the play ahead of each dead zone in each span (K x p): +1 right, -1 left, 0 if
             the contact is held (None: there is none).
+        repeats: how often each output stands in turn, its widths the same.
     """
 
     sides: Floats
@@ -53,6 +54,7 @@ class Schedule(NamedTuple):
     levels: Floats
     exact: Floats | None = None
     contacts: Floats | None = None
+    repeats: int = 1
 
     @property
     def total_duration(self) -> float:

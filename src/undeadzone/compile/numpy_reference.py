@@ -13,6 +13,7 @@ import numpy as np
 
 from undeadzone.compile.elementary import FUNCTIONS, build_elementary
 from undeadzone.compile.graph import Results, required_nodes
+from undeadzone.compile.operations import LANGUAGES
 from undeadzone.compile.repeats import Part
 
 Evaluate = Callable[[dict[str, Any]], list[list[Any]]]
@@ -108,15 +109,8 @@ def _ieee_remainder(x: Any, y: Any) -> Any:
 
 
 _OPERATIONS: Final[dict[str, Callable[..., Any]]] = {
-    **{"add": operator.add, "sub": operator.sub, "mul": operator.mul, "div": operator.truediv},
-    **{"lt": operator.lt, "le": operator.le, "eq": operator.eq, "ne": operator.ne},
-    **{"and": operator.and_, "or": operator.or_, "xor": operator.xor, "neg": operator.neg},
-    **{
-        "shl": operator.lshift,
-        "shr": operator.rshift,
-        "not": np.logical_not,
-        "select": _select_value,
-    },
+    **{word: getattr(operator, name) for word, name in LANGUAGES["python"].items()},
+    **{"not": np.logical_not, "select": _select_value},
 }
 _LIBRARY: Final[dict[str, Callable[..., Any]]] = {
     "fabs": np.abs,

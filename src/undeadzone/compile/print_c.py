@@ -15,6 +15,7 @@ import numpy as np
 
 from undeadzone.compile.elementary import FUNCTIONS, OF_WORDS, FunctionSet, build_elementary
 from undeadzone.compile.graph import Node, Results, count_uses, required_nodes
+from undeadzone.compile.operations import LANGUAGES
 from undeadzone.compile.schedule import order_depth_first
 from undeadzone.compile.simplify import round_to_type
 
@@ -22,18 +23,7 @@ WIDTH: Final = 100  # columns of a line
 LONGEST: Final = 150  # characters of an expression that is not split into locals
 SMALL: Final = 300  # nodes up to which no sum or product stands in a selection (MISRA 12.1)
 INDENT: Final = "    "
-TYPES: Final = {
-    "float64": "double",
-    "float32": "float",
-    "uint64": "uint64_t",
-    "uint32": "uint32_t",
-    "bool": "bool",
-}
-_SIGNS: Final = {
-    **{"add": "+", "sub": "-", "mul": "*", "div": "/", "lt": "<", "le": "<=", "eq": "=="},
-    **{"ne": "!=", "and": "&", "or": "|", "xor": "^", "shl": "<<", "shr": ">>"},
-}
-_OF_TRUTHS: Final = {"and": "&&", "or": "||", "ne": "!="}
+TYPES, _SIGNS, _OF_TRUTHS = LANGUAGES["c"].values()
 _SUMS: Final = ("+", "-")
 _ALIKE: Final = ("*", "&&", "||", "AND", "OR")  # go without parentheses in their own operands
 _BREAKS: Final = ("+", "-", "*", "/", "?", ":", "=", *_ALIKE[1:])

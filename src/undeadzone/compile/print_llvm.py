@@ -11,30 +11,11 @@ from typing import Final
 import numpy as np
 
 from undeadzone.compile.graph import CONSTANT, STILL, Node, required_nodes
+from undeadzone.compile.operations import LANGUAGES
 from undeadzone.compile.schedule import Branch
 
 _INTRINSICS: Final = ("fma", "sqrt", "fabs", "floor", "ceil", "copysign")
-# LLVM's types, by NumPy's; whether an integer has a sign is a matter of its instructions.
-TYPES: Final = {
-    "float64": "double",
-    "float32": "float",
-    "int64": "i64",
-    "uint64": "i64",
-    "int32": "i32",
-    "uint32": "i32",
-    "bool": "i1",
-}
-_SIZES: Final = {"double": 8, "i64": 8, "float": 4, "i32": 4, "i1": 1}
-_SHORT: Final = {"double": "f64", "float": "f32"}
-_OF_REALS: Final = {
-    **{op: f"f{op}" for op in ("add", "sub", "mul", "div", "neg")},
-    **{"lt": "fcmp olt", "le": "fcmp ole", "eq": "fcmp oeq", "ne": "fcmp une"},
-}
-_OF_WORDS: Final = {
-    **{op: op for op in ("add", "sub", "mul", "and", "or", "xor", "shl")},
-    **{"shr": "lshr", "lt": "icmp ult", "le": "icmp ule", "eq": "icmp eq", "ne": "icmp ne"},
-}
-_OF_TRUTHS: Final = {"and": "and", "or": "or", "ne": "xor"}
+TYPES, _SIZES, _SHORT, _OF_REALS, _OF_WORDS, _OF_TRUTHS = LANGUAGES["llvm"].values()
 
 Names = Callable[[Node], str]
 

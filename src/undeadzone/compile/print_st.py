@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 
 from undeadzone.compile.graph import Node
+from undeadzone.compile.operations import LANGUAGES
 from undeadzone.compile.portable_maths import OWN
 from undeadzone.compile.print_c import (
     INDENT,
@@ -26,12 +27,7 @@ from undeadzone.compile.print_c import (
 )
 from undeadzone.errors import InputError
 
-TYPES: Final = {"float64": "LREAL", "float32": "REAL", "bool": "BOOL"}
-_SIGNS: Final = {
-    **{"add": "+", "sub": "-", "mul": "*", "div": "/"},
-    **{"lt": "<", "le": "<=", "eq": "=", "ne": "<>"},
-}
-_OF_TRUTHS: Final = {"and": "AND", "or": "OR", "ne": "XOR"}
+TYPES, _SIGNS, _OF_TRUTHS = LANGUAGES["st"].values()
 _ROUNDED: Final = ("add", "sub", "mul", "div", "call")
 _LIMITS: Final = np.finfo(np.float32)  # beyond them some compilers read no LREAL, such as matiec
 _SCALE: Final = 2.0**120

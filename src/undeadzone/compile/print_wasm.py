@@ -18,6 +18,7 @@ from undeadzone.compile.graph import (
     required_nodes,
     to_condition,
 )
+from undeadzone.compile.operations import LANGUAGES
 from undeadzone.compile.repeats import Part, find_calls
 from undeadzone.errors import InputError
 
@@ -26,21 +27,8 @@ REAL: Final = 8  # bytes of a number
 PAGE: Final = 65536  # bytes of a page of memory
 DEEPEST: Final = 60  # nesting of an expression, beyond which a local holds a part of it
 _MAGIC: Final = b"\0asm\x01\0\0\0"
-_TYPES: Final = {"float64": 0x7C, "uint64": 0x7E, "bool": 0x7F}  # f64, i64, i32
-_OF_REALS: Final = {
-    **{"add": b"\xa0", "sub": b"\xa1", "mul": b"\xa2", "div": b"\xa3", "neg": b"\x9a"},
-    **{"eq": b"\x61", "ne": b"\x62", "lt": b"\x63", "le": b"\x65", "view": b"\xbd"},
-}
-_OF_WORDS: Final = {
-    **{"add": b"\x7c", "sub": b"\x7d", "mul": b"\x7e", "and": b"\x83", "or": b"\x84"},
-    **{"xor": b"\x85", "shl": b"\x86", "shr": b"\x88", "eq": b"\x51", "ne": b"\x52"},
-    **{"lt": b"\x54", "le": b"\x58", "view": b"\xbf"},
-}
-_OF_TRUTHS: Final = {"not": b"\x45", "and": b"\x71", "or": b"\x72", "ne": b"\x47"}
-_CODES: Final = {"float64": _OF_REALS, "uint64": _OF_WORDS, "bool": _OF_TRUTHS}
-_BUILT_IN: Final = {
-    **{"fabs": b"\x99", "ceil": b"\x9b", "floor": b"\x9c", "sqrt": b"\x9f", "copysign": b"\xa6"},
-}
+_TABLES: Final = LANGUAGES["wasm"]
+_TYPES: Final = _TABLES["types"]
 _AS_NUMBER, _SELECTED = b"\xb7", b"\x1b"
 
 
@@ -115,7 +103,9 @@ def _elementary_parts(functions: Sequence[Function], parts: Sequence[Part]) -> l
     names = elementary.called_functions([*results, *[part.results for part in parts]])
     if names & {"fmod", "remainder"}:
         raise InputError("export: a remainder of a division has no WebAssembly instruction")
-    needed = [name for name in elementary.required_functions(names) if name not in _BUILT_IN]
+    needed = [
+        name for name in elementary.required_functions(names) if name not in _TABLES["functions"]
+    ]
     return [elementary.build_elementary(name, KIND) for name in needed]
 
 
@@ -226,9 +216,9 @@ class _Writer:
             return yes + no + condition + _SELECTED
         values = b"".join(map(self.encode_node, node.args))
         if node.op != "call":
-            return values + _CODES[node.args[0].kind][node.op]
-        if node.text in _BUILT_IN:
-            return values + _BUILT_IN[node.text]
+            return values + bytes([_TABLES[node.args[0].kind][node.op]])
+        if node.text in _TABLES["functions"]:
+            return values + bytes([_TABLES["functions"][node.text]])
         return values + b"\x10" + _encode_unsigned(self._callees[node.text].number)
 
 

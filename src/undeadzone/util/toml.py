@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+import tomllib
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any, Final
 
 import msgspec
@@ -14,50 +16,6 @@ from undeadzone.errors import InputError
 from undeadzone.util.text import suggest_name
 
 MOST_PARTS: Final = 64  # of a dotted key; tomllib takes time with the square of them
-SYNONYMS: Final = {  # words of other tools, and the cure
-    "filter": "The table of the observer is [observer]",
-    "estimator": "The table of the observer is [observer]",
-    "setpoint": "The table of the wanted output is [reference]",
-    "sim": "The table of the run is [simulation]",
-    "system": "The table of the plant is [plant]",
-    "Q": "Write disturbance, an rms",
-    "R": "Write noise, an rms",
-    "load": "uz.read reads a scenario, uz.Run.load a run",
-    "run": "uz.simulate runs a scenario",
-    "dt": "The sample time is simulation.step",
-    "Ts": "The sample time is simulation.step",
-    "sample_time": "The sample time is simulation.step",
-    "fs": "The sample time is simulation.step = 1 / fs",
-    "d_r": "Write right",
-    "d_l": "Write left",
-    "range_right": "Write right = [least, largest]",
-    "controller": "The controller has a table of its own, [controller]",
-    "discrete": "Write sampled",
-    "discrete-time": "Write sampled",
-    "T": "The length of a run is simulation.duration, the sample time simulation.step",
-    "num": "Write numerator",
-    "den": "Write denominator",
-    "tf": "Write transfer_function = { numerator = [...], denominator = [...] }",
-    "D": "Direct feedthrough is not supported. Leave D out if it is 0",
-    "upper": "The upper edge of the zone is sensor.right",
-    "lower": "The lower edge of the zone is -sensor.left",
-    "deadband": "The widths are sensor.right and sensor.left, from 0 to each edge",
-    "deadzone": "The widths are sensor.right and sensor.left, from 0 to each edge",
-    "width": "The widths are sensor.right and sensor.left, from 0 to each edge",
-    "gain": "L and gamma are the observer's gains, K the controller's, slope the sensor's",
-    "type": "Write kind or method",
-    "freq": "Write frequency, in Hz",
-    "omega": "Write frequency, in Hz",
-    "saturation": "Write range = [least, largest]",
-    "sigma": "Write noise, the rms of white noise on the reading",
-}
-METHODS: Final = {  # other names of methods, as `_flatten` has them
-    "unscentedkalman": "ukf",
-    "extendedkalman": "ekf",
-    "kf": "kalman",
-    "pf": "particle",
-    "smc": "slidingmode",
-}
 NEAR: Final = 0.65  # likeness from which on a name may be meant
 _PART: Final = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+"""
 _LONG_KEY: Final = re.compile(rf"(?<![\w-])(?:{_PART}){{{MOST_PARTS}}}")
@@ -90,11 +48,12 @@ def advise_on_name(name: str, known: Iterable[str], otherwise: str) -> str:
     names = sorted(known)
     plain = dict(zip(map(_flatten, names), names, strict=True))
     flat = _flatten(name)
-    meant = plain.get(METHODS.get(flat, flat))
+    words = tomllib.loads(Path(__file__).with_name("foreign_words.toml").read_text("utf-8"))
+    meant = plain.get(words["methods"].get(flat, flat))
     if meant:
         return f"Did you mean {meant!r}?"
     advice = suggest_name(name, names, otherwise, NEAR)
-    return advice if advice.startswith("Did") else SYNONYMS.get(name, advice)
+    return advice if advice.startswith("Did") else words["keys"].get(name, advice)
 
 
 def _flatten(name: str) -> str:

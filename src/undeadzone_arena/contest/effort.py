@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Final
 
 from undeadzone.scenario.schema import Scenario
+from undeadzone.util.text import count_noun
 from undeadzone_arena.contest.leaderboard import NAIVE
 from undeadzone_arena.contest.methods import method_registry
 from undeadzone_arena.contest.prior_knowledge import Setting, build_settings
@@ -45,10 +46,9 @@ def effort_text(
     work = sum(HEAVY.get(name, USUAL) for name in names) * runs
     minutes = work * sum(map(_naive_run_time, build_settings(scenarios).values())) / at_once / 60
     return (
-        f"{_number_with_noun(len(names), 'method')} x "
-        f"{_number_with_noun(len(scenarios), 'scenario')} x "
-        f"{_number_with_noun(runs, run_name)} = {_number_with_noun(run_count, 'run')}; "
-        f"{_rough_time_text(minutes)} on {_number_with_noun(at_once, 'process', 'processes')}"
+        f"{count_noun(len(names), 'method')} x {count_noun(len(scenarios), 'scenario')} x "
+        f"{count_noun(runs, run_name)} = {count_noun(run_count, 'run')}; "
+        f"{_rough_time_text(minutes)} on {at_once:,} process{'es' * (at_once != 1)}"
     )
 
 
@@ -65,8 +65,3 @@ def _rough_time_text(minutes: float) -> str:
         return "less than a minute"
     number, unit = (minutes, "min") if minutes < 90 else (minutes / 60, "h")
     return f"about {float(f'{number:.1g}'):g} {unit}"
-
-
-def _number_with_noun(number: int, one: str, many: str = "") -> str:
-    """Return a number with its noun: 1 run, 2 runs."""
-    return f"{number:,} {one if number == 1 else many or f'{one}s'}"

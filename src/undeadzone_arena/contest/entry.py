@@ -16,7 +16,15 @@ from undeadzone.observers import FullState
 from undeadzone.observers.filtering.actuator import ESTIMATORS
 from undeadzone.scenario.problem import describe_actuator
 from undeadzone.scenario.schema import Model, Scenario
-from undeadzone_arena.contest.methods import NOTHING, Knobs, Method, Numbers, Options, middle_knobs
+from undeadzone_arena.contest.methods import (
+    NOTHING,
+    PARTS,
+    Knobs,
+    Method,
+    Numbers,
+    Options,
+    middle_knobs,
+)
 from undeadzone_arena.contest.prior_knowledge import UNITS, PriorKnowledge, Setting, build_setting
 from undeadzone_arena.contest.tuned_file import load_tuned
 
@@ -71,14 +79,11 @@ def enter_method(method: Method, ground: Setting, numbers: Knobs = NOTHING) -> S
     }
     derived = method.derived(prior, knobs) if method.derived else NOTHING
     options = {**knobs, **method.fixed, **derived}
-    parts = {
-        "observer": _part_options(method.observer, "observer", prior, options),
-        "model": _method_model(method, scenario, prior),
-    }
-    if method.controller:
-        parts["controller"] = _part_options(method.controller, "controller", prior, options)
-    if method.compensator:
-        parts["compensator"] = _part_options(method.compensator, "compensator", prior, options)
+    parts: dict[str, Any] = {"model": _method_model(method, scenario, prior)}
+    for part in PARTS:
+        kind = getattr(method, part)
+        if kind is not None:
+            parts[part] = _part_options(kind, part, prior, options)
     if method.informed:
         # A known disturbance of the input is cancelled there, which leaves a run without it.
         parts |= {"model": None, "disturbance": None}

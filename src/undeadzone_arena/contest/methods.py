@@ -1,58 +1,29 @@
-"""Contestants of the arena, a line each."""
+"""Contestants of the arena, a table of `methods.toml` each."""
 
 from __future__ import annotations
 
 import math
+import tomllib
 from collections.abc import Callable, Iterable, Mapping
-from types import MappingProxyType
+from functools import reduce
+from importlib.resources import files
+from operator import or_
 from typing import Any, Final, NamedTuple
 
 import msgspec
 import numpy as np
 
 from undeadzone.analysis.certificate.passivity import certify, passive_gain
-from undeadzone.compensators import NoInverse
 from undeadzone.errors import InputError
-from undeadzone.observers import (
-    Censored,
-    Certified,
-    Extended,
-    FullState,
-    HighGain,
-    Kalman,
-    Luenberger,
-    Oracle,
-)
-from undeadzone.registry import OBSERVERS
+from undeadzone.registry import COMPENSATORS, CONTROLLERS, OBSERVERS
 from undeadzone.scenario.schema import Scenario
 from undeadzone.util.text import suggest_name
-from undeadzone_arena.compensators.adaptive_inverse import AdaptiveZoneInverse
 from undeadzone_arena.contest.prior_knowledge import UNITS, PriorKnowledge
-from undeadzone_arena.controllers.fuzzy_feedback import FuzzyFeedback
-from undeadzone_arena.controllers.rbf_feedback import RBFFeedback
-from undeadzone_arena.controllers.robust_adaptive import RobustAdaptive
-from undeadzone_arena.controllers.sliding_mode import SlidingMode
-from undeadzone_arena.controllers.taylor_feedback import TaylorFeedback
-from undeadzone_arena.observers.adaptive_inverse import AdaptiveInverse
-from undeadzone_arena.observers.ekf import EKF
-from undeadzone_arena.observers.fuzzy_residual import FuzzyResidual
-from undeadzone_arena.observers.interval import Interval
-from undeadzone_arena.observers.inverse_network import InverseNetwork
-from undeadzone_arena.observers.moving_horizon import MovingHorizon
-from undeadzone_arena.observers.particle import ParticleFilter
-from undeadzone_arena.observers.rbf_residual import RBFResidual
-from undeadzone_arena.observers.robust_gradient import RobustGradient
-from undeadzone_arena.observers.super_twisting import SuperTwisting
-from undeadzone_arena.observers.taylor_residual import TaylorResidual
-from undeadzone_arena.observers.tobit import Tobit
-from undeadzone_arena.observers.ukf import UKF
-from undeadzone_arena.observers.walcott_zak import WalcottZak
-from undeadzone_paper.observer import Printed
 
 Options = dict[str, Any]
 Knobs = Mapping[str, float]  # numbers of one method's knobs, by address
 Numbers = Mapping[str, Knobs]  # by method
-NOTHING: Final[Mapping[str, Any]] = MappingProxyType({})
+NOTHING: Final[Mapping[str, Any]] = {}
 
 
 class Knob(NamedTuple):
@@ -107,7 +78,7 @@ def _passivity_options(prior: PriorKnowledge, knobs: Knobs) -> Options:
     linear = prior.model.linear
     Ts = prior.model.Ts
     direction = passive_gain(linear, Ts)
-    gamma = np.full(prior.model.p, knobs["observer.gamma"] * UNITS[GAIN.unit](prior))
+    gamma = np.full(prior.model.p, knobs["observer.gamma"] * UNITS["1/s"](prior))
     gain = knobs["gain"]
     while gain > 1 and not certify(linear, gain * direction, gamma, Ts).certified:
         gain /= 2  # sampled, a large multiple is not certified; in continuous time every one is
@@ -138,155 +109,35 @@ RECOMMENDED: Final = ("auto", "censored", "kalman", "certified")
 NAIVE: Final = 2.0  # poles of the naive observer, in those of the closed loop
 SURELY: Final = 3.0  # bound of a disturbance, in its rms
 
-RATE = Knob(2.0, 100.0, "1/s")
-GAIN = Knob(0.3, 300.0, "1/s")
-NOISE = Knob(1e-3, 0.3, "z")
-SHAKE = Knob(0.03, 10.0, "white u")
-DRIFT = Knob(1e-4, 0.1, "z")
-ASSUMPTIONS = {"observer.noise": NOISE, "observer.disturbance": SHAKE, "observer.drift": DRIFT}
-BLURRED = ASSUMPTIONS | {
-    "observer.noise": Knob(0.01, 1.0, "z"),
-    "observer.drift": Knob(0.01, 1.0, "z"),
+DERIVED: Final[Mapping[str, Callable[[PriorKnowledge, Knobs], Options]]] = {
+    "speed": _speed_options,
+    "passivity": _passivity_options,
+    "naive": _naive_options,
+    "open_loop": _open_loop_options,
+    "jump": _jump_options,
+    "disturbance": _disturbance_options,
 }
-LEARNING = {"observer.speed": Knob(1.0, 100.0, "1/s"), "observer.gain": Knob(0.3, 3000.0, "1/s")}
-SLIDING = {
-    "observer.speed": RATE,
-    "observer.rho": Knob(0.01, 30.0, "z/s"),
-    "observer.boundary": Knob(0.03, 3.0, "z"),
-    "observer.gamma": GAIN,
-}
-TWISTING = {
-    "observer.lipschitz": Knob(0.1, 1000.0, "z/s^n"),
-    "observer.speed": RATE,
-    "observer.gamma": GAIN,
-}
-FEEDBACK = {
-    "controller.speed": Knob(5.0, 100.0, "1/s"),
-    "controller.bandwidth": Knob(1.0, 30.0, "1/s"),
-    "controller.gain": Knob(0.1, 1000.0, "1/s^2"),
-}
+PARTS: Final = {"observer": OBSERVERS, "controller": CONTROLLERS, "compensator": COMPENSATORS}
 
-ROBUST = {
-    "controller.rate": Knob(1.0, 30.0, "1/s"),
-    "controller.layer": Knob(0.01, 1.0, "s"),
-    "controller.learning": Knob(0.1, 1000.0, "1/s^2"),
-}
 
-METHODS: Final[Mapping[str, Method]] = MappingProxyType(
-    {
-        "informed": Method(FullState, reference=True, informed=True),
-        "full_state": Method(FullState, reference=True),
-        "oracle": Method(
-            Oracle, {"speed": Knob(0.1, 100.0, "1/s")}, derived=_speed_options, reference=True
-        ),
-        "open_loop": Method(Luenberger, derived=_open_loop_options, reference=True),
-        "luenberger": Method(Luenberger, derived=_naive_options, reference=True),
-        "printed": Method(
-            Printed,
-            {"speed": RATE, "observer.sigma": Knob(1e-3, 10.0)},
-            derived=_speed_options,
-            continuous=True,
-        ),
-        "printed_fed": Method(
-            Printed,
-            {"speed": RATE, "observer.sigma": Knob(1e-3, 10.0)},
-            {"observer.feed_input": True},
-            derived=_speed_options,
-            continuous=True,
-        ),
-        "certified": Method(
-            Certified, {"gain": Knob(0.1, 1e4), "observer.gamma": GAIN}, derived=_passivity_options
-        ),
-        "kalman": Method(Kalman, ASSUMPTIONS),
-        "censored": Method(Censored),
-        "extended": Method(
-            Extended, {"observer.disturbance": Knob(0.1, 10.0, "u"), "observer.drift": DRIFT}
-        ),
-        "ekf": Method(EKF, ASSUMPTIONS),
-        "ekf_measured": Method(
-            EKF, ASSUMPTIONS, {"observer.mode": "measured", "observer.pseudo": False}
-        ),
-        "tobit": Method(Tobit, ASSUMPTIONS),
-        "ukf": Method(
-            UKF,
-            BLURRED
-            | {
-                "observer.disturbance": Knob(0.1, 100.0, "white u"),
-                "observer.drift": Knob(3e-3, 1.0, "z"),
-            },
-        ),
-        "particle_filter": Method(ParticleFilter, BLURRED),
-        "moving_horizon": Method(MovingHorizon, ASSUMPTIONS),
-        "interval": Method(
-            Interval, {"observer.speed": Knob(0.1, 30.0, "1/s")}, derived=_disturbance_options
-        ),
-        "high_gain": Method(
-            HighGain,
-            {"observer.epsilon": Knob(0.01, 1.0, "s"), "observer.gamma": GAIN},
-            derived=_jump_options,
-        ),
-        "walcott_zak": Method(WalcottZak, SLIDING, derived=_jump_options),
-        "super_twisting": Method(SuperTwisting, TWISTING, derived=_jump_options),
-        "sliding_mode": Method(
-            WalcottZak,
-            SLIDING | {"controller.gain": Knob(0.1, 30.0, "u")},
-            derived=_jump_options,
-            controller=SlidingMode,
-        ),
-        "robust_gradient": Method(
-            RobustGradient,
-            {
-                "observer.speed": RATE,
-                "observer.gamma": Knob(0.03, 30.0, "1/s"),
-                "observer.rho": Knob(1e-5, 0.1, "z"),
-            },
-        ),
-        "adaptive_inverse": Method(AdaptiveInverse, LEARNING),
-        "adaptive_inverse_ls": Method(
-            AdaptiveInverse,
-            LEARNING | {"observer.forgetting": Knob(0.003, 30.0)},
-            {"observer.law": "least_squares"},
-        ),
-        "adaptive_inverse_literal": Method(AdaptiveInverse, LEARNING, {"observer.silent": "zero"}),
-        "inverse_network": Method(InverseNetwork, LEARNING),
-        "fuzzy_residual": Method(FuzzyResidual, LEARNING),
-        "rbf_residual": Method(RBFResidual, LEARNING),
-        "taylor_residual": Method(TaylorResidual, LEARNING),
-        "fuzzy_feedback": Method(AdaptiveInverse, LEARNING | FEEDBACK, controller=FuzzyFeedback),
-        "rbf_feedback": Method(AdaptiveInverse, LEARNING | FEEDBACK, controller=RBFFeedback),
-        "taylor_feedback": Method(AdaptiveInverse, LEARNING | FEEDBACK, controller=TaylorFeedback),
-        "fuzzy_feedback_blind": Method(
-            Luenberger, FEEDBACK, derived=_naive_options, controller=FuzzyFeedback
-        ),
-        "rbf_feedback_blind": Method(
-            Luenberger, FEEDBACK, derived=_naive_options, controller=RBFFeedback
-        ),
-        "taylor_feedback_blind": Method(
-            Luenberger, FEEDBACK, derived=_naive_options, controller=TaylorFeedback
-        ),
-        "both_adaptive_inverses": Method(
-            AdaptiveInverse,
-            LEARNING | {"compensator.gain": Knob(1.0, 1000.0, "1/s")},
-            compensator=AdaptiveZoneInverse,
-        ),
-        "actuator_inverse_blind": Method(
-            Luenberger,
-            {"compensator.gain": Knob(1.0, 1000.0, "1/s")},
-            derived=_naive_options,
-            compensator=AdaptiveZoneInverse,
-        ),
-        "robust_adaptive": Method(
-            Kalman, ASSUMPTIONS | ROBUST, controller=RobustAdaptive, compensator=NoInverse
-        ),
-        "robust_adaptive_blind": Method(
-            Luenberger,
-            ROBUST,
-            derived=_naive_options,
-            controller=RobustAdaptive,
-            compensator=NoInverse,
-        ),
-    }
-)
+def _read_methods() -> dict[str, Method]:
+    """Read the methods of `methods.toml`, in its order."""
+    tables = tomllib.loads(
+        files("undeadzone_arena.contest").joinpath("methods.toml").read_text("utf-8")
+    )
+    groups = tables.pop("knobs")
+    methods = {}
+    for name, entry in tables.items():
+        chosen = [groups[group] for group in entry.pop("tuned", [])]
+        knobs = reduce(or_, [*chosen, entry.pop("knobs", {})])
+        entry |= {part: PARTS[part].find_options(entry[part]) for part in entry.keys() & PARTS}
+        if "derived" in entry:
+            entry["derived"] = DERIVED[entry["derived"]]
+        methods[name] = Method(**entry, knobs=msgspec.convert(knobs, dict[str, Knob]))
+    return methods
+
+
+METHODS: Final = _read_methods()
 
 
 def method_registry() -> dict[str, Method]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping, Sequence
+from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -14,6 +16,7 @@ from undeadzone.report.html import (
     build_paragraph,
     build_section,
     build_table,
+    build_tag,
     encode_pictures,
     fold_section,
     pick_pictures,
@@ -28,29 +31,15 @@ from undeadzone_arena.contest.figures import (
     plot_regret_map,
     plot_traces,
 )
-from undeadzone_arena.contest.leaderboard import CAP, NAIVE, ZERO, Row, compute_regrets
+from undeadzone_arena.contest.leaderboard import CAP, NAIVE, ZERO, compute_regrets
 from undeadzone_arena.contest.metric import TAIL
 from undeadzone_arena.contest.traces import Trace
+from undeadzone_arena.contest.words import regret_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-CAPTIONS: Final = {
-    "leaderboard": "Dots: median over the scenarios, squares: the worst of them, bars: 95 % "
-    "intervals. Grey names are lines to compare with.",
-    "scenarios": "Regrets, the mean over the seeds: blue is good, red is bad, a dash: not "
-    "applicable.",
-    "trajectories": "The best, the worst that never diverged, the paper's as printed, the naive "
-    "observer.",
-    "cost": "Measured on the virtual machine, or in Python if a method computes there.",
-}
-NOTE: Final = (
-    "In parentheses: 95 % intervals. Behind the best: median over scenarios of the difference on "
-    "the same scenario and seed. Width, centre: median errors of d_r + d_l, relative to it, and "
-    "of (d_r − d_l)/2, relative to half of the width, if readings determine it. Coverage: of the "
-    "95 % intervals of the widths. Cost: of a step, in those of the naive observer."
-)
 RULES: Final = (
     "A run counts by J, the rms of z − r of the tracked outputs over its last "
     f"{100 * TAIL:.0f} %: z is the true output, which no method sees. Its regret is "
@@ -66,25 +55,8 @@ RULES: Final = (
     "too.",
     "Numbers were tuned on other scenarios, with the same budget for all.",
 )
-HEAD: Final = (
-    "method",
-    "median regret",
-    "",
-    "behind the best",
-    "",
-    "worst regret",
-    "",
-    "where",
-    "rms z − r",
-    "rms z − z^",
-    "width",
-    "centre",
-    "coverage",
-    "settled",
-    "rms u",
-    "cost",
-    "diverged",
-    "n/a",
+_WORDS: Final = tomllib.loads(
+    files("undeadzone_arena.contest").joinpath("page.toml").read_text("utf-8")
 )
 
 
@@ -132,11 +104,11 @@ def panel(axes: Axes, contest: Contest) -> None:
 
 def arena_page(contest: Contest, images: Mapping[str, bytes], origin: Origin | None = None) -> str:
     """Return the HTML of the page. `images` are SVGs by the names of `arena_figures`."""
-    pictures = encode_pictures(images, CAPTIONS)
+    pictures = encode_pictures(images, _WORDS["captions"])
     every = fold_section(
         "All numbers",
-        build_table(HEAD, map(_html_cells, contest.rows)),
-        build_paragraph(NOTE, "note"),
+        _full_table(contest),
+        build_paragraph(_WORDS["note"], "note"),
     )
     ranked = [_top_table(contest), *pick_pictures(pictures, "leaderboard"), every]
     rules = [*map(build_paragraph, RULES), _refusal_table(contest), _knob_table(contest)]
@@ -158,43 +130,26 @@ def _top_table(contest: Contest) -> Html:
     """Return a table of the best methods in a few numbers."""
     rows = []
     for row in contest.contestants[:MOST]:
-        regret = f"{row.median_regret:.3f} {_interval_text(row.median_interval)}"
+        regret = regret_text(row.median_regret, row.median_interval)
         rows.append((row.method, regret, f"{row.worst_regret:.3f}, {row.worst_scenario}"))
     return build_table(("method", "median regret", "worst, where"), rows)
 
 
-def _html_cells(row: Row) -> tuple[Any, ...]:
-    """Return the cells of a method's row in the order of `HEAD`, reference lines in grey."""
-    name: str | Html = row.method
-    if row.reference:
-        name = Html(f'<span class="note">{row.method}</span>')
-    regret = (_round_to_digits(row.median_regret), _interval_text(row.median_interval))
-    behind = (_round_to_digits(row.behind), _interval_text(row.behind_interval))
-    worst = (
-        _round_to_digits(row.worst_regret),
-        _interval_text(row.worst_interval),
-        row.worst_scenario,
-    )
-    errors = (row.tracking, row.estimation, row.width, row.centre)
-    others = (row.coverage, row.settled, row.effort, row.cost, row.diverged, row.not_applicable)
-    return (
-        name,
-        *regret,
-        *behind,
-        *worst,
-        *map(_round_to_digits, errors),
-        *map(_round_to_digits, others),
-    )
+def _full_table(contest: Contest) -> Html:
+    """Return a table of all numbers of every method, names of reference lines in grey."""
+    columns = _WORDS["columns"]
+    rows = []
+    for row in contest.rows:
+        name = build_tag("span", row.method, "note" * row.reference)
+        rows.append((name, *(_page_cell(getattr(row, field)) for field in columns)))
+    return build_table(("method", *columns.values()), rows)
 
 
-def _interval_text(ends: tuple[float, float]) -> str:
-    """Return an interval in brackets."""
-    return f"[{ends[0]:.3f}, {ends[1]:.3f}]"
-
-
-def _round_to_digits(value: float | None) -> float | None:
-    """Return a number to three digits."""
-    return None if value is None else float(f"{value:.3g}")
+def _page_cell(value: Any) -> Any:
+    """Return the cell of a field: an interval in brackets, a number to three digits, words."""
+    if isinstance(value, tuple):
+        return f"[{value[0]:.3f}, {value[1]:.3f}]"
+    return float(f"{value:.3g}") if isinstance(value, float) else value
 
 
 def contest_size_text(contest: Contest) -> str:
@@ -212,14 +167,12 @@ def _leader_text(contest: Contest) -> Html:
     if not contest.contestants:
         return build_paragraph("Lines to compare with only.")
     first, *rest = contest.contestants
-    regret = f"{first.median_regret:.3f} {_interval_text(first.median_interval)}"
+    regret = regret_text(first.median_regret, first.median_interval)
     text = f"{contest_size_text(contest)}. Least median regret: {first.method}, {regret}"
     text += f"; its worst is {first.worst_regret:.3f}, on {first.worst_scenario}."
     if rest:
         second = rest[0]
-        behind = (
-            f"{second.behind:.3f} behind in the median {_interval_text(second.behind_interval)}"
-        )
+        behind = f"{second.behind:.3f} behind in the median {_page_cell(second.behind_interval)}"
         steady = min(contest.contestants, key=lambda row: row.worst_regret)
         text += f" Next: {second.method}, {second.median_regret:.3f}"
         text += f"; on the same scenario it is {behind}."

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from typing import Any, Final, NamedTuple
 
 import msgspec
@@ -17,9 +18,9 @@ from undeadzone.scenario.reader import digests
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation import exogenous as inputs
 from undeadzone.simulation import sample_by_sample as live
-from undeadzone.simulation.loop import Loop, Outputs
-from undeadzone.simulation.simulate import close_problem, name_outputs
-from undeadzone.util import toml, tree
+from undeadzone.simulation.loop import Outputs
+from undeadzone.simulation.simulate import outputs_of, prepare
+from undeadzone.util import toml
 from undeadzone.util.answers import MemoryAnswers
 from undeadzone.util.arrays import Floats
 from undeadzone_arena.contest.entry import enter_method
@@ -90,15 +91,15 @@ def trial_signals(problem: Problem, seed: int) -> Outputs:
 def _iterate_runs(problem: Problem, seeds: Sequence[int]) -> Iterator[_TrialRun]:
     """Yield the runs of a problem."""
     observer = problem.observer
-    loop = None if observer.python is not None else close_problem(problem)
+    start = None if observer.python is not None else prepare(problem)
     for seed in seeds:
         exogenous = inputs.exogenous(problem, seed=seed)
         began = time.perf_counter()
-        if observer.python is not None:
+        if start is None:
             out = live.run_sample_by_sample(_with_seed(problem, seed), exogenous)
         else:
-            assert loop is not None
-            out = _run_interpreted(loop, problem, exogenous)
+            run = start._replace(exogenous=exogenous)
+            out = outputs_of(run, run=partial(interpret.run_interpreted, start.loop.step))
         truth = inputs.widths(problem, exogenous)[-1]
         yield _TrialRun(out, truth, (time.perf_counter() - began) / len(exogenous))
 
@@ -108,33 +109,6 @@ def _with_seed(problem: Problem, seed: int) -> Problem:
     simulation = msgspec.structs.replace(problem.scenario.simulation, seed=seed)
     scenario = msgspec.structs.replace(problem.scenario, simulation=simulation)
     return problem._replace(scenario=scenario)
-
-
-def _run_interpreted(loop: Loop, problem: Problem, exogenous: Floats) -> Outputs:
-    """Run a loop on CasADi's virtual machine and return its outputs."""
-    state = tree.pack_tree(loop.state._replace(plant=problem.x0))
-    outputs, _ = interpret.run_interpreted(loop.step, state, exogenous, tree.pack_tree(loop.params))
-    return name_outputs(loop, outputs)
-
-
-class TrialJob(NamedTuple):
-    """Trial to run: all data that is sent to a process.
-
-    Attributes:
-        name: of the method.
-        method: the method (None: that of this name in the catalogue).
-        title: of the scenario.
-        scenario: the scenario.
-        seeds: of the runs.
-        numbers: of the method's knobs, by address.
-    """
-
-    name: str
-    method: Method | None
-    title: str
-    scenario: Scenario
-    seeds: tuple[int, ...]
-    numbers: Mapping[str, float]
 
 
 def score_methods(
@@ -162,15 +136,16 @@ def score_methods(
     Raises:
         InputError: or a subclass.
     """
-    own = methods if isinstance(methods, Mapping) else {}
+    own = methods if isinstance(methods, Mapping) else NOTHING
+    known = {**method_registry(), **own}
     grounds = scenarios_of("held_out") if scenarios is None else scenarios
     names = list(dict.fromkeys([*FRAME, *resolve_names(methods, grounds)]))
     values = built_in() if numbers is None else numbers
-    jobs = []
+    jobs: list[tuple[Any, ...]] = []
     for title, scenario in grounds.items():
         for name in names:
-            knobs = dict(values.get(name, {}))
-            jobs.append(TrialJob(name, own.get(name), title, scenario, tuple(seeds), knobs))
+            rest = scenario, tuple(seeds), dict(values.get(name, NOTHING))
+            jobs.append((title, name, known[name], *rest))
 
     def compute(missing: list[int]) -> Iterator[tuple[int, list[Any]]]:
         """Yield results as they finish, in the form in which they are stored."""
@@ -179,7 +154,7 @@ def score_methods(
             if progress is not None:
                 progress(len(results))
 
-    questions = [[job.title, job.name] for job in jobs]
+    questions = [list(job[:2]) for job in jobs]
     plain = (saved_results or MemoryAnswers()).compute_missing(questions, compute)
     every: list[Result] = []
     for results in plain:
@@ -220,7 +195,7 @@ def process_count(jobs: int, processes: int | None) -> int:
 
 
 def _iterate_jobs(
-    jobs: Sequence[TrialJob], processes: int | None
+    jobs: Sequence[tuple[Any, ...]], processes: int | None
 ) -> Iterator[tuple[int, list[Result]]]:
     """Yield results by number of the job, in order of completion.
 
@@ -228,14 +203,11 @@ def _iterate_jobs(
     """
     count = process_count(len(jobs), processes)
     if count == 1:
-        yield from ((k, _run_job(job)) for k, job in enumerate(jobs))
+        yield from ((k, _run_job(*job)) for k, job in enumerate(jobs))
         return
-    yield from iterate_results(count, _run_job, {k: (job,) for k, job in enumerate(jobs)})
+    yield from iterate_results(count, _run_job, dict(enumerate(jobs)))
 
 
-def _run_job(job: TrialJob) -> list[Result]:
-    """Run a job and return its results."""
-    method = method_registry()[job.name] if job.method is None else job.method
-    return run_trial(
-        job.name, method, job.title, build_setting(job.scenario), job.seeds, job.numbers
-    )
+def _run_job(title: str, name: str, method: Method, scenario: Scenario, *rest: Any) -> list[Result]:
+    """Run a method on a scenario and return its results (rest: seeds and knobs)."""
+    return run_trial(name, method, title, build_setting(scenario), *rest)

@@ -14,11 +14,11 @@ from undeadzone.numerics.optimise import minimise_by_cmaes
 from undeadzone.scenario.schema import Scenario
 from undeadzone.util.answers import open_answers
 from undeadzone.util.arrays import Floats
-from undeadzone_arena.contest.leaderboard import CAP, FRAME, compute_regrets
+from undeadzone_arena.contest.leaderboard import CAP, compute_regrets
 from undeadzone_arena.contest.methods import Method, method_registry, middle_knobs
 from undeadzone_arena.contest.metric import Result
 from undeadzone_arena.contest.prior_knowledge import Setting, build_settings
-from undeadzone_arena.contest.trials import result_dependencies, run_trial
+from undeadzone_arena.contest.trials import result_dependencies, run_trial, score_methods
 from undeadzone_arena.contest.tuned_file import Tuned, TunedMethod
 from undeadzone_studies.ensemble.local_workers import iterate_results
 
@@ -55,7 +55,7 @@ def tune_methods(
         InputError: or a subclass.
     """
     known = method_registry()
-    frame = _frame_results(grounds, seeds)
+    frame = score_methods((), grounds, seeds, numbers={}, processes=1)
     adjustable = [name for name in dict.fromkeys(names) if known[name].knobs]
 
     def compute(missing: list[int]) -> Iterator[tuple[int, dict[str, Any]]]:
@@ -78,17 +78,6 @@ def tune_methods(
     return Tuned(
         budget=budget, seeds=list(seeds), search=search, scenarios=list(grounds), methods=methods
     )
-
-
-def _frame_results(grounds: Mapping[str, Scenario], seeds: Sequence[int]) -> list[Result]:
-    """Run the reference lines that are always shown and return their results."""
-    settings = build_settings(grounds)
-    known = method_registry()
-    results: list[Result] = []
-    for name in FRAME:
-        for title, setting in settings.items():
-            results += run_trial(name, known[name], title, setting, seeds)
-    return results
 
 
 def _tune_method(

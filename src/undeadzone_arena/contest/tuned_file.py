@@ -13,7 +13,7 @@ from undeadzone.util.own_files import is_own_file, mark_toml
 
 HEAD = (
     "# Written by undeadzone arena --tune. Knobs are counted in the units that "
-    "undeadzone/arena/methods.py names.\n"
+    "undeadzone_arena/contest/methods.toml names.\n"
 )
 
 

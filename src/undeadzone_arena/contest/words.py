@@ -57,9 +57,9 @@ def _text_cells(place: str, row: Row) -> tuple[str, ...]:
     return (
         place,
         row.method,
-        _regret_text(row.median_regret, row.median_interval),
-        _regret_text(row.behind, row.behind_interval),
-        _regret_text(row.worst_regret, row.worst_interval),
+        regret_text(row.median_regret, row.median_interval),
+        regret_text(row.behind, row.behind_interval),
+        regret_text(row.worst_regret, row.worst_interval),
         row.worst_scenario,
         _percent_text(row.diverged),
         _percent_text(row.not_applicable),
@@ -68,7 +68,7 @@ def _text_cells(place: str, row: Row) -> tuple[str, ...]:
     )
 
 
-def _regret_text(value: float, interval: tuple[float, float]) -> str:
+def regret_text(value: float, interval: tuple[float, float]) -> str:
     """Return a regret and its interval as text."""
     return f"{value:.3f} [{interval[0]:.3f}, {interval[1]:.3f}]"
 

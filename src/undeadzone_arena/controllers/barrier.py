@@ -13,7 +13,7 @@ from undeadzone.interfaces import Controller, Estimate
 from undeadzone.plants.system import System
 from undeadzone.registry import Options
 from undeadzone.util.arrays import Floats, require_number
-from undeadzone_arena.controllers.learned_feedback import relative_degree
+from undeadzone_arena.controllers.learned_feedback import derivative_rows
 from undeadzone_arena.gain_defaults import rate_or_default
 
 FINE = 0.2  # largest product of rate and sample time
@@ -45,9 +45,8 @@ class Barrier(Options, frozen=True, kw_only=True, tag="barrier"):
                 "controller.method: 'barrier' is for a linear model of one input and one output, "
                 f"found {model.m} and {model.p}{', nonlinear' * model.nonlinear}"
             )
-        A, B, C = model.continuous
-        r = relative_degree(model.continuous)
-        rows = np.vstack([C @ np.linalg.matrix_power(A, k) for k in range(r + 1)])
+        rows = derivative_rows(model.continuous)
+        r = len(rows) - 1
         rate = rate_or_default(model, "controller.rate", self.rate, 10.0)
         if model.Ts is not None and rate * model.Ts > FINE:
             raise StepError(
@@ -57,7 +56,7 @@ class Barrier(Options, frozen=True, kw_only=True, tag="barrier"):
         params = BarrierParams(
             rows=rows[:r],
             top=rows[r],
-            b=np.float64((rows[r - 1] @ B).item()),
+            b=np.float64((rows[r - 1] @ model.continuous.B).item()),
             bound=np.float64(require_number("controller.bound", self.bound, above=0.0)),
             rate=np.float64(rate),
         )

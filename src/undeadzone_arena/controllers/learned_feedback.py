@@ -113,11 +113,12 @@ def build_learned_feedback(
             f"found {model.m} and {model.p}{nonlinear}"
         )
     flow = model.continuous
-    r = relative_degree(flow)
+    rows = derivative_rows(flow)
+    r = len(rows) - 1
     rates = _rates_or_defaults(model, options)
     derivatives = f"|z| and its derivatives up to order {r - 1}"
     basis = basis_on(require_positive("controller.reach", options.reach, r, derivatives))
-    params = _feedback_params(flow, model.Ts, r, rates, basis.params)
+    params = _feedback_params(flow, model.Ts, rows, rates, basis.params)
 
     def init(p: FeedbackParams) -> FeedbackState:
         """Return the state at t = 0."""
@@ -126,8 +127,10 @@ def build_learned_feedback(
     return Controller(params, init, partial(feedback_step, basis, model.keep))
 
 
-def relative_degree(linear: Matrices) -> int:
-    """Return r, the order of the lowest derivative of the one output that the input moves.
+def derivative_rows(linear: Matrices) -> Floats:
+    """Return the rows from x to the one output and its derivatives (r + 1 x n).
+
+    r is the order of the lowest derivative that the input moves.
 
     Raises StructureError if the rest is not stable by itself.
     """
@@ -137,16 +140,17 @@ def relative_degree(linear: Matrices) -> int:
     while len(rows) < n and _is_input_free(rows[-1], B):
         rows.append(rows[-1] @ A)
     seen = np.vstack(rows)
+    highest = rows[-1] @ A
     b = (rows[-1] @ B).item()
     if n > len(rows):
         hidden = np.linalg.svd(seen)[2][len(rows) :].T
-        zeros = np.linalg.eigvals(hidden.T @ (A - B @ rows[-1] @ A / b) @ hidden)
+        zeros = np.linalg.eigvals(hidden.T @ (A - B @ highest / b) @ hidden)
         if zeros.real.max() >= 0:
             raise StructureError(
                 f"controller.method: the plant has zeros {list_numbers(zeros)}, and what an output "
                 "feedback without a model cannot see must be stable"
             )
-    return len(rows)
+    return np.vstack([seen, highest])
 
 
 def _is_input_free(row: Floats, B: Floats) -> bool:
@@ -166,21 +170,17 @@ def _rates_or_defaults(model: System, options: FeedbackOptions) -> FeedbackRates
 
 
 def _feedback_params(
-    flow: Matrices, Ts: float | None, r: int, rates: FeedbackRates, basis: Any
+    flow: Matrices, Ts: float | None, rows: Floats, rates: FeedbackRates, basis: Any
 ) -> FeedbackParams:
-    """Return the controller's numbers."""
+    """Return the controller's numbers (rows: of `derivative_rows`)."""
+    r = len(rows) - 1
     chain = companion_form(np.zeros(r))
     poles = np.full(r, -rates.speed)
     L = observer_gain(chain, poles, None)[:, 0]
-    rows = np.vstack([flow.C @ np.linalg.matrix_power(flow.A, k) for k in range(r + 1)])
     b = (rows[r - 1] @ flow.B).item()
-    if Ts is None:
-        per_step = 1.0
-        moving = chain
-        injected = L
-    else:
-        per_step = Ts
-        moving = zoh(chain, Ts)
+    per_step, moving, injected = 1.0, chain, L
+    if Ts is not None:
+        per_step, moving = Ts, zoh(chain, Ts)
         injected = observer_gain(moving, poles, Ts)[:, 0]
     return FeedbackParams(
         basis=basis,

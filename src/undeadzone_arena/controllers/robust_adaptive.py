@@ -13,13 +13,19 @@ import numpy as np
 
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate
-from undeadzone.plants.system import System, fastest_pole
+from undeadzone.plants.system import System
 from undeadzone.registry import Options
 from undeadzone.util.arrays import Array, Floats, require_number, require_positive
-from undeadzone_arena.controllers.sliding_mode import sliding_surface, surface_errors
+from undeadzone_arena.approximators import clip_to_box
+from undeadzone_arena.controllers.sliding_mode import (
+    USUAL,
+    poles_about,
+    sliding_surface,
+    surface_errors,
+)
+from undeadzone_arena.gain_defaults import rate_or_default
 
 STEADY = 0.5  # k in layers per step, up to which s does not chatter
-USUAL = 10.0  # rate of the surface and on it, in fastest poles of the plant
 
 
 class RobustAdaptive(Options, frozen=True, kw_only=True, tag="robust_adaptive"):
@@ -52,14 +58,10 @@ class RobustAdaptive(Options, frozen=True, kw_only=True, tag="robust_adaptive"):
 
     def build(self, model: System) -> Controller:
         """Build the controller for a model, continuous or sampled."""
-        n = model.n
         m = model.m
         Ts = model.Ts
-        usual = USUAL * fastest_pole(model)
-        rate = (
-            usual if self.rate is None else require_number("controller.rate", self.rate, above=0.0)
-        )
-        poles = -rate * np.linspace(0.8, 1.2, max(n - m, 0)) if self.poles is None else self.poles
+        rate = rate_or_default(model, "controller.rate", self.rate, USUAL)
+        poles = poles_about(model, rate, self.poles)
         layer = 1 / rate if self.layer is None else self.layer
         learning = rate**2 / 5 if self.learning is None else self.learning
         most = 1e50 if self.most is None else self.most
@@ -89,7 +91,7 @@ class RobustAdaptive(Options, frozen=True, kw_only=True, tag="robust_adaptive"):
         ) -> tuple[RobustAdaptiveState, Any]:
             """Return the state's derivative or, when sampled, its next value, and u."""
             apart, distance = surface_errors(model, p, estimate, target)
-            pull = ca.fmax(ca.fmin(distance / p.layer, 1.0), -1.0)
+            pull = clip_to_box(distance / p.layer)
             outside = distance - p.layer * pull
             forced = target.u_ff - p.G @ apart
             u = s.slope * forced + p.keep * distance - s.bound * pull

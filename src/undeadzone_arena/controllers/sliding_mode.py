@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import casadi as ca
 import numpy as np
 
 from undeadzone.errors import InputError, StepError, StructureError
@@ -21,9 +20,12 @@ from undeadzone.util.arrays import (
     Array,
     Floats,
     require_nonnegative,
-    require_number,
     require_positive,
 )
+from undeadzone_arena.approximators import clip_to_box
+from undeadzone_arena.gain_defaults import rate_or_default
+
+USUAL = 10.0  # rate of the surface and on it, in fastest poles of the plant
 
 
 class SlidingMode(Options, frozen=True, kw_only=True, tag="sliding_mode"):
@@ -53,15 +55,10 @@ class SlidingMode(Options, frozen=True, kw_only=True, tag="sliding_mode"):
 
     def build(self, model: System) -> Controller:
         """Build the controller for a model, continuous or sampled."""
-        n = model.n
         m = model.m
         Ts = model.Ts
-        usual = 10 * fastest_pole(model)
-        spread = np.linspace(0.8, 1.2, max(n - m, 0))
-        poles = -usual * spread if self.poles is None else self.poles
-        rate = (
-            usual if self.rate is None else require_number("controller.rate", self.rate, above=0.0)
-        )
+        rate = rate_or_default(model, "controller.rate", self.rate, USUAL)
+        poles = poles_about(model, USUAL * fastest_pole(model), self.poles)
         gain, boundary = self._gain_and_boundary(m, rate)
         if Ts is not None and (gain * Ts > boundary).any():
             raise StepError(
@@ -79,7 +76,7 @@ class SlidingMode(Options, frozen=True, kw_only=True, tag="sliding_mode"):
         ) -> tuple[Any, Any]:
             """Return the unchanged state and u (m)."""
             apart, distance = surface_errors(model, p, estimate, target)
-            pull = p.gain * ca.fmax(ca.fmin(model.per_step * distance / p.boundary, 1.0), -1.0)
+            pull = p.gain * clip_to_box(model.per_step * distance / p.boundary)
             return s, target.u_ff - p.G @ apart + p.keep * distance - pull
 
         return Controller(params, lambda p: None, step)
@@ -112,6 +109,12 @@ class SlidingModeParams(NamedTuple):
     keep: Any
     gain: Floats
     boundary: Floats
+
+
+def poles_about(model: System, rate: float, poles: Array | None) -> Array:
+    """Return the poles of the error on the surface as given, or n - m of them about -rate [1/s]."""
+    spread = np.linspace(0.8, 1.2, max(model.n - model.m, 0))
+    return -rate * spread if poles is None else poles
 
 
 def sliding_surface(model: System, poles: Array) -> Floats:

@@ -25,12 +25,9 @@ from undeadzone.observers.filtering.gaussian_filter import Params
 from undeadzone.plants.system import System, scale_states
 from undeadzone_arena.observers.parts.joint_claims import (
     JointAssumptions,
-    JointDefaults,
     build_joint_prior,
 )
 from undeadzone_arena.observers.parts.joint_filter import OutputSample, Sight, build_joint_filter
-
-DEFAULTS = JointDefaults(noise=0.01, drift=0.005, x_std=5.0)
 
 
 class EKF(JointAssumptions, frozen=True, kw_only=True, tag="ekf"):
@@ -59,7 +56,7 @@ class EKF(JointAssumptions, frozen=True, kw_only=True, tag="ekf"):
                 "observer.method: the slope of a jump sensor's reading contains no width, "
                 "so that 'ekf' cannot find them. Use 'censored'"
             )
-        prior = build_joint_prior(self, model, sensor, DEFAULTS)
+        prior = build_joint_prior(self, model, sensor)
         correct = correct_predicted
         if self.mode == "measured":
             counted = scale_states(model, power_of_two_units(model))

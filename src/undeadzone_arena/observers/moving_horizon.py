@@ -35,7 +35,6 @@ from undeadzone.util.arrays import Array, Floats, require_nonnegative, require_n
 from undeadzone_arena.observers.parts import window as horizon
 from undeadzone_arena.observers.parts.joint_claims import (
     JointAssumptions,
-    JointDefaults,
     JointPrior,
     build_joint_prior,
     glitch_probability,
@@ -44,7 +43,6 @@ from undeadzone_arena.observers.parts.joint_claims import (
 from undeadzone_arena.observers.parts.tangents import Tangents, model_tangents
 from undeadzone_arena.observers.parts.window import HorizonWeights, Window
 
-DEFAULTS = JointDefaults(noise=0.01, drift=0.005, x_std=5.0)
 NODES = 40  # of a horizon, if the period is not given
 
 
@@ -85,7 +83,7 @@ class MovingHorizon(JointAssumptions, frozen=True, kw_only=True, tag="moving_hor
                 "another of daqp, osqp"
             )
         nodes, stride = self._horizon_grid(model)
-        prior = build_joint_prior(self, model, sensor, DEFAULTS, stride)
+        prior = build_joint_prior(self, model, sensor, stride=stride)
         rms = np.sqrt(prior.prior.R)
         slack = rms
         if self.slack is not None:
@@ -94,11 +92,20 @@ class MovingHorizon(JointAssumptions, frozen=True, kw_only=True, tag="moving_hor
             raise InputError(
                 "observer.slack: must be positive, found 0: noise alone would leave no solution"
             )
-        weights = HorizonWeights(rms, slack, prior.prior.gate / sensor.slope, prior.ranges)
         share = outlier_probability(self.glitches)
-        return build_moving_horizon(
-            model, sensor, prior, weights, nodes, stride, share, self.solver
+        setup = HorizonSetup(
+            model=model,
+            sensor=sensor,
+            prior=prior,
+            weights=HorizonWeights(rms, slack, prior.prior.gate / sensor.slope, prior.ranges),
+            stride=stride,
+            rms=np.sqrt(prior.variance / stride),
+            doubt=doubt_numbers(model, sensor, prior.prior, share, is_assumed=False)
+            if share
+            else None,
+            tangents=model_tangents(model),
         )
+        return build_moving_horizon(setup, nodes, self.solver)
 
     def _horizon_grid(self, model: System) -> tuple[int, int]:
         """Return the intervals of the horizon and the samples of an interval.
@@ -158,7 +165,7 @@ class HorizonSetup(NamedTuple):
             as far as white noise does.
         doubt: of readings (None: no doubt).
         tangents: the model's straight lines.
-        solve: solver of the programme.
+        solve: solver of the programme (None: not built yet).
     """
 
     model: System
@@ -169,65 +176,45 @@ class HorizonSetup(NamedTuple):
     rms: Floats
     doubt: Doubt | None
     tangents: Tangents
-    solve: horizon.Solver
+    solve: horizon.Solver | None = None
 
 
-def build_moving_horizon(
-    model: System,
-    sensor: Zone,
-    prior: JointPrior,
-    weights: HorizonWeights,
-    nodes: int,
-    stride: int,
-    glitches: float,
-    plugin: str,
-) -> Observer:
+def build_moving_horizon(setup: HorizonSetup, nodes: int, plugin: str) -> Observer:
     """Build the estimator.
 
     Its covariance, which weighs the past and is shown, is that of a Kalman filter on the active
     readings: what silence adds is not counted.
 
     Args:
-        model: the sampled model.
-        sensor: the dead zone.
-        prior: prior at its start.
-        weights: weights of the programme's errors.
+        setup: its fixed parts.
         nodes: intervals of the horizon.
-        stride: samples of an interval.
-        glitches: probability that a reading is wrong (0: none is).
         plugin: CasADi's name of the solver.
     """
-    rms = np.sqrt(prior.variance / stride)
-    tangents = model_tangents(model)
-    start = initial_horizon_state(model, prior, tangents, nodes)
+    start = initial_horizon_state(setup, nodes)
     solve = horizon.build_qp_solver(plugin, *horizon.programme_size(start.window))
-    doubt = None
-    if glitches > 0:
-        doubt = doubt_numbers(model, sensor, prior.prior, glitches, is_assumed=False)
-    setup = HorizonSetup(model, sensor, prior, weights, stride, rms, doubt, tangents, solve)
+    setup = setup._replace(solve=solve)
     how = PythonObserver(
         lambda seed: start, partial(correct_horizon, setup), partial(predict_horizon, setup)
     )
-    return build_python_observer(how, model.p, Traits())
+    return build_python_observer(how, setup.model.p, Traits())
 
 
-def initial_horizon_state(
-    model: System, prior: JointPrior, tangents: Tangents, nodes: int
-) -> HorizonState:
+def initial_horizon_state(setup: HorizonSetup, nodes: int) -> HorizonState:
     """Return the state at t = 0: every node of the window contains the prior alone."""
-    n = model.n
-    p = model.p
-    m = model.m
-    mean = prior.prior.mean
-    cov = np.diag(prior.prior.std**2)
-    C, offset = tangents.output(mean[:n])
-    none = np.zeros(p)
-    F = np.eye(n)
-    f = np.zeros(n)
-    G = np.zeros((n, m))
-    padding = Window(none, none, none, mean, cov, C, offset, F, f, G)
+    prior = setup.prior.prior
+    mean = prior.mean
+    cov = np.diag(prior.std**2)
+    none = np.zeros(setup.model.p)
+    still = no_motion(setup.model)
+    output = setup.tangents.output(mean[: setup.model.n])
+    padding = Window(none, none, none, mean, cov, *output, *still)
     window = Window(*(np.repeat(part[None], nodes + 1, axis=0) for part in padding))
-    return HorizonState(window, mean, cov, F, f, G, 0, none)
+    return HorizonState(window, mean, cov, *still, 0, none)
+
+
+def no_motion(model: System) -> tuple[Floats, Floats, Floats]:
+    """Return F (n x n), f (n) and G (n x m) of a node at the same time."""
+    return np.eye(model.n), np.zeros(model.n), np.zeros((model.n, model.m))
 
 
 def correct_horizon(
@@ -243,8 +230,7 @@ def correct_horizon(
     n = setup.model.n
     p = setup.model.p
     if (s.share > TOO_MANY).any() or not (np.abs(s.X) < LIMIT).all():
-        nodes = len(s.window.y) - 1
-        s = initial_horizon_state(setup.model, setup.prior, setup.tangents, nodes)
+        s = initial_horizon_state(setup, len(s.window.y) - 1)
     seen = np.isfinite(reading.y)
     side = np.where(seen, reading.side, 0.0)
     C, offset = setup.tangents.output(s.X[:n])
@@ -281,18 +267,15 @@ def add_horizon_node(
         seen: whether there was a reading (p).
     """
     n = setup.model.n
-    p = setup.model.p
-    m = setup.model.m
     cov = covariance_at_sample(setup, s)
     C, offset = setup.tangents.output(s.X[:n])
-    F = np.eye(n)
-    f = np.zeros(n)
-    G = np.zeros((n, m))
-    unknown = np.zeros((n, n)), f, G  # the motion on from this node
+    F, f, G = no_motion(setup.model)
+    unknown = 0 * F, f, G  # the motion on from this node
     newest = Window(y, side, 1.0 * seen, s.X, cov, C, offset, *unknown)
     window = shift_window(s, newest)
+    assert setup.solve is not None
     X = horizon.solve_horizon(window, setup.weights, setup.solve)
-    for i in range(p):
+    for i in range(setup.model.p):
         if abs(side[i]) == 1:
             cov = horizon.covariance_after_reading(
                 cov, horizon.reading_row(C, i, side[i]), setup.prior.prior.R[i]

@@ -62,9 +62,16 @@ class ParticleFilter(JointAssumptions, frozen=True, kw_only=True, tag="particle_
         if not 2 <= self.particles <= 1_000_000:
             raise InputError(f"observer.particles: expected 2 to 1000000, found {self.particles}")
         prior = build_joint_prior(self, model, sensor, DEFAULTS)
-        return build_particle_filter(
-            model, sensor, prior, self.particles, outlier_probability(self.glitches)
+        count = self.particles
+        glitches = outlier_probability(self.glitches)
+        columns = vectorise_model(model, count)
+        setup = ParticleSetup(model, sensor, prior, count, glitches, columns)
+        how = PythonObserver(
+            partial(start_particles, setup),
+            partial(correct_particles, setup),
+            partial(predict_particles, setup),
         )
+        return build_python_observer(how, model.p, Traits())
 
 
 class ParticleState(NamedTuple):
@@ -115,22 +122,6 @@ class ParticleSetup(NamedTuple):
     particles: int
     glitches: float
     columns: VectorModel
-
-
-def build_particle_filter(
-    model: System, sensor: Zone, prior: JointPrior, count: int, glitches: float
-) -> Observer:
-    """Build the filter with `count` particles.
-
-    `glitches` is the probability of a wrong reading.
-    """
-    setup = ParticleSetup(model, sensor, prior, count, glitches, vectorise_model(model, count))
-    how = PythonObserver(
-        partial(start_particles, setup),
-        partial(correct_particles, setup),
-        partial(predict_particles, setup),
-    )
-    return build_python_observer(how, model.p, Traits())
 
 
 def start_particles(setup: ParticleSetup, seed: int) -> ParticleState:

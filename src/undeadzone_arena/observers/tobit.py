@@ -26,12 +26,9 @@ from undeadzone.observers.filtering.gaussian_filter import Params
 from undeadzone.plants.system import System, scale_states
 from undeadzone_arena.observers.parts.joint_claims import (
     JointAssumptions,
-    JointDefaults,
     build_joint_prior,
 )
 from undeadzone_arena.observers.parts.joint_filter import OutputSample, build_joint_filter
-
-DEFAULTS = JointDefaults(noise=0.01, drift=0.005, x_std=5.0)
 
 
 class Tobit(JointAssumptions, frozen=True, kw_only=True, tag="tobit"):
@@ -49,7 +46,7 @@ class Tobit(JointAssumptions, frozen=True, kw_only=True, tag="tobit"):
                 "observer.method: 'tobit' takes a reading for the excess over an edge, but a jump "
                 "sensor reads z itself. Use 'censored'"
             )
-        prior = build_joint_prior(self, model, sensor, DEFAULTS)
+        prior = build_joint_prior(self, model, sensor)
         counted = scale_states(model, power_of_two_units(model))
         correct = partial(correct_tobit, counted, sensor.limits is not None)
         return build_joint_filter(model, sensor, prior, self.glitches, correct, predict)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import casadi as ca
 import numpy as np
 
 from undeadzone.errors import StepError, StructureError
@@ -29,6 +28,7 @@ from undeadzone.util.arrays import (
     require_nonnegative,
     require_positive,
 )
+from undeadzone_arena.approximators import clip_to_box
 from undeadzone_arena.gain_defaults import injection_gain
 
 
@@ -110,7 +110,7 @@ class SlidingLaw(NamedTuple):
 
 def sliding_term(law: SlidingLaw, e: Any) -> Any:
     """Return the sliding term G rho sat(e / boundary), added to x^' beside L e (n)."""
-    return law.G @ (law.rho * ca.fmax(ca.fmin(e / law.boundary, 1.0), -1.0))
+    return law.G @ (law.rho * clip_to_box(e / law.boundary))
 
 
 def _require_stable_layer(model: System, L: Floats, law: SlidingLaw) -> None:

@@ -305,7 +305,12 @@ def _joint_odds(word: str, odds: dict[str, float]) -> float:
 
 
 def _verdict_on_jump(case: Case, odds: dict[str, float], models: Sequence[Family]) -> Verdict:
-    """Return the verdict on a record that was treated as that of a jump sensor."""
+    """Return the verdict on a record that was treated as that of a jump sensor.
+
+    Beyond its edges such a sensor reads z itself, so its readings leave no width to be fitted, and
+    the tests of a fitted zone that decide elsewhere do not apply. Two questions are left: whether
+    another word explains the log better, and whether the log determines the plant at all.
+    """
     word = next(iter(odds))
     if odds["jump"] < UNLIKELY:
         return build_verdict("other", f"{MODELS[word]} explains the log better than a jump sensor")

@@ -530,7 +530,7 @@ def test_gaps_that_are_known_have_no_error_in_any_output() -> None:
     linear = Matrices(-np.eye(2), np.eye(2), np.eye(2))
     readings = ReadingConditions(np.full(2, 0.1), 0.01, 1.0, gaps_known=True)
     rows = gap_prior_rows(linear, readings, 1.0)
-    gaps = np.eye(2 + 6 * 2)[2:6]
+    gaps = np.eye(2 + 4 * 2)[2:6]
     assert (rows @ gaps.T).any(axis=0).all()
     for gap in gaps:
         assert (rows == gap).all(axis=1).sum() == 1

@@ -8,7 +8,7 @@ signal of its rms and autocorrelation time.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -196,38 +196,32 @@ def _varying_part(disturbance: Disturbance | None, constant: np.ndarray, duratio
 
 
 def _has_constant(disturbance: Disturbance | None, m: int, duration: float) -> np.ndarray:
-    """Return whether a disturbance has a constant part of any size, for each input (m, bool)."""
-    return np.broadcast_to(np.ravel(_constant_part(disturbance, m, duration)) != 0, m)
-
-
-def _constant_part(disturbance: Disturbance | None, m: int, duration: float) -> Any:
-    """Return a number per input, or a common number, not 0 if a disturbance has a constant
-    part.
+    """Return whether a disturbance has a constant part of any size, for each input (m, bool).
 
     A tone or a trapezoid counts if its period is longer than the run, samples in a file if their
     mean over the run is a hundredth of their size.
     """
+    parts: list[Array] = []
     match disturbance:
         case Step():
-            return _sum_of_magnitudes(disturbance.amplitude, disturbance.before)
+            parts = [disturbance.amplitude, disturbance.before]
         case Sine() | Sines():
-            slow = [
-                one.amplitude
-                for one in _sine_components(disturbance)
-                if one.frequency * duration < 1
-            ]
-            return _sum_of_magnitudes(disturbance.offset, *slow)
+            tones = _sine_components(disturbance)
+            slow = [one.amplitude for one in tones if one.frequency * duration < 1]
+            parts = [disturbance.offset, *slow]
         case Trapezoid():
-            period = 4 * disturbance.rise + 2 * disturbance.hold
-            return _sum_of_magnitudes(disturbance.amplitude if period > duration else 0.0)
+            lasts = 4 * disturbance.rise + 2 * disturbance.hold > duration
+            parts = [disturbance.amplitude] * lasts
         case Samples():
             signal = build_exosystem("disturbance", disturbance, m)
             end = duration if np.isfinite(duration) else max(float(signal.corners[-1]), 1.0)
             values = signal.output_at(np.linspace(0.0, end, POINTS))
             mean = np.abs(values.mean(axis=0))
-            size = np.abs(values).max(axis=0)
-            return np.where(mean > CONSTANT * size, mean, 0.0)
-    return 0.0
+            parts = [np.where(mean > CONSTANT * np.abs(values).max(axis=0), mean, 0.0)]
+    found = np.zeros(m, bool)
+    for part in parts:
+        found |= np.ravel(part) != 0
+    return found
 
 
 def _sine_components(disturbance: Disturbance | None) -> list[Tone]:
@@ -235,8 +229,3 @@ def _sine_components(disturbance: Disturbance | None) -> list[Tone]:
     if isinstance(disturbance, Sines):
         return disturbance.components
     return [disturbance] if isinstance(disturbance, Sine) else []
-
-
-def _sum_of_magnitudes(*values: Array) -> Any:
-    """Return the sum of the magnitudes of numbers, per input or common to all."""
-    return sum(np.abs(np.asarray(value, float)).ravel() for value in values)

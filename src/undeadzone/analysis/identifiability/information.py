@@ -13,7 +13,11 @@ import numpy as np
 from undeadzone.analysis.branch_schedule import Schedule, merge_equal_neighbours
 from undeadzone.analysis.error_dynamics import branch_pattern
 from undeadzone.analysis.identifiability.disturbance import InputModel
-from undeadzone.analysis.identifiability.linear import Unobservable, unobservable_changes
+from undeadzone.analysis.identifiability.linear import (
+    Unobservable,
+    share_widths,
+    unobservable_changes,
+)
 from undeadzone.linalg.hold import discretise_noise
 from undeadzone.linalg.matrices import Matrices, symmetric_part
 from undeadzone.util.arrays import Floats
@@ -102,10 +106,12 @@ def optimal_deviations(
         linear, readings = _augment_disturbance(linear, schedule.Ts, colour, readings)
         prior = np.r_[prior, 1 / colour.rms**2]
     n = linear.A.shape[0]
-    p = linear.C.shape[0]
+    p = linear.C.shape[0] // schedule.repeats
     fisher = information_matrix(linear, schedule, readings)
     fisher[np.arange(n), np.arange(n)] += prior
-    hidden = unobservable_changes(linear, visited, schedule.Ts, readings.bias)
+    hidden = unobservable_changes(
+        linear, visited, schedule.Ts, readings.bias, repeats=schedule.repeats
+    )
     if known is not None:
         rows = np.zeros((len(known), n + 2 * p))
         rows[:, :states_of_plant] = known[:, :states_of_plant]
@@ -166,19 +172,21 @@ def information_matrix(linear: Matrices, schedule: Schedule, readings: ReadingCo
     n = linear.A.shape[0]
     p = linear.C.shape[0]
     B = np.zeros((n, 0)) if bias is None else bias
-    size = n + 2 * p + B.shape[1]
+    shared = share_widths(p, schedule.repeats)
+    constant = n + shared.shape[1]
+    size = constant + B.shape[1]
     # [x; d; beta]' = F [x; d; beta], with white noise of covariance Q.
     F = np.zeros((size, size))
     Q = np.zeros((size, size))
     F[:n, :n] = linear.A
-    F[:n, n + 2 * p :] = B
+    F[:n, constant:] = B
     if process is not None:
         Q[:n, :n] = process
     one_step = F + np.diag(np.r_[np.zeros(n), np.ones(size - n)])  # of a sampled model
     once = identity_stretch(size)
     for sides, span in zip(*merge_equal_neighbours(schedule)[:2], strict=True):
         of_states = linear.C * np.abs(sides)[:, None]
-        S = branch_pattern(tuple(sides.astype(int)))
+        S = branch_pattern(tuple(sides.astype(int))) @ shared
         rows = np.hstack([of_states, -S, np.zeros((p, B.shape[1]))])
         if schedule.Ts is None:
             stretch = _continuous_stretch(F, Q, rows.T / (variance * step) @ rows, span, step)

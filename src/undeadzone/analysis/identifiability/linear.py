@@ -8,7 +8,7 @@ Edges of the dead zone that a schedule does not reach: why not, and what would r
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -51,12 +51,18 @@ def describe_unreached_edges(schedule: Schedule, visited: np.ndarray, i: int) ->
     high = schedule.high[i]
     low = schedule.low[i]
     reasons = []
-    if not visited[i, 0]:
-        stays = f"stays below d_r, {high:.4g} against {right:.4g}" if right - high >= 0 else ""
-        reasons.append(_reason_not_reached("right", "d_r", stays))
-    if not visited[i, 1]:
-        stays = f"stays above -d_l, {low:.4g} against {-left:.4g}" if left + low >= 0 else ""
-        reasons.append(_reason_not_reached("left", "-d_l", stays))
+    edges = (
+        (1.0, "right", "d_r", "below", high, right),
+        (-1.0, "left", "-d_l", "above", low, -left),
+    )
+    for (sign, name, edge, side, end, level), is_visited in zip(edges, visited[i], strict=True):
+        if is_visited:
+            continue
+        why = f"hardly reached: too few readings arrive from beyond {edge} to separate it from "
+        why += "the state"
+        if sign * (end - level) <= 0:
+            why = f"never reached: the output stays {side} {edge}, {end:.4g} against {level:.4g}"
+        reasons.append(f"the {name} edge is {why}")
     return reasons
 
 
@@ -71,19 +77,6 @@ def describe_rare_exactness(schedule: Schedule, i: int) -> list[str]:
         f"only {100 * share:.2g} % of the readings beyond the edges are exact: the others are at "
         f"a limit of sensor.range, and only bound z"
     ]
-
-
-def _reason_not_reached(name: str, edge: str, stays: str) -> str:
-    """Describe why an edge is not visited.
-
-    `stays` describes the output's range, empty if the output passes the edge.
-    """
-    if stays:
-        return f"the {name} edge is never reached: the output {stays}"
-    return (
-        f"the {name} edge is hardly reached: "
-        f"too few readings arrive from beyond {edge} to separate it from the state"
-    )
 
 
 def largest_deviations(
@@ -286,6 +279,7 @@ def unobservable_changes(
     bias: Floats | None = None,
     jump: bool = False,
     drives: Sequence[Floats] | None = None,
+    repeats: int = 1,
 ) -> Unobservable:
     """Return the changes of `[x(0); d; beta]` that do not change any reading.
 
@@ -301,6 +295,7 @@ def unobservable_changes(
             sampled).
         jump: whether the sensor jumps (its readings do not contain d).
         drives: in place of `bias`, how beta enters x' (n x b each) in the modes that are visited.
+        repeats: how often each output stands in turn, its widths the same.
     """
     A, _, C = delta_form(linear, Ts)
     n = A.shape[0]
@@ -322,12 +317,26 @@ def unobservable_changes(
     tolerance = TOLERANCE + rounding / rate
     U = unobservable_subspace(A, C[visited.any(axis=1)], tolerance)
     beyond = np.eye(n) - U @ U.T
-    rows = [np.hstack([beyond @ A, np.zeros((n, 2 * p)), beyond @ mode]) for mode in B]
+    shared = share_widths(p, repeats)
+    widths = shared.shape[1]
+    rows = [np.hstack([beyond @ A, np.zeros((n, widths)), beyond @ mode]) for mode in B]
     for sides in (visited[:, 0] * 1, visited[:, 1] * -1):
-        S = 0 * branch_pattern(tuple(sides)) if jump else branch_pattern(tuple(sides))
+        S = (not jump) * branch_pattern(tuple(sides)) @ shared
         rows.append(np.hstack([C * np.abs(sides)[:, None], -S, np.zeros((p, B.shape[2]))]))
     basis = null_space_basis(np.vstack(rows), tolerance)
-    return Unobservable(basis, np.concatenate([state, np.repeat(output, 2), rate / drive]), n)
+    return Unobservable(
+        basis, np.concatenate([state, np.repeat(output[::repeats], 2), rate / drive]), n
+    )
+
+
+def share_widths(rows: int, repeats: int) -> Floats:
+    """Return the matrix (2 rows x 2p) from the widths of p outputs to those of every row.
+
+    Args:
+        rows: readings, `repeats` of each output in turn.
+        repeats: their number.
+    """
+    return np.kron(np.eye(rows // repeats), np.tile(np.eye(2), (repeats, 1)))
 
 
 def width_identifiability(
@@ -347,36 +356,25 @@ def width_identifiability(
         prior: prior information (`prior_rows`).
     """
     visited = schedule.branch_visits(linear.A.shape[0])
-    if jump:
-        return [_jump_identifiability(schedule, visited, i) for i in range(visited.shape[0])]
-    hidden = unobservable_changes(linear, visited, schedule.Ts, bias)
-    if prior is not None:
-        hidden = hidden.exclude_known(prior)
+    if jump:  # a width is known if its edge is passed
+        passed = [(*row, all(row), all(row)) for row in visited.tolist()]
+        flags = [dict(zip(DIRECTIONS, row, strict=True)) for row in passed]
+    else:
+        hidden = unobservable_changes(linear, visited, schedule.Ts, bias)
+        if prior is not None:
+            hidden = hidden.exclude_known(prior)
+        flags = [hidden.width_flags(i) for i in range(len(visited))]
     judged = []
-    for i in range(visited.shape[0]):
-        confounded = {} if prior is not None else _confounding_reasons(linear, schedule, bias, i)
+    for i, known in enumerate(flags):
+        alone = prior is None and not jump
+        confounded = _confounding_reasons(linear, schedule, bias, i) if alone else {}
         reasons = (
             *describe_unreached_edges(schedule, visited, i),
             *confounded,
             *describe_rare_exactness(schedule, i),
         )
-        judged.append(WidthIdentifiability(**hidden.width_flags(i), reasons=reasons))
+        judged.append(WidthIdentifiability(**known, reasons=reasons))
     return judged
-
-
-def _jump_identifiability(schedule: Schedule, visited: np.ndarray, i: int) -> WidthIdentifiability:
-    """Return the identifiability from a jump sensor's readings of output i.
-
-    A width is known if its edge is passed.
-    """
-    right = bool(visited[i, 0])
-    left = bool(visited[i, 1])
-    both = right and left
-    reasons = (
-        *describe_unreached_edges(schedule, visited, i),
-        *describe_rare_exactness(schedule, i),
-    )
-    return WidthIdentifiability(right, left, both, both, reasons)
 
 
 def find_remedies(
@@ -414,25 +412,60 @@ def _confounding_reasons(
     visited.
     """
     visited = schedule.branch_visits(linear.A.shape[0])
-    edges = [name for name, seen in zip(("right", "left"), visited[i], strict=True) if seen]
+    hidden = unobservable_changes(linear, visited, schedule.Ts, bias)
+    of_bias = np.arange(hidden.scale.size) >= hidden.n + visited.size
 
-    def are_edges_known(bias: Floats | None) -> bool:
-        """Return whether the visited edges are known, given the directions of bias."""
-        hidden = unobservable_changes(linear, visited, schedule.Ts, bias)
-        return all(hidden.is_width_known(i, name) for name in edges)
+    def describe_shift(edge: str, quantity: str, rest: str) -> str:
+        """Describe why a shift of the state hides an edge."""
+        return f"A is singular (an integrator), {rest}"
 
-    if are_edges_known(bias):
+    found = confounding_reason(hidden, visited[i], i, {BIAS: of_bias}, describe_shift)
+    if not found:
         return {}
-    start = "the centre is not identifiable: "
-    what = "centre" if len(edges) == 2 else f"{edges[0]} edge"
-    if are_edges_known(None):
-        reason = f"{start}constant input bias, {what} and bias cannot be separated"
-        return {reason: "calibrate the input"}
-    rest = f"the {what} cannot be separated from a shift of the state"
-    if len(edges) == 2:
-        rest = "only the width d_r + d_l can be known"
-    reason = f"{start}A is singular (an integrator), {rest}"
-    return {reason: "let the plant pass a place of known z"}
+    by_bias = "bias cannot be separated" in found
+    return {found: "calibrate the input" if by_bias else "let the plant pass a place of known z"}
+
+
+BIAS = "constant input bias, {quantity} and bias cannot be separated"
+
+
+def confounding_reason(
+    hidden: Unobservable,
+    visited: np.ndarray,
+    i: int,
+    causes: Mapping[str, np.ndarray],
+    describe_shift: Callable[[str, str, str], str],
+) -> str:
+    """Describe why widths of output i stay unknown although their branches are visited.
+
+    Args:
+        hidden: changes that no reading shows.
+        visited: whether the right and the left side of the output are.
+        i: the output.
+        causes: unknowns (bool) that would make its edges known if they were known, by the words for
+            this, with the name {quantity}.
+        describe_shift: what is the reason if none of these is, of an edge that is not identifiable,
+            the name of what is not, and a phrase on what is nevertheless.
+
+    Returns:
+        The reason, empty if the widths are known.
+    """
+    edges = [name for name, seen in zip(("right", "left"), visited, strict=True) if seen]
+    unknown = [name for name in edges if not hidden.is_width_known(i, name)]
+    if not unknown:
+        return ""
+    is_width_known = len(edges) == 2 and hidden.is_width_known(i, "width")
+    quantity = "centre" if is_width_known else " and ".join(f"{name} edge" for name in unknown)
+    subject = "centre" if is_width_known or len(edges) == 1 else "width"
+    start = f"the {subject} is not identifiable: "
+    for words, part in causes.items():
+        rest = hidden.restrict_to_part(~part)
+        if part.any() and all(rest.is_width_known(i, name) for name in edges):
+            return start + words.format(quantity=quantity)
+    remainder = f"the {quantity} cannot be separated from a shift of the state"
+    if is_width_known:
+        remainder = "only the width d_r + d_l can be known"
+    return start + describe_shift(unknown[0], quantity, remainder)
 
 
 def null_space_basis(M: Floats, tolerance: float) -> Floats:

@@ -11,6 +11,7 @@ Prior information on x(0) and on centres, as rows.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -133,13 +134,22 @@ def width_identifiability_along(
     biases = bias.shape[1]
     constants = np.zeros((model.m, known.hidden.scale.size))
     constants[:, 2 * model.p : 2 * model.p + biases] = bias
+    number = np.arange(known.hidden.scale.size)  # widths, then biases, then parameters
+    first = 2 * model.p + biases
+    names = ", ".join(uncertain)
+    causes = {
+        linear.BIAS: (number >= 2 * model.p) & (number < first),
+        f"with {names} uncertain the {{quantity}} cannot be separated from them": number >= first,
+    }
     judged = []
     for i, (right, left) in enumerate(zip(sensor.right, sensor.left, strict=True)):
         std = known.output_deviations(i)
         most = largest_deviations(right, left, float(np.ptp(z[:, i])))
+        shift = partial(_describe_state_shift, model, known, i)
+        confounded = linear.confounding_reason(known.hidden, visited[i], i, causes, shift)
         reasons = (
             *describe_unreached_edges(schedule, visited, i),
-            *_confounding_reasons_along(model, known, visited[i], i, biases, uncertain),
+            *filter(None, [confounded]),
             *describe_vague_widths(std, most, right, left),
             *describe_rare_exactness(schedule, i),
         )
@@ -156,48 +166,6 @@ def width_identifiability_along(
 def reading_variance(sensor: Zone) -> Floats:
     """Return the variance of a reading's noise (p) as noise of z, never 0."""
     return np.maximum(sensor.rms, EXACT * edge_scale(reading_levels(sensor))) ** 2
-
-
-def _confounding_reasons_along(
-    model: System,
-    known: Observability,
-    visited: np.ndarray,
-    i: int,
-    biases: int,
-    uncertain: Sequence[str],
-) -> list[str]:
-    """Describe why widths of output i stay unknown although their branches are visited."""
-    hidden = known.hidden
-    edges = [
-        name for name, is_visited in zip(("right", "left"), visited, strict=True) if is_visited
-    ]
-    unknown = [name for name in edges if not hidden.is_width_known(i, name)]
-    if not unknown:
-        return []
-    is_width_known = len(edges) == 2 and hidden.is_width_known(i, "width")
-    quantity = "centre" if is_width_known else " and ".join(f"{name} edge" for name in unknown)
-    subject = "centre" if is_width_known or len(edges) == 1 else "width"
-    start = f"the {subject} is not identifiable: "
-    number = np.arange(hidden.scale.size)  # of each constant: widths, then biases, then parameters
-    of_bias = (number >= 2 * model.p) & (number < 2 * model.p + biases)
-    if _is_caused_by(of_bias, hidden, i, edges):
-        return [f"{start}constant input bias, {quantity} and bias cannot be separated"]
-    if _is_caused_by(number >= 2 * model.p + biases, hidden, i, edges):
-        names = ", ".join(uncertain)
-        return [f"{start}with {names} uncertain the {quantity} cannot be separated from them"]
-    remainder = f"the {quantity} cannot be separated from a shift of the state"
-    if is_width_known:
-        remainder = "only the width d_r + d_l can be known"
-    return [start + _describe_state_shift(model, known, i, unknown[0], quantity, remainder)]
-
-
-def _is_caused_by(part: np.ndarray, hidden: linear.Unobservable, i: int, edges: list[str]) -> bool:
-    """Return whether edges of output i would be known if the unknowns in `part` (bool) were
-    known.
-    """
-    return bool(part.any()) and all(
-        hidden.restrict_to_part(~part).is_width_known(i, name) for name in edges
-    )
 
 
 def _describe_state_shift(

@@ -61,7 +61,7 @@ def append_gap_states(linear: Matrices, Ts: float | None) -> Matrices:
 
 
 def separate_contacts(schedule: Schedule) -> Schedule:
-    """Return the schedule of the outputs of `add_gap_states`: a branch counts in its contact
+    """Return the schedule of the outputs of `append_gap_states`: a branch counts in its contact
     alone.
     """
     assert schedule.contacts is not None
@@ -75,13 +75,14 @@ def separate_contacts(schedule: Schedule) -> Schedule:
         levels=np.repeat(schedule.levels, 2, axis=0),
         exact=None,
         contacts=None,
+        repeats=2,
     )
 
 
 def gap_prior_rows(linear: Matrices, readings: ReadingConditions, least: float) -> Floats:
-    """Return the prior information on `[x(0); c; d]` of `add_gap_states`, d once for each contact.
+    """Return the prior information on `[x(0); c; d]` of `append_gap_states`.
 
-    Both contacts have the same d. Gaps that are known have no error.
+    Gaps that are known have no error.
 
     Args:
         linear: of the plant.
@@ -90,22 +91,10 @@ def gap_prior_rows(linear: Matrices, readings: ReadingConditions, least: float) 
     """
     n = linear.A.shape[0]
     p = linear.C.shape[0]
-    unit = np.eye(n + 6 * p)
-    first = n + 2 * p
-    rows = []
-    for i in range(p):
-        right = first + 4 * i
-        left = first + 4 * i + 1
-        rows += [unit[right] - unit[right + 2], unit[left] - unit[left + 2]]
-        if readings.gaps_known:
-            rows += [unit[n + 2 * i], unit[n + 2 * i + 1]]
-    places = [*range(n)]
-    for i in range(p):
-        places += [first + 4 * i, first + 4 * i + 1]
     prior = np.zeros((0, n + 2 * p)) if readings.prior is None else readings.prior
-    widened = np.zeros((len(prior), n + 6 * p))
-    widened[:, places] = prior
-    return np.vstack([np.array(rows) / least, widened])
+    gaps = np.eye(n + 4 * p)[n : n + 2 * p]
+    known = gaps if readings.gaps_known else gaps[:0]
+    return np.vstack([known / least, np.insert(prior, [n] * (2 * p), 0.0, axis=1)])
 
 
 def _double_outputs(linear: Matrices, readings: ReadingConditions) -> ReadingConditions:
@@ -142,17 +131,19 @@ def gap_and_width_information(
     twofold = _double_outputs(linear, readings)
     prior = gap_prior_rows(linear, readings, least)
     visited = twice.branch_visits(n + 2 * p)
-    hidden = unobservable_changes(whole, visited, schedule.Ts, twofold.bias).exclude_known(prior)
+    hidden = unobservable_changes(whole, visited, schedule.Ts, twofold.bias, repeats=2)
+    hidden = hidden.exclude_known(prior)
+    unknowns = hidden.scale.size
     expected = optimal_deviations(whole, twice, twofold._replace(prior=prior))
     each = []
     for i in range(p):
         gap: dict[str, Any] = {
-            name: hidden.is_combination_known(_gap_and_width_direction(n, p, i, pair))
+            name: hidden.is_combination_known(_gap_and_width_direction(unknowns, n, p, i, pair))
             for name, pair in DIRECTIONS.items()
         }
-        zone = hidden.width_flags(2 * i)
+        zone = hidden.width_flags(i)
         both = hidden.is_combination_known(
-            _gap_and_width_direction(n, p, i, (1.0, -1.0), (1.0, -1.0))
+            _gap_and_width_direction(unknowns, n, p, i, (1.0, -1.0), (1.0, -1.0))
         )
         own = slice(n + 2 * i, n + 2 * i + 2)
         gap_std = float(np.sqrt(expected.covariance[own, own].sum())) if gap["width"] else np.inf
@@ -161,7 +152,7 @@ def gap_and_width_information(
             *_single_contact_reason(schedule, visited, i),
             *_describe_asymmetries(zone, gap, both, readings.gaps_known),
         )
-        of_zone = WidthIdentifiability(**zone, reasons=reasons, std=expected.widths[2 * i])
+        of_zone = WidthIdentifiability(**zone, reasons=reasons, std=expected.widths[i])
         each.append(
             WidthInformation(of_zone, WidthIdentifiability(**gap, reasons=()), both, gap_std)
         )
@@ -180,19 +171,19 @@ def state_identifiability(
     twofold = _double_outputs(linear, readings)
     visited = separate_contacts(schedule).branch_visits(n + 2 * p)
     hidden = unobservable_changes(
-        append_gap_states(linear, schedule.Ts), visited, schedule.Ts, twofold.bias
+        append_gap_states(linear, schedule.Ts), visited, schedule.Ts, twofold.bias, repeats=2
     )
     hidden = hidden.exclude_known(gap_prior_rows(linear, readings, 1.0))
     return list(map(hidden.is_state_known, range(n)))
 
 
 def _gap_and_width_direction(
-    n: int, p: int, i: int, gap: tuple[float, ...], zone: tuple[float, ...] = (0.0, 0.0)
+    size: int, n: int, p: int, i: int, gap: tuple[float, ...], zone: tuple[float, ...] = (0.0, 0.0)
 ) -> Floats:
     """Return a combination of gaps and widths of output i among `[x; c; d]`."""
-    direction = np.zeros(n + 6 * p)
+    direction = np.zeros(size)
     direction[n + 2 * i : n + 2 * i + 2] = gap
-    direction[n + 2 * p + 4 * i : n + 2 * p + 4 * i + 2] = zone
+    direction[n + 2 * p + 2 * i : n + 2 * p + 2 * i + 2] = zone
     return direction
 
 

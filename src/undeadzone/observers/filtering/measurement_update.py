@@ -349,7 +349,13 @@ def certain_branch(y: Any, last: Any, previous: Any, gate: Any) -> Any:
 
 
 def _is_certainly_right(y: Any, last: Any, previous: Any, gate: Any) -> Any:
-    """Return 1 if a reading is surely on the right."""
+    """Return 1 if a reading is surely on the right.
+
+    Beyond twice the gate no noise carries a silent reading. Nearer, the reading itself must not
+    decide: those with outward noise would be kept, and their mean would be too large. There the two
+    readings before it decide, whose noise is independent of its own. Both must be beyond the gate,
+    and the line through them at this sample too, so that z does not come back in between.
+    """
     both_beyond = ca.logic_and(last > gate, previous > gate)
     line_beyond = ca.logic_and(2 * last - previous > gate, y > 0)
     return ca.logic_or(y > 2 * gate, ca.logic_and(both_beyond, line_beyond))

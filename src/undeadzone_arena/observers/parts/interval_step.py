@@ -254,34 +254,42 @@ def width_bounds(
         y: reading y / m (p).
         on: certain conclusions from the reading.
     """
-    if setup.is_jump:  # a reading on the right is z itself, beyond d_r; on the left, beyond -d_l
-        most_right = y
-        most_left = -y
-        least_right = FAR
-        least_left = FAR
-        met_right = on.exact_right
-        met_left = on.exact_left
-    else:  # a reading is z - d_r on the right, z + d_l on the left
-        most_right = z.hi - y
-        most_left = y - z.lo
-        least_right = y - z.lo
-        least_left = z.hi - y
-        met_right = on.right
-        met_left = on.left
-    right = Bounds(
-        -conditional_bound(on.silent, q.slack - z.lo),
-        conditional_bound(met_right, most_right + q.noise),
-    )
-    left = Bounds(
-        -conditional_bound(on.silent, q.slack + z.hi),
-        conditional_bound(met_left, most_left + q.noise),
-    )
-    right_again = Bounds(-conditional_bound(on.exact_right, least_right + q.noise), FAR)
-    left_again = Bounds(-conditional_bound(on.exact_left, least_left + q.noise), FAR)
+    mirrored = Bounds(-z.hi, -z.lo)
     return (
-        intersect_bounds(intersect_bounds(boxes.right, right), right_again),
-        intersect_bounds(intersect_bounds(boxes.left, left), left_again),
+        right_bounds(setup, q, boxes.right, z, y, on.silent, on.right, on.exact_right),
+        right_bounds(setup, q, boxes.left, mirrored, -y, on.silent, on.left, on.exact_left),
     )
+
+
+def right_bounds(
+    setup: IntervalSetup,
+    q: IntervalParams,
+    before: Bounds,
+    z: Bounds,
+    y: Any,
+    silent: Any,
+    beyond: Any,
+    exact: Any,
+) -> Bounds:
+    """Return the bounds of d_r given those of z and a reading (p) [z]; of -z and -y, of d_l.
+
+    Args:
+        setup: the observer.
+        q: its numbers.
+        before: the bounds before.
+        z: bounds of z.
+        y: reading y / m (p).
+        silent, beyond, exact: certain conclusions from the reading about the edge.
+    """
+    if setup.is_jump:  # a reading is z itself, beyond d_r
+        most, least, met = y, FAR, exact
+    else:  # a reading is z - d_r
+        most, least, met = z.hi - y, y - z.lo, beyond
+    bounds = Bounds(
+        -conditional_bound(silent, q.slack - z.lo), conditional_bound(met, most + q.noise)
+    )
+    again = Bounds(-conditional_bound(exact, least + q.noise), FAR)
+    return intersect_bounds(intersect_bounds(before, bounds), again)
 
 
 def reading_bounds(

@@ -73,9 +73,12 @@ class JointDefaults(NamedTuple):
         x_std: standard deviation of x(0), in largest widths.
     """
 
-    noise: float
-    drift: float
-    x_std: float
+    noise: float = 0.01
+    drift: float = 0.005
+    x_std: float = 5.0
+
+
+STRICT = JointDefaults()  # of filters that no reading astride an edge misleads
 
 
 class JointPrior(NamedTuple):
@@ -96,7 +99,7 @@ def build_joint_prior(
     assumptions: JointAssumptions,
     model: System,
     sensor: Zone,
-    defaults: JointDefaults,
+    defaults: JointDefaults = STRICT,
     stride: int = 1,
 ) -> JointPrior:
     """Build the prior of a joint filter, with defaults for options that are not given.

@@ -133,9 +133,9 @@ def solve_horizon(window: Window, weights: HorizonWeights, solve: Solver) -> Flo
     n = window.G.shape[1]
     d = Affine(start.M[n:], start.b[n:])
     xs, newest = node_trajectory(window, Affine(start.M[:n], start.b[:n]))
-    right, left = excess_over_breakpoints(window, xs, d)
-    M, b = reading_errors(window, weights, right, left)
-    A, low, high = qp_constraints(window, weights, right, left, d)
+    beyond = excess_over_breakpoints(window, xs, d)
+    M, b = reading_errors(window, weights, beyond)
+    A, low, high = qp_constraints(window, weights, beyond, d)
     v = solve(np.eye(unknowns) + M.T @ M, -M.T @ b, A, low, high)
     if v is None:
         return None
@@ -171,8 +171,10 @@ def node_trajectory(window: Window, oldest: Affine) -> tuple[Affine, Affine]:
     return Affine(np.stack(xs), np.stack(rests)), Affine(x, rest)
 
 
-def excess_over_breakpoints(window: Window, xs: Affine, d: Affine) -> tuple[Affine, Affine]:
-    """Return z minus the right and the left breakpoint, node by node (nodes p rows each) [z].
+def excess_over_breakpoints(window: Window, xs: Affine, d: Affine) -> Affine:
+    """Return how far z is beyond the right breakpoint at every node, then -z beyond the left one.
+
+    Each has nodes p rows [z].
 
     Args:
         window: the nodes.
@@ -183,30 +185,33 @@ def excess_over_breakpoints(window: Window, xs: Affine, d: Affine) -> tuple[Affi
     unknowns = d.M.shape[1]
     z = window.C @ xs.M
     z_rest = (window.C @ xs.b[:, :, None])[:, :, 0] + window.offset
-    right = Affine((z - d.M[:p]).reshape(-1, unknowns), (z_rest - d.b[:p]).ravel())
-    left = Affine((z + d.M[p:]).reshape(-1, unknowns), (z_rest + d.b[p:]).ravel())
-    return right, left
+    return Affine(
+        np.stack([z - d.M[:p], -z - d.M[p:]]).reshape(-1, unknowns),
+        np.stack([z_rest - d.b[:p], -z_rest - d.b[p:]]).ravel(),
+    )
+
+
+def outward(values: Floats) -> Floats:
+    """Return readings or sides of all nodes as counted outwards at the right, then at the left."""
+    return np.concatenate([values.ravel(), -values.ravel()])
 
 
 def reading_errors(
-    window: Window, weights: HorizonWeights, right: Affine, left: Affine
+    window: Window, weights: HorizonWeights, beyond: Affine
 ) -> tuple[Floats, Floats]:
     """Return M and b:
 
     M v - b are the errors of readings outside the zone, in units of noise [1].
     """
-    y = window.y.ravel()
-    side = window.side.ravel()
-    noise = np.tile(weights.noise, len(window.y))
-    active = np.abs(side) == 1
-    rightward = (side > 0)[:, None]
-    M = (np.where(rightward, right.M, left.M) / noise[:, None])[active]
-    b = ((y - np.where(side > 0, right.b, left.b)) / noise)[active]
+    noise = np.tile(weights.noise, 2 * len(window.y))
+    active = outward(window.side) == 1
+    M = (beyond.M / noise[:, None])[active]
+    b = ((outward(window.y) - beyond.b) / noise)[active]
     return M, b
 
 
 def qp_constraints(
-    window: Window, weights: HorizonWeights, right: Affine, left: Affine, d: Affine
+    window: Window, weights: HorizonWeights, beyond: Affine, d: Affine
 ) -> tuple[Floats, Floats, Floats]:
     """Return A, low and high of the bounds.
 
@@ -214,21 +219,18 @@ def qp_constraints(
     violation. Widths are in their ranges.
     """
     nodes, p = window.y.shape
-    silent = ((window.side == 0) & (window.seen > 0)).ravel()
-    slack = np.tile(weights.slack, nodes)
-    gate = np.tile(weights.gate, nodes)
-    violation = np.zeros(right.M.shape)
-    violation[:, -nodes * p :] = np.diag(slack)
-    free = np.full(nodes * p, np.inf)
-    above_left = np.where(silent, -gate - left.b, -np.inf)
-    below_right = np.where(silent, gate - right.b, np.inf)
-    y = window.y.ravel()
-    side = window.side.ravel()
-    at_high = np.where(side == 2, y - right.b, -free)
-    at_low = np.where(side == -2, y - left.b, free)
-    low = np.concatenate([at_high, above_left, weights.ranges[:, 0] - d.b])
-    high = np.concatenate([below_right, at_low, weights.ranges[:, 1] - d.b])
-    return np.vstack([right.M - violation, left.M + violation, d.M]), low, high
+    silent = np.tile(((window.side == 0) & (window.seen > 0)).ravel(), 2)
+    gate = np.tile(weights.gate, 2 * nodes)
+    violation = np.zeros(beyond.M.shape)
+    violation[:, -nodes * p :] = np.tile(np.diag(np.tile(weights.slack, nodes)), (2, 1))
+    limited = outward(window.side) == 2
+    low = np.where(limited, outward(window.y) - beyond.b, -np.inf)
+    high = np.where(silent, gate - beyond.b, np.inf)
+    return (
+        np.vstack([beyond.M - violation, d.M]),
+        np.append(low, weights.ranges[:, 0] - d.b),
+        np.append(high, weights.ranges[:, 1] - d.b),
+    )
 
 
 def reading_row(C: Floats, i: int, side: float) -> Floats:
