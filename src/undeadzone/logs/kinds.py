@@ -70,6 +70,7 @@ _TABLE: Final = tuple(
         (
             r"\bbatt|\bvbat|supply|counter\b|star mass\b|\bcalculated\b|\bsnr\b|delta|\bdt\b"
             r"|^stat(e|us) \d|moving|\bpin\b|\bbus\b|\bvcc\b|\berror?\b|\bwanted time\b|\bindex\b"
+            r"|^(integral|derivative|proportional)$"
             r"|\bid\b|^(n|no|nr|samples?|trial|test|run|point|row|measurement|record"
             r"|prueba|ensayo|essai|versuch|messung)"
             r"( (no|nr|number))?$",
@@ -110,6 +111,7 @@ _TABLE: Final = tuple(
             "",
             -12.0,
         ),
+        (r"\bpulses$", "position", -8.0),  # that an encoder counts
         (
             r"pwm|^input signal\b|steer|volt|spannung|tension|duty|throttle|joystick|pulse"
             r"|guide distance|valve|ventil|vanne|heater|heiz|chauff|pump|\bfan\b|\bdac\b|stick\b"
