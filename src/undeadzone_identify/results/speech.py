@@ -26,7 +26,7 @@ from undeadzone_identify.results.account import (
     Buys,
     Numbers,
 )
-from undeadzone_identify.results.assemble import WITHHELD, Answer
+from undeadzone_identify.results.assemble import ODDS_OF, WITHHELD, Answer
 from undeadzone_identify.selection.alternatives import (
     APART,
     MEASURED,
@@ -42,6 +42,7 @@ from undeadzone_identify.selection.widths import SIDES
 
 DYNAMICS = "plant and nonlinearity, fitted together"
 NO_BETTER = "a straight plant simulates held-out readings about as well"
+OTHER_END = "a band of the input, or friction, simulates held-out readings about as well"
 BOTH_POSITIONS = "one position along the other"
 EFFECT_OF = {  # words of the verdict
     "dead_zone": "output loss",
@@ -116,8 +117,10 @@ def account_of_answer(answer: Answer) -> Account:
     limits = {} if effects else _find_limits(answer)
     buys = _buys_of_word(answer) if answer.servo is None else None
     unmet = answer.case.unreached
-    if buys is not None and not buys.is_worth:
-        return Account(INDICATED, effects, DYNAMICS, units, buys, doubts=(NO_BETTER,), unmet=unmet)
+    doubt = "" if buys is None or buys.is_worth else NO_BETTER
+    doubt = doubt or ("" if knows_the_end(answer) else OTHER_END)
+    if doubt:
+        return Account(INDICATED, effects, DYNAMICS, units, buys, doubts=(doubt,), unmet=unmet)
     return Account(
         NAMED, effects, DYNAMICS, units, buys, unmet=unmet, limits=limits, name=NAMES[word]
     )
@@ -234,7 +237,7 @@ class Compared(NamedTuple):
 
 def _compare(answer: Answer, word: str) -> Compared | None:
     """Return a class's model on held-out data; None without a fit of it."""
-    fit = fit_of(answer.case, answer.found, word)
+    fit = fit_of(answer.case, answer.found, ODDS_OF.get(word, word))
     if fit is None:
         return None
     e, test = held_out_residual(fit, answer.case.options.held_out)

@@ -162,12 +162,17 @@ def lower_width_bound(fit: ZoneFit, side: str) -> float:
         side: right or left.
 
     Returns:
-        Where the log likelihood falls by 1.92, that is 95 %, below that of no edge at all.
+        Where the log likelihood falls by 1.92, that is 95 %, below that of no edge at all. Until z
+        first lies beyond the other edge its start is free, and shows nothing.
     """
-    z = fit.z
-    readings = fit.objective.readings
-    reach = float(z.max() if side == "right" else -z.min())
     noise = fit.zone_noise
+    beyond = fit.z < -noise.left if side == "right" else fit.z > noise.right
+    shows = np.maximum.accumulate(beyond)
+    if not shows.any():
+        return 0.0
+    readings = Readings(*(one[shows] for one in fit.objective.readings))
+    z = fit.z[shows]
+    reach = float(z.max() if side == "right" else -z.min())
     drop = 0.5 * chi2.ppf(0.95, 1)
     base = single_densities(readings, z, noise).value.sum()
 
@@ -183,7 +188,7 @@ def lower_width_bound(fit: ZoneFit, side: str) -> float:
     for _ in range(60):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if above_drop(middle) < 0 else (low, middle)
-    return high
+    return max(high, 0.0)
 
 
 def profile_likelihood(fit: ZoneFit, side: str, values: Floats) -> Floats:
