@@ -1,4 +1,4 @@
-"""A map at rest as a smooth curve: how far it bends, and how far the way up lies beside the way down.
+"""A map at rest as a smooth curve: how far it bends, and how far its ways lie apart.
 
 The curve is the polynomial of the least price. Where the command came from both sides, each way is
 shifted by half of their distance, which is one more number of the same fit.
@@ -13,6 +13,7 @@ import numpy as np
 from numpy.polynomial import Legendre
 from numpy.polynomial.legendre import legvander
 
+from undeadzone.util.arrays import Floats
 from undeadzone_identify.looks.edges import price
 from undeadzone_identify.looks.rows import LEVELS, Rows
 from undeadzone_identify.models.estimates import Interval, student_quantile
@@ -65,8 +66,9 @@ def fit_curve(rows: Rows) -> Curve | None:
     x, v = (u - u.min()) / half - 1, (y - y.min()) / height
     fits = []
     for degree in DEGREES:
-        slope = Legendre.fit(x, v, degree, domain=[-1, 1]).deriv()(x)
-        design = np.column_stack([legvander(x, degree), *[-came * slope / 2] * has_ways])
+        powers = legvander(x, degree)
+        slope = Legendre(np.linalg.lstsq(powers, v)[0]).deriv()(x)
+        design = np.column_stack([powers, *[-came * slope / 2] * has_ways])
         if np.linalg.matrix_rank(design) < design.shape[1] or design.shape[1] >= x.size:
             break
         fits.append(_fit(design, v))

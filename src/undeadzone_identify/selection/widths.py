@@ -170,18 +170,17 @@ def lower_width_bound(fit: ZoneFit, side: str) -> float:
     shows = np.maximum.accumulate(beyond)
     if not shows.any():
         return 0.0
-    readings = Readings(*(one[shows] for one in fit.objective.readings))
-    z = fit.z[shows]
-    reach = float(z.max() if side == "right" else -z.min())
+    readings, z = fit.objective.readings, fit.z
+    reach = float(z[shows].max() if side == "right" else -z[shows].min())
     drop = 0.5 * chi2.ppf(0.95, 1)
-    base = single_densities(readings, z, noise).value.sum()
+    base = single_densities(readings, z, noise).value[shows].sum()
 
     def above_drop(width: float) -> float:
         """Return by how much the log likelihood is above where it has fallen by that much."""
         own = noise._replace(**{side: width})
         if own.right + own.left <= 1e-9:
             return -math.inf
-        return float(single_densities(readings, z, own).value.sum()) - base + drop
+        return float(single_densities(readings, z, own).value[shows].sum()) - base + drop
 
     low = reach - 6 * fit.disturbance_rms
     high = reach + 6 * fit.disturbance_rms
