@@ -87,7 +87,7 @@ _TABLE: Final = tuple(
         (r"\b(measured|actual|real) volt|\bvolt\w* (measured|actual|real)\b", "drive", -4.0),
         (r"\bout(put)? volt", "drive", 0.0),  # of a driver, or of a sensor
         (r"\b(angle|steer\w*|yaw|pitch|roll|turn) rate\b", "speed", -8.0),
-        (r"^(esc|servo)( signal)?( \d+)?$", "drive", 15.0),
+        (r"^(esc|servo)( signal)?( \d+)?$|^(m|motor|left|right|drive|set) power$", "drive", 15.0),
         (
             r"\b(motor|control|pwm|volt\w*|torque|force|valve|duty|throttle) (command|cmd)\b",
             "drive",
