@@ -14,9 +14,10 @@ from undeadzone.util.arrays import Floats, turns
 from undeadzone_identify.looks import edges as edges_module
 from undeadzone_identify.looks import map as maps
 from undeadzone_identify.looks import rate, rows
+from undeadzone_identify.looks.curve import fit_curve
 from undeadzone_identify.looks.map import Edge, FlatPart, RestMap, map_at_rest
 from undeadzone_identify.looks.rate import map_of_rate
-from undeadzone_identify.looks.rows import noise_of, rows_at_rest
+from undeadzone_identify.looks.rows import Rows, last_changes, noise_of, rows_at_rest
 from undeadzone_identify.looks.stillness import longest_stillness
 
 Shape = Callable[[Floats], Floats]
@@ -233,6 +234,27 @@ def test_play_is_no_band() -> None:
         y[k] = at = min(max(at, command - 0.4), command + 0.4)
     assert not found(u, y).flats
     assert not found(u, u).flats
+
+
+@pytest.mark.parametrize("gap", [0.0, 0.1])
+@pytest.mark.parametrize("bend", [0.0, 0.3])
+def test_a_curve_has_the_departure_and_the_distance_of_its_truth(gap: float, bend: float) -> None:
+    up = np.linspace(-1, 1, 31)
+    u = np.append(up, up[-2::-1])
+    way = np.where(np.arange(u.size) < up.size, 1, -1)
+    held, departure = [], bend * (up**2 - np.mean(up**2))
+    for seed in range(60):
+        x = u - way * gap / 2
+        noise = 0.01 * np.random.default_rng(seed).standard_normal(u.size)
+        curve = fit_curve(Rows(u, x + bend * x**2 + noise, last_changes(u), "table"))
+        assert curve is not None
+        assert curve.distance is not None
+        held.append(
+            (holds(curve.distance, gap), bend == 0 or holds(curve.departure, departure.max()))
+        )
+        assert (curve.distance.low > 0.02) == (gap > 0)
+        assert (curve.departure.low > 0.02) == (bend > 0)
+    assert np.mean(held, axis=0).min() > 0.85
 
 
 def test_a_start_above_the_stop_is_two_thresholds() -> None:

@@ -20,6 +20,7 @@ from undeadzone.errors import InputError
 from undeadzone_identify.logs.log import read_log
 from undeadzone_identify.models.free_load import fit_free_load
 from undeadzone_identify.models.lost_motion import Positions
+from undeadzone_identify.results.account import INDICATED, NAMED
 from undeadzone_identify.servo.gap import are_errors_in_bursts
 
 
@@ -170,3 +171,22 @@ def test_lost_motion_that_explains_nothing_has_no_odds() -> None:
     assert found.verdict == "unclear"
     assert found.numbers()["odds"] == {}
     assert "odds" not in found.summary()
+
+
+@pytest.mark.parametrize("one_way", [True, False])
+def test_friction_has_the_level_of_the_ways_that_were_tried(one_way: bool) -> None:
+    """A motor of first order that sticks: its readings are those of a zone of the sensor."""
+    rng = np.random.default_rng(1)
+    volts = [0.0, 2, 3, 4, 5, 6, 7, 8] if one_way else [-6.0, -4, -2, -1, -0.5, 0, 0.5, 1, 2, 4, 6]
+    u, speed = np.repeat(rng.choice(volts, 25), 60), np.zeros(1500)
+    for k in range(1, u.size):
+        way = np.sign(speed[k - 1]) or np.sign(u[k - 1]) * (32 * abs(u[k - 1]) > 25)
+        new = 0.9 * speed[k - 1] + 0.1 * (32 * u[k - 1] - 25 * way)
+        speed[k] = new if way and new * way > 0 else 0.0
+    y = speed + 0.3 * rng.standard_normal(u.size)
+    log = pd.DataFrame({"t": 0.1 * np.arange(u.size), "volts": u, "rpm": y})
+    account = uz.identify(log).account
+    level = {**account.others, **account.effects}["friction"]["level"]
+    assert holds(level, 25 / 32)
+    assert account.unmet == (("left",) if one_way else ())
+    assert account.grade == (NAMED if one_way else INDICATED)

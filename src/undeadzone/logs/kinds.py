@@ -70,6 +70,7 @@ _TABLE: Final = tuple(
         (
             r"\bbatt|\bvbat|supply|counter\b|star mass\b|\bcalculated\b|\bsnr\b|delta|\bdt\b"
             r"|^stat(e|us) \d|moving|\bpin\b|\bbus\b|\bvcc\b|\berror?\b|\bwanted time\b|\bindex\b"
+            r"|^(integral|derivative|proportional)$"
             r"|\bid\b|^(n|no|nr|samples?|trial|test|run|point|row|measurement|record"
             r"|prueba|ensayo|essai|versuch|messung)"
             r"( (no|nr|number))?$",
@@ -86,7 +87,7 @@ _TABLE: Final = tuple(
         (r"\b(measured|actual|real) volt|\bvolt\w* (measured|actual|real)\b", "drive", -4.0),
         (r"\bout(put)? volt", "drive", 0.0),  # of a driver, or of a sensor
         (r"\b(angle|steer\w*|yaw|pitch|roll|turn) rate\b", "speed", -8.0),
-        (r"^(esc|servo)( signal)?( \d+)?$", "drive", 15.0),
+        (r"^(esc|servo)( signal)?( \d+)?$|^(m|motor|left|right|drive|set) power$", "drive", 15.0),
         (
             r"\b(motor|control|pwm|volt\w*|torque|force|valve|duty|throttle) (command|cmd)\b",
             "drive",
@@ -110,6 +111,7 @@ _TABLE: Final = tuple(
             "",
             -12.0,
         ),
+        (r"\bpulses$", "position", -8.0),  # that an encoder counts
         (
             r"pwm|^input signal\b|steer|volt|spannung|tension|duty|throttle|joystick|pulse"
             r"|guide distance|valve|ventil|vanne|heater|heiz|chauff|pump|\bfan\b|\bdac\b|stick\b"

@@ -455,7 +455,7 @@ class _Header(NamedTuple):
         by_hand = len(x) < TABLE and not has_times
         weight, tolerance = (BY_HAND, EVEN_BY_HAND) if by_hand else (1.0, EVEN)
         even = np.subtract.outer(*[weight * _evenness(x, tolerance)] * 2)
-        fits = np.where(derived, 0.0, fits * (1 + even))
+        shown, fits = np.where(derived, 0.0, [shown, fits * (1 + even)])
         return shown, fits + FIRST * np.triu(np.ones_like(fits))
 
     def columns_named(self, signal: str, count: int | None) -> list[int]:

@@ -15,6 +15,7 @@ from scipy.signal import savgol_filter
 
 from undeadzone.util.arrays import Flags, Floats, bounds_of_runs, turns
 from undeadzone_identify.logs.grid import find_quantum
+from undeadzone_identify.looks.curve import Curve, fit_curve
 from undeadzone_identify.looks.edges import KNOWN, Levels, Side, find_runs, fit_side, price
 from undeadzone_identify.looks.rows import (
     LEVELS,
@@ -110,6 +111,7 @@ class RestMap(NamedTuple):
         bound: the largest dead band that the map could hide beside its flat parts [u].
         fold: command beyond which a reading stands for two commands; None for a monotone map.
         nodes: commands and readings of the map as a line (2 x m).
+        curve: of a table or of holds without a flat part; None for others.
     """
 
     rows: Rows
@@ -119,10 +121,18 @@ class RestMap(NamedTuple):
     bound: float
     fold: float | None
     nodes: Floats
+    curve: Curve | None = None
 
     def predict(self, u: Floats) -> Floats:
         """Return the readings at rest for commands; beyond the map those of its ends."""
         return np.interp(u, *self.nodes)
+
+    @property
+    def end_slopes(self) -> tuple[float, float]:
+        """Return the mean slopes in the first and the last fifth of the commands [y/u]."""
+        fifths = np.linspace(self.x[0], self.x[-1], 6)
+        slopes = np.diff(self.predict(fifths)) / np.diff(fifths)
+        return float(slopes[0]), float(slopes[-1])
 
 
 # --- Maps
@@ -169,6 +179,7 @@ def read_map(rows: Rows) -> RestMap | None:
         bound=_bound(nodes, unit, noise) * height[0],
         fold=None if fold is None else base[0] + height[0] * fold,
         nodes=base[:, None] + height[:, None] * nodes,
+        curve=None if parts or rows.how in ("sweep", "ways") else fit_curve(rows),
     )
 
 

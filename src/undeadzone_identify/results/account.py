@@ -102,6 +102,12 @@ EFFECTS = {
     "high end": Effect(
         "above an edge of the command the reading stays at its largest value", KEEP, INPUT
     ),
+    "curve": Effect(
+        "the reading follows a curve of the command",
+        "take the command for a reading from the map, straight between its levels",
+        OUTPUT,
+    ),
+    "ways": Effect("the way up lies beside the way down", ADD_GAP, INPUT, TURNS),
     "fold": Effect("a reading stands for two commands beyond a fold", KEEP, INPUT),
     "friction": Effect(
         "friction resists the motion",

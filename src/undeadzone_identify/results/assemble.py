@@ -364,16 +364,26 @@ def _validate_findings(case: Case, found: Findings) -> OrderFit:
 def _add_edges(answer: Answer) -> Answer:
     """Return the answer with the edges of a sensor's zone."""
     has_residual = has_input_residual(answer.fit)
+    answer = answer._replace(case=answer.case._replace(unreached=_find_unreached(answer)))
     intervals = _jump_widths(answer.case) or _log_unit_widths(answer, 2.0 if has_residual else 1.0)
     remarks = [*_delay_remarks(answer), *_edge_remarks(answer, intervals, has_residual)]
     _widen_rare_edges(answer, intervals)
     remarks += _widen_by_drift(answer, intervals)
-    edges = SIDES if intervals.get("width") is None else ()  # of one met side
+    edges = {*SIDES} - {*answer.case.unreached} if intervals.get("width") is None else ()
     doubt = _doubt_of_zero(intervals, *edges) or _doubt_of_unmoved(answer, intervals)
     if doubt:
         return _with_doubt(answer, doubt)
     word = "unreached" if answer.case.unreached else answer.verdict
     return _set_widths(answer, intervals, remarks)._replace(verdict=word)
+
+
+def _find_unreached(answer: Answer) -> tuple[str, ...]:
+    """Return the sides beyond whose edges no sample lies, by the readings or by the fit."""
+    case = answer.case
+    beyond = dict(zip(SIDES, answer.excitation.samples, strict=True))
+    free = [name for name in SIDES if len({*case.options.parse_bounds(name)}) > 1]
+    never = tuple(name for name in free if beyond[name] == 0)
+    return never if case.jump_edges is None and len(never) < len(SIDES) else case.unreached
 
 
 def _with_doubt(answer: Answer, doubt: str) -> Answer:

@@ -62,6 +62,7 @@ class IdentifiedAtRest(SpokenWithoutPlant):
             "found": self.headline(),
             "answer": self.account.to_json(),
             "width": None if self.width is None else list(self.width),
+            "map": self.looks.at_rest and self.looks.at_rest.nodes.tolist(),
             "record": {"samples": int(log.t.size)},
             "units": {"input": log.input_unit, "output": log.output_units[0]},
             "remarks": [*log.remarks],

@@ -10,7 +10,7 @@ import numpy as np
 
 from undeadzone_identify.logs.log import Log
 from undeadzone_identify.looks.first import Looks
-from undeadzone_identify.looks.map import APART, FlatPart, RestMap
+from undeadzone_identify.looks.map import APART, EXPLAINED, LEAST, FlatPart, RestMap
 from undeadzone_identify.models.estimates import Interval
 from undeadzone_identify.results.account import (
     BOUNDED,
@@ -78,7 +78,24 @@ def _account_of_map(seen: RestMap, by: str, units: tuple[str, str]) -> Account:
     if seen.fold is not None:
         edge = Interval(seen.fold, seen.fold, seen.fold)
         return Account(INDICATED, {"fold": {"edge": edge}}, by, units)
-    return Account(BOUNDED, {}, by, units, limits={"loss": seen.bound})
+    limits = {"loss": seen.bound}
+    curve = seen.curve
+    if curve is None or curve.share < EXPLAINED:
+        return Account(BOUNDED, {}, by, units, limits=limits)
+    for effect, name, one, along in (
+        ("ways", "gap", curve.distance, seen.x),
+        ("curve", "departure from a line", curve.departure, seen.y),
+    ):
+        if one is not None and one.low > LEAST * np.ptp(along):
+            effects[effect] = {name: one}
+        elif effect == "ways" and one is not None and one.high > 0:
+            limits[effect] = one.high
+    if not effects:
+        return Account(BOUNDED, {}, by, units, limits=limits)
+    is_known = seen.rows.how == "table" and curve.free >= ENOUGH
+    first, last = seen.end_slopes
+    by = f"{by}; slope {first:.4g} in the first fifth of the commands, {last:.4g} in the last"
+    return Account(MEASURED if is_known else INDICATED, effects, by, units, limits=limits)
 
 
 def _effect_of_part(part: FlatPart) -> tuple[str, Numbers]:

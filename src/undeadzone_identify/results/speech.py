@@ -26,7 +26,7 @@ from undeadzone_identify.results.account import (
     Buys,
     Numbers,
 )
-from undeadzone_identify.results.assemble import WITHHELD, Answer
+from undeadzone_identify.results.assemble import ODDS_OF, WITHHELD, Answer
 from undeadzone_identify.selection.alternatives import (
     APART,
     MEASURED,
@@ -34,6 +34,7 @@ from undeadzone_identify.selection.alternatives import (
     fit_of,
     gain_and_spread,
     held_out_residual,
+    level_of_friction,
     measure_word,
 )
 from undeadzone_identify.selection.decision import MEMORY, UNLIKELY, VALVE
@@ -42,6 +43,7 @@ from undeadzone_identify.selection.widths import SIDES
 
 DYNAMICS = "plant and nonlinearity, fitted together"
 NO_BETTER = "a straight plant simulates held-out readings about as well"
+OTHER_END = "a band of the input, or friction, simulates held-out readings about as well"
 BOTH_POSITIONS = "one position along the other"
 EFFECT_OF = {  # words of the verdict
     "dead_zone": "output loss",
@@ -115,9 +117,16 @@ def account_of_answer(answer: Answer) -> Account:
         effects["output loss"] = {"width": element.zone}
     limits = {} if effects else _find_limits(answer)
     buys = _buys_of_word(answer) if answer.servo is None else None
-    unmet = answer.case.unreached
-    if buys is not None and not buys.is_worth:
-        return Account(INDICATED, effects, DYNAMICS, units, buys, doubts=(NO_BETTER,), unmet=unmet)
+    there = {} if element is None else element.widths
+    never = [name for name in SIDES if (one := there.get(name)) and math.isinf(one.high)]
+    unmet = answer.case.unreached or tuple(never)
+    alike = _find_alike_at_input(answer)
+    doubts = [NO_BETTER] * (buys is not None and not buys.is_worth) + [OTHER_END] * bool(alike)
+    if doubts:
+        others = {EFFECT_OF[one.word]: one.numbers for one in alike}
+        return Account(
+            INDICATED, effects, DYNAMICS, units, buys, others, doubts=tuple(doubts), unmet=unmet
+        )
     return Account(
         NAMED, effects, DYNAMICS, units, buys, unmet=unmet, limits=limits, name=NAMES[word]
     )
@@ -153,16 +162,22 @@ def _open(answer: Answer, units: tuple[str, str]) -> Account:
 
 def knows_the_end(answer: Answer) -> bool:
     """Return whether a zone of the sensor that is named simulates better than one of the input."""
+    return not _find_alike_at_input(answer)
+
+
+def _find_alike_at_input(answer: Answer) -> list[Compared]:
+    """Return the elements of the input that simulate as well as a zone of the sensor, if named."""
     named = _compare(answer, answer.verdict) if EFFECT_OF.get(answer.verdict) == LOSS else None
     if named is None:
-        return True
-    others = [one for word in ("input_zone", "friction") if (one := _compare(answer, word))]
-    return not any(
-        other.has_readings_of(named)
+        return []
+    return [
+        other
+        for word in ("input_zone", "friction")
+        if (other := _compare(answer, word)) is not None
+        and other.has_readings_of(named)
         and other.rms < CLOSE * named.rms
         and named.deviations_before(other) < APART
-        for other in others
-    )
+    ]
 
 
 def _named_numbers(answer: Answer) -> Numbers:
@@ -234,7 +249,7 @@ class Compared(NamedTuple):
 
 def _compare(answer: Answer, word: str) -> Compared | None:
     """Return a class's model on held-out data; None without a fit of it."""
-    fit = fit_of(answer.case, answer.found, word)
+    fit = fit_of(answer.case, answer.found, ODDS_OF.get(word, word))
     if fit is None:
         return None
     e, test = held_out_residual(fit, answer.case.options.held_out)
@@ -250,7 +265,8 @@ def _numbers_of_word(answer: Answer, word: str, fit: FittedModel[Any]) -> Number
     measured = measure_word(answer.case, fit, word)[0]
     known = {name: one for name, one in measured.items() if one is not None and name != "centre"}
     if word == "friction":
-        return {"level": known["width"].scale_by(0.5)}
+        level = level_of_friction(measured)
+        return {} if level is None else {"level": level}
     if word in MEMORY or word == "input_play":
         return {"gap": known["width"]}
     unmet = _unmet_sides(answer, word, known)

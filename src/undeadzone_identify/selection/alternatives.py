@@ -551,13 +551,20 @@ def add_named_element(case: Case, found: Findings) -> Findings:
     element = _element_of_fit(word, fit, model, theta)._replace(widths=widths, degrees=degrees)
     if word == "two_zones":
         element = element._replace(input=_measure_input_zone(case, fit, misfits)[0])
-    width = element.widths["width"]
     friction = None
-    if word == "friction" and width is not None:
-        friction = width.scale_by(0.5)
+    if word == "friction":
+        friction = level_of_friction(element.widths)
         element = element._replace(widths=element.widths | {"width": None})
     delay = found.delay if whole is case.record_data else 0
     return found._replace(element=element, friction=friction, delay=delay)
+
+
+def level_of_friction(widths: Mapping[str, Interval | None]) -> Interval | None:
+    """Return the mean friction of both ways, or that of the only way in which the log moves."""
+    if (width := widths["width"]) is not None:
+        return width.scale_by(0.5)
+    sides = filter(None, (widths[name] for name in ("right", "left")))
+    return next((one for one in sides if math.isfinite(one.high)), None)
 
 
 def _records_of(case: Case, fit: FittedModel[Any]) -> plant.RecordData:
@@ -598,11 +605,13 @@ def measure_word(
         widths = measured.scale_by(case.record_data.input_scale)
         if word == "friction":
             widths = {name: one.stretch_by(WIDER) for name, one in widths.items()}
+            read = fit.model.noise_free_readings(fit.model.output(fit.theta), fit.theta)
+            widths = _bound_unpassed(widths, case.grid.u[:, 0], read)
     else:
         widths = _intervals_with_offset(
             measured.intervals, case.record_data.y_scale, case.offset_prior
         )
-    return none | {name: widths[name] for name in MEASURED[word]}, measured.degrees
+    return none | {name: widths.get(name) for name in MEASURED[word]}, measured.degrees
 
 
 def _element_of_fit(word: str, fit: FittedModel[Any], model: Any, theta: Floats) -> Element:

@@ -162,28 +162,32 @@ def lower_width_bound(fit: ZoneFit, side: str) -> float:
         side: right or left.
 
     Returns:
-        Where the log likelihood falls by 1.92, that is 95 %, below that of no edge at all.
+        Where the log likelihood falls by 1.92, that is 95 %, below that of no edge at all. Until z
+        first lies beyond the other edge its start is free, and shows nothing.
     """
-    z = fit.z
-    readings = fit.objective.readings
-    reach = float(z.max() if side == "right" else -z.min())
     noise = fit.zone_noise
+    beyond = fit.z < -noise.left if side == "right" else fit.z > noise.right
+    shows = np.maximum.accumulate(beyond)
+    if not shows.any():
+        return 0.0
+    readings, z = fit.objective.readings, fit.z
+    reach = float(z[shows].max() if side == "right" else -z[shows].min())
     drop = 0.5 * chi2.ppf(0.95, 1)
-    base = single_densities(readings, z, noise).value.sum()
+    base = single_densities(readings, z, noise).value[shows].sum()
 
     def above_drop(width: float) -> float:
         """Return by how much the log likelihood is above where it has fallen by that much."""
         own = noise._replace(**{side: width})
         if own.right + own.left <= 1e-9:
             return -math.inf
-        return float(single_densities(readings, z, own).value.sum()) - base + drop
+        return float(single_densities(readings, z, own).value[shows].sum()) - base + drop
 
     low = reach - 6 * fit.disturbance_rms
     high = reach + 6 * fit.disturbance_rms
     for _ in range(60):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if above_drop(middle) < 0 else (low, middle)
-    return high
+    return max(high, 0.0)
 
 
 def profile_likelihood(fit: ZoneFit, side: str, values: Floats) -> Floats:

@@ -1,0 +1,98 @@
+"""A map at rest as a smooth curve: how far it bends, and how far its ways lie apart.
+
+The curve is the polynomial of the least price. Where the command came from both sides, each way is
+shifted by half of their distance, which is one more number of the same fit.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.polynomial import Legendre
+from numpy.polynomial.legendre import legvander
+
+from undeadzone.util.arrays import Floats
+from undeadzone_identify.looks.edges import price
+from undeadzone_identify.looks.rows import LEVELS, Rows
+from undeadzone_identify.models.estimates import Interval, student_quantile
+
+DEGREES = range(1, 7)  # of the polynomials that may be the curve
+
+
+class Curve(NamedTuple):
+    """Smooth curve through rows at rest.
+
+    Attributes:
+        departure: the largest from the line through all levels [y]; 0 where a line is the curve.
+        distance: of the way up beyond the way down [u]; None where the command came from one side.
+        free: rows more than numbers of the fit.
+        share: of the variance that the curve explains.
+    """
+
+    departure: Interval
+    distance: Interval | None
+    free: int
+    share: float
+
+
+class _Fit(NamedTuple):
+    """Least squares of a curve: price, design (R x k), coefficients (k), their covariance, loss."""
+
+    price: float
+    design: Floats
+    c: Floats
+    covariance: Floats
+    loss: float
+
+    def measure(self, row: Floats) -> Interval:
+        """Return a linear function of the coefficients with its 95 % interval."""
+        reach = student_quantile(self.design.shape[0] - self.c.size)
+        value, error = float(row @ self.c), reach * math.sqrt(row @ self.covariance @ row)
+        return Interval(value, value - error, value + error)
+
+
+def fit_curve(rows: Rows) -> Curve | None:
+    """Fit the curve of rows at rest; None with too few.
+
+    Args:
+        rows: of a map, in the order of their record.
+    """
+    has_ways = min(np.unique(rows.u[rows.came == way]).size for way in (-1, 1)) >= LEVELS
+    known = (rows.came != 0) | (not has_ways)  # before the first change neither way is
+    u, y, came = (one[known] for one in rows[:3])
+    half, height = float(np.ptp(u)) / 2, float(np.ptp(y))
+    x, v = (u - u.min()) / half - 1, (y - y.min()) / height
+    fits = []
+    for degree in DEGREES:
+        powers = legvander(x, degree)
+        slope = Legendre(np.linalg.lstsq(powers, v)[0]).deriv()(x)
+        design = np.column_stack([powers, *[-came * slope / 2] * has_ways])
+        if np.linalg.matrix_rank(design) < design.shape[1] or design.shape[1] >= x.size:
+            break
+        fits.append(_fit(design, v))
+    if not fits:
+        return None
+    best = min(fits, key=lambda one: one.price)
+    degree = best.c.size - has_ways - 1
+    levels = legvander(np.unique(x), degree)
+    line = levels[:, :2]
+    bent = np.zeros((line.shape[0], best.c.size))
+    bent[:, 2 : degree + 1] = levels[:, 2:] - line @ np.linalg.lstsq(line, levels[:, 2:])[0]
+    widest = int(np.argmax(np.abs(bent @ best.c)))
+    return Curve(
+        best.measure(np.sign(bent[widest] @ best.c) * bent[widest]).scale_by(height),
+        best.measure(np.eye(best.c.size)[-1]).scale_by(half) if has_ways else None,
+        x.size - best.c.size,
+        1 - best.loss / float(np.var(v)),
+    )
+
+
+def _fit(design: Floats, v: Floats) -> _Fit:
+    """Fit readings by columns."""
+    inverse = np.linalg.inv(design.T @ design)
+    c = inverse @ design.T @ v
+    rows, numbers = design.shape
+    loss = float(np.sum((v - design @ c) ** 2)) / (rows - numbers)
+    return _Fit(float(price(loss, rows, numbers)), design, c, loss * inverse, loss)
