@@ -128,7 +128,9 @@ def needs_no_plant(seen: Account, looks: Looks) -> bool:
         return seen.grade == MEASURED
     if one is None or one.rows.how == "holds":
         return False
-    return seen.grade in (MEASURED, INDICATED) or one.rows.how == "table"
+    has_shape = bool(one.flats) or one.fold is not None  # and no lag has one
+    is_seen = has_shape and seen.grade in (MEASURED, INDICATED)
+    return is_seen or one.rows.how == "table"
 
 
 def rests_in_holds(looks: Looks) -> bool:
