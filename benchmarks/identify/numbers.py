@@ -44,6 +44,8 @@ SAME = {  # effects that share a remedy, or that a log of one end cannot tell ap
     "output threshold": ("low end", "output loss"),
     "low end": ("output range",),
     "high end": ("output range",),
+    "curve": ("input shape", "output shape"),
+    "ways": ("input reversal", "output reversal"),
 }
 
 

@@ -69,9 +69,10 @@ def fit_curve(rows: Rows) -> Curve | None:
         powers = legvander(x, degree)
         slope = Legendre(np.linalg.lstsq(powers, v)[0]).deriv()(x)
         design = np.column_stack([powers, *[-came * slope / 2] * has_ways])
-        if np.linalg.matrix_rank(design) < design.shape[1] or design.shape[1] >= x.size:
+        gram = design.T @ design
+        if np.linalg.matrix_rank(gram, hermitian=True) < len(gram) or len(gram) >= x.size:
             break
-        fits.append(_fit(design, v))
+        fits.append(_fit(design, np.linalg.inv(gram), v))
     if not fits:
         return None
     best = min(fits, key=lambda one: one.price)
@@ -89,10 +90,9 @@ def fit_curve(rows: Rows) -> Curve | None:
     )
 
 
-def _fit(design: Floats, v: Floats) -> _Fit:
-    """Fit readings by columns."""
-    inverse = np.linalg.inv(design.T @ design)
-    c = inverse @ design.T @ v
+def _fit(design: Floats, inverse: Floats, v: Floats) -> _Fit:
+    """Fit readings by columns, of whose products the inverse is given."""
+    c = inverse @ (design.T @ v)
     rows, numbers = design.shape
     loss = float(np.sum((v - design @ c) ** 2)) / (rows - numbers)
     return _Fit(float(price(loss, rows, numbers)), design, c, loss * inverse, loss)

@@ -111,7 +111,7 @@ class RestMap(NamedTuple):
         bound: the largest dead band that the map could hide beside its flat parts [u].
         fold: command beyond which a reading stands for two commands; None for a monotone map.
         nodes: commands and readings of the map as a line (2 x m).
-        curve: of a table or of holds without a flat part; None for others.
+        curve: of a map without a flat part.
     """
 
     rows: Rows
@@ -179,7 +179,7 @@ def read_map(rows: Rows) -> RestMap | None:
         bound=_bound(nodes, unit, noise) * height[0],
         fold=None if fold is None else base[0] + height[0] * fold,
         nodes=base[:, None] + height[:, None] * nodes,
-        curve=None if parts or rows.how in ("sweep", "ways") else fit_curve(rows),
+        curve=None if parts else fit_curve(rows),
     )
 
 

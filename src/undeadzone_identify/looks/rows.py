@@ -162,7 +162,7 @@ def _follow_steps(u: Floats, y: Floats) -> tuple[Floats, Flags]:
 
 def _spread_at_commands(y: Floats) -> Floats:
     """Return the standard deviations of neighbours among readings in the order of the command."""
-    size = max(8, y.size // 60)
+    size = max(4, y.size // 60)
     return np.asarray(y[: y.size // size * size].reshape(-1, size).std(axis=1))
 
 

@@ -128,7 +128,9 @@ def needs_no_plant(seen: Account, looks: Looks) -> bool:
         return seen.grade == MEASURED
     if one is None or one.rows.how == "holds":
         return False
-    return seen.grade in (MEASURED, INDICATED) or one.rows.how == "table"
+    has_shape = bool(one.flats) or one.fold is not None  # and no lag has one
+    is_seen = has_shape and seen.grade in (MEASURED, INDICATED)
+    return is_seen or one.rows.how == "table"
 
 
 def rests_in_holds(looks: Looks) -> bool:
@@ -157,7 +159,8 @@ def choose_account(
         is_flat = named & {*FLAT} and knows_the_end() and not _contradicts(fitted, seen)
         is_flat = is_flat and all(one.low > 0 for one in edges.values())
         is_flat = is_flat and edges.keys() <= seen.first_numbers.keys()  # it shows no others
-        is_better = seen.grade == MEASURED or fitted.grade in (OPEN, BOUNDED)
+        has_number = fitted.grade == NAMED or bool(fitted.first_numbers)
+        is_better = seen.grade == MEASURED or not has_number
         if seen.effects and is_better and not is_flat:
             others = {key: one for key, one in fitted.effects.items() if key not in seen.effects}
             return seen._replace(others=others | fitted.others)

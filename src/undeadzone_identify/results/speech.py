@@ -173,8 +173,7 @@ def _find_alike_at_input(answer: Answer) -> list[Compared]:
     return [
         other
         for word in ("input_zone", "friction")
-        if (other := _compare(answer, word)) is not None
-        and other.has_readings_of(named)
+        if (other := _compare(answer, word, named)) is not None
         and other.rms < CLOSE * named.rms
         and named.deviations_before(other) < APART
     ]
@@ -247,9 +246,16 @@ class Compared(NamedTuple):
         return all(sides) and all(sizes)
 
 
-def _compare(answer: Answer, word: str) -> Compared | None:
-    """Return a class's model on held-out data; None without a fit of it."""
-    fit = fit_of(answer.case, answer.found, ODDS_OF.get(word, word))
+def _compare(answer: Answer, word: str, beside: Compared | None = None) -> Compared | None:
+    """Return a class's model on held-out data; None without a fit of it to the same readings.
+
+    Args:
+        answer: with the fits.
+        word: of the class.
+        beside: another model, whose readings it has; None: it has any.
+    """
+    readings = None if beside is None else beside.error.size
+    fit = fit_of(answer.case, answer.found, ODDS_OF.get(word, word), readings)
     if fit is None:
         return None
     e, test = held_out_residual(fit, answer.case.options.held_out)
@@ -299,8 +305,8 @@ def _buys_of_word(answer: Answer) -> Buys | None:
     if answer.verdict in ("none", "saturation"):
         return None
     named = _compare(answer, answer.verdict)
-    line = None if named is None else _compare(answer, "none")
-    if named is None or line is None or not named.has_readings_of(line):
+    line = None if named is None else _compare(answer, "none", named)
+    if named is None or line is None:
         return None
     return named.compare_to(line, answer.scale)
 

@@ -660,19 +660,24 @@ def _element_of_fit(word: str, fit: FittedModel[Any], model: Any, theta: Floats)
 # --- Whether what explains the log best leaves nothing known
 
 
-def fit_of(case: Case, found: Findings, word: str) -> FittedModel[Any] | None:
+def fit_of(
+    case: Case, found: Findings, word: str, readings: int | None = None
+) -> FittedModel[Any] | None:
     """Return the best fit of a word's models, by BIC per reading; None if there is none.
 
     Args:
         case: with static maps.
         found: with all other models.
         word: the verdict's, as the odds have it.
+        readings: number of samples that the fit has; None: any.
     """
     if word == "saturation" and case.limited is not None:
         return case.limited
     tables = (case.maps, found.places, found.chains, found.plays or {})
     there = [fits.get(word) for fits in tables]
     fits: Iterable[FittedModel[Any]] = filter(None, there)
+    if readings is not None:
+        fits = [one for one in fits if one.squares.data.y.size == readings]
     return min(fits, key=lambda one: one.density.bic / one.density.value.size, default=None)
 
 
