@@ -12,8 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from undeadzone.compile.elementary import FUNCTIONS, build_elementary
-from undeadzone.compile.graph import Results, required_nodes
-from undeadzone.compile.operations import LANGUAGES
+from undeadzone.compile.graph import LANGUAGES, Results, required_nodes
 from undeadzone.compile.repeats import Part
 
 Evaluate = Callable[[dict[str, Any]], list[list[Any]]]
@@ -108,8 +107,9 @@ def _ieee_remainder(x: Any, y: Any) -> Any:
     return x.dtype.type(math.remainder(float(x), float(y)))
 
 
+_PYTHON: Final = LANGUAGES["python"]
 _OPERATIONS: Final[dict[str, Callable[..., Any]]] = {
-    **{word: getattr(operator, name) for word, name in LANGUAGES["python"].items()},
+    **dict(zip(_PYTHON, operator.attrgetter(*_PYTHON.values())(operator), strict=True)),
     **{"not": np.logical_not, "select": _select_value},
 }
 _LIBRARY: Final[dict[str, Callable[..., Any]]] = {

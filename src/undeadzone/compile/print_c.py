@@ -14,8 +14,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from undeadzone.compile.elementary import FUNCTIONS, OF_WORDS, FunctionSet, build_elementary
-from undeadzone.compile.graph import Node, Results, count_uses, required_nodes
-from undeadzone.compile.operations import LANGUAGES
+from undeadzone.compile.graph import LANGUAGES, Node, Results, count_uses, required_nodes
 from undeadzone.compile.schedule import order_depth_first
 from undeadzone.compile.simplify import round_to_type
 

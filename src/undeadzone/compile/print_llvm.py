@@ -10,8 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from undeadzone.compile.graph import CONSTANT, STILL, Node, required_nodes
-from undeadzone.compile.operations import LANGUAGES
+from undeadzone.compile.graph import CONSTANT, LANGUAGES, STILL, Node, required_nodes
 from undeadzone.compile.schedule import Branch
 
 _INTRINSICS: Final = ("fma", "sqrt", "fabs", "floor", "ceil", "copysign")

@@ -13,8 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from undeadzone.compile.graph import Node
-from undeadzone.compile.operations import LANGUAGES
+from undeadzone.compile.graph import LANGUAGES, Node
 from undeadzone.compile.portable_maths import OWN
 from undeadzone.compile.print_c import (
     INDENT,

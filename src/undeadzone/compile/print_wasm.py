@@ -12,13 +12,13 @@ from typing import Final, NamedTuple
 
 from undeadzone.compile import elementary
 from undeadzone.compile.graph import (
+    LANGUAGES,
     Node,
     Results,
     count_uses,
     required_nodes,
     to_condition,
 )
-from undeadzone.compile.operations import LANGUAGES
 from undeadzone.compile.repeats import Part, find_calls
 from undeadzone.errors import InputError
 

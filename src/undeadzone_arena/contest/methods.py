@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
-from functools import reduce
 from importlib.resources import files
-from operator import or_
 from typing import Any, Final, NamedTuple
 
 import msgspec
@@ -128,9 +126,12 @@ def _read_methods() -> dict[str, Method]:
     groups = tables.pop("knobs")
     methods = {}
     for name, entry in tables.items():
-        chosen = [groups[group] for group in entry.pop("tuned", [])]
-        knobs = reduce(or_, [*chosen, entry.pop("knobs", {})])
-        entry |= {part: PARTS[part].find_options(entry[part]) for part in entry.keys() & PARTS}
+        knobs: dict[str, Any] = {}
+        for group in entry.pop("tuned", []):
+            knobs |= groups[group]
+        knobs |= entry.pop("knobs", {})
+        for part in entry.keys() & PARTS:
+            entry[part] = PARTS[part].find_options(entry[part])
         if "derived" in entry:
             entry["derived"] = DERIVED[entry["derived"]]
         methods[name] = Method(**entry, knobs=msgspec.convert(knobs, dict[str, Knob]))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -138,10 +139,11 @@ def _top_table(contest: Contest) -> Html:
 def _full_table(contest: Contest) -> Html:
     """Return a table of all numbers of every method, names of reference lines in grey."""
     columns = _WORDS["columns"]
+    numbers = attrgetter(*columns)
     rows = []
     for row in contest.rows:
         name = build_tag("span", row.method, "note" * row.reference)
-        rows.append((name, *(_page_cell(getattr(row, field)) for field in columns)))
+        rows.append((name, *map(_page_cell, numbers(row))))
     return build_table(("method", *columns.values()), rows)
 
 

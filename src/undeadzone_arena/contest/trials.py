@@ -6,6 +6,7 @@ import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
+from operator import itemgetter
 from typing import Any, Final, NamedTuple
 
 import msgspec
@@ -154,7 +155,7 @@ def score_methods(
             if progress is not None:
                 progress(len(results))
 
-    questions = [list(job[:2]) for job in jobs]
+    questions = list(map(itemgetter(0, 1), jobs))
     plain = (saved_results or MemoryAnswers()).compute_missing(questions, compute)
     every: list[Result] = []
     for results in plain:

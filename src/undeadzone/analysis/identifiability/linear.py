@@ -9,6 +9,8 @@ Edges of the dead zone that a schedule does not reach: why not, and what would r
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from itertools import compress, filterfalse
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -356,14 +358,13 @@ def width_identifiability(
         prior: prior information (`prior_rows`).
     """
     visited = schedule.branch_visits(linear.A.shape[0])
-    if jump:  # a width is known if its edge is passed
-        passed = [(*row, all(row), all(row)) for row in visited.tolist()]
-        flags = [dict(zip(DIRECTIONS, row, strict=True)) for row in passed]
+    if jump:
+        flags = list(map(_flags_of_passed_edges, visited))
     else:
         hidden = unobservable_changes(linear, visited, schedule.Ts, bias)
         if prior is not None:
             hidden = hidden.exclude_known(prior)
-        flags = [hidden.width_flags(i) for i in range(len(visited))]
+        flags = list(map(hidden.width_flags, range(len(visited))))
     judged = []
     for i, known in enumerate(flags):
         alone = prior is None and not jump
@@ -375,6 +376,13 @@ def width_identifiability(
         )
         judged.append(WidthIdentifiability(**known, reasons=reasons))
     return judged
+
+
+def _flags_of_passed_edges(passed: np.ndarray) -> dict[str, Any]:
+    """Return which of `DIRECTIONS` a jump sensor knows: those whose edges it passed."""
+    right, left = passed.tolist()
+    both = right and left
+    return dict(zip(DIRECTIONS, (right, left, both, both), strict=True))
 
 
 def find_remedies(
@@ -450,8 +458,8 @@ def confounding_reason(
     Returns:
         The reason, empty if the widths are known.
     """
-    edges = [name for name, seen in zip(("right", "left"), visited, strict=True) if seen]
-    unknown = [name for name in edges if not hidden.is_width_known(i, name)]
+    edges = list(compress(("right", "left"), visited))
+    unknown = list(filterfalse(partial(hidden.is_width_known, i), edges))
     if not unknown:
         return ""
     is_width_known = len(edges) == 2 and hidden.is_width_known(i, "width")
@@ -460,7 +468,7 @@ def confounding_reason(
     start = f"the {subject} is not identifiable: "
     for words, part in causes.items():
         rest = hidden.restrict_to_part(~part)
-        if part.any() and all(rest.is_width_known(i, name) for name in edges):
+        if part.any() and all(map(partial(rest.is_width_known, i), edges)):
             return start + words.format(quantity=quantity)
     remainder = f"the {quantity} cannot be separated from a shift of the state"
     if is_width_known:
