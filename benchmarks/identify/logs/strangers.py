@@ -73,9 +73,41 @@ def follow(z: Floats, step: Callable[[Any, Any], Any], begin: Any) -> Floats:
     return np.array(list(itertools.accumulate(z, step, initial=begin)))
 
 
-def dragged(u: Floats, gap: float) -> Floats:
-    """What a play of that gap passes on."""
-    return follow(u, lambda at, v: min(max(at, v - gap / 2), v + gap / 2), float(u[0]))[1:]
+def dragged(u: Floats, gap: float, begin: float | None = None) -> Floats:
+    """What a play of that gap passes on; it begins at the first value if nowhere else."""
+    at_first = float(u[0]) if begin is None else begin
+    return follow(u, lambda at, v: min(max(at, v - gap / 2), v + gap / 2), at_first)[1:]
+
+
+def rubbed(
+    u: Floats,
+    friction: float,
+    push: Callable[[float, float, float], float],
+    step: float,
+    parts: int,
+    begin: float = 0.0,
+) -> Floats:
+    """Positions of a body with Coulomb friction (N).
+
+    Args:
+        u: input (N).
+        friction: as an acceleration.
+        push: acceleration without friction, by input, position and speed.
+        step: of the log [s].
+        parts: of a step, in which it is simulated.
+        begin: position at first.
+    """
+    y, x, v, h = np.empty(u.size), begin, 0.0, step / parts
+    for k, value in enumerate(u):
+        y[k] = x
+        for _ in range(parts):
+            a = push(value, x, v)
+            if v == 0 and abs(a) <= friction:
+                continue
+            w = v + h * (a - np.sign(v or a) * friction)
+            w = 0.0 if w * v < 0 else w
+            x, v = x + h * (v + w) / 2, w
+    return y
 
 
 def noisy(rng: np.random.Generator, y: Floats, rms: float = 0.02) -> Floats:
@@ -132,18 +164,8 @@ def joint(friction: float) -> Callable[[np.random.Generator], Strange]:
     """A joint's position by its torque, with Coulomb friction and no gap."""
 
     def make(rng: np.random.Generator) -> Strange:
-        size, tau, gain, h = 2500, 0.1, 2.0, STEP / 40
-        u = steps(rng, size)
-        y, x, v = np.empty(size), 0.0, 0.0
-        for k in range(size):
-            y[k] = x
-            for _ in range(40):
-                a, f = (gain * u[k] - v) / tau, gain * friction / tau
-                if v == 0 and abs(a) <= f:
-                    continue
-                w = v + h * (a - np.sign(v or a) * f)
-                w = 0.0 if w * v < 0 else w
-                x, v = x + h * (v + w) / 2, w
+        u = steps(rng, 2500)
+        y = rubbed(u, 2.0 * friction / 0.1, lambda drive, _, v: (2.0 * drive - v) / 0.1, STEP, 40)
         return Strange(u, np.round(y / 2e-4) * 2e-4, {"integrators": 1})
 
     return make
@@ -156,9 +178,11 @@ def sines(rng: np.random.Generator, size: int, samples: float) -> Floats:
     return sum((a * np.sin(w * t + p) for a, w, p in tones), np.zeros(size))
 
 
-def steps(rng: np.random.Generator, size: int, hold: int = 30) -> Floats:
+def steps(
+    rng: np.random.Generator, size: int, hold: int = 30, low: float = -1.0, high: float = 1.0
+) -> Floats:
     """Random levels, each held for so many samples."""
-    return np.repeat(rng.uniform(-1, 1, size // hold + 1), hold)[:size]
+    return np.repeat(rng.uniform(low, high, size // hold + 1), hold)[:size]
 
 
 def driven_motor(u: Floats, samples: float) -> Floats:
