@@ -28,9 +28,9 @@ from benchmarks.end_to_end.machines import (
     Correct,
     Measured,
     approach_from_both_sides,
-    pass_zone,
     rms,
 )
+from benchmarks.identify.logs.strangers import zone
 from benchmarks.markdown import head, row
 
 SEED = 57
@@ -68,7 +68,7 @@ def daisy_case(path: Path) -> Case:
     torque, acceleration = np.loadtxt(path).T
     torque, z = torque - torque.mean(), acceleration - acceleration.mean()
     right, left = (share * float(z.std()) for share in IMPOSED)
-    y = pass_zone(z, right, left)
+    y = zone(z, right, left)
 
     def use(_: np.random.Generator, correct: Correct) -> float:
         """Return the rms error of the corrected reading."""

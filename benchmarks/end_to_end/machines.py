@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.signal import lfilter
 
+from benchmarks.identify.logs.strangers import zone
 from benchmarks.identify.logs.valves import Process, run_loop
 from undeadzone.util.arrays import Floats
 
@@ -77,11 +78,6 @@ def follow_with_gap(u: Floats, gap: float) -> Floats:
     return y
 
 
-def pass_zone(z: Any, right: float, left: float) -> Any:
-    """Return z behind a dead zone."""
-    return np.maximum(z - right, 0.0) + np.minimum(z + left, 0.0)
-
-
 def hold_levels(rng: np.random.Generator, count: int, hold: int, size: float) -> Floats:
     """Return random levels between -size and size, each held for some samples (count)."""
     return np.repeat(rng.uniform(-size, size, -(-count // hold)), hold)[:count]
@@ -105,7 +101,7 @@ def swing(force: Floats, step: float) -> Floats:
 def record_cell(rng: np.random.Generator) -> Floats:
     """Return two minutes of force command and reading at 50 Hz."""
     force = hold_levels(rng, 6000, 60, 6.0)
-    y = pass_zone(swing(force, 0.02), *ZONE) + 0.02 * rng.standard_normal(6000)
+    y = zone(swing(force, 0.02), *ZONE) + 0.02 * rng.standard_normal(6000)
     return np.column_stack([0.02 * np.arange(6000), force, y])
 
 
@@ -123,7 +119,7 @@ def weigh(rng: np.random.Generator) -> Measured:
 def weigh_at_work(rng: np.random.Generator, correct: Correct) -> float:
     """Return the rms error of the corrected reading of a load that moves [N]."""
     z = swing(hold_levels(rng, 3000, 60, 6.0), 0.02)
-    y = pass_zone(z, *ZONE) + 0.02 * rng.standard_normal(3000)
+    y = zone(z, *ZONE) + 0.02 * rng.standard_normal(3000)
     return rms([correct(float(one)) for one in y] - z)
 
 
@@ -134,7 +130,7 @@ def record_speed(rng: np.random.Generator) -> Floats:
     """Return a minute of pulses, from 1500 us [us], and speed [rpm] at 50 Hz."""
     pulse = np.round(hold_levels(rng, 3000, 40, 200.0))
     keep = np.exp(-0.02 / 0.15)
-    rpm = lfilter([0.0, 1.0 - keep], [1.0, -keep], 0.4 * pass_zone(pulse, *BAND))
+    rpm = lfilter([0.0, 1.0 - keep], [1.0, -keep], 0.4 * zone(pulse, *BAND))
     return np.column_stack([0.02 * np.arange(3000), pulse, rpm + 0.4 * rng.standard_normal(3000)])
 
 
@@ -143,7 +139,7 @@ def raise_until_it_turns(rng: np.random.Generator) -> Measured:
     edges = []
     for side in (1, -1):
         pulse, threshold = 0.0, 3 * 0.4 / np.sqrt(50)
-        while abs(0.4 * pass_zone(side * pulse, *BAND) + threshold / 3 * rng.normal()) < threshold:
+        while abs(0.4 * zone(side * pulse, *BAND) + threshold / 3 * rng.normal()) < threshold:
             pulse += 1.0
         edges.append(Bench(pulse, 1.0))
     return tuple(edges)
@@ -153,7 +149,7 @@ def turn_at_work(_: np.random.Generator, correct: Correct) -> float:
     """Return the rms error of the static speed at commanded speeds of 60 rpm and less [rpm]."""
     reference = 60.0 * np.sin(0.05 * np.arange(1000))
     pulses = np.array([correct(float(one)) for one in reference / 0.4])
-    return rms(0.4 * pass_zone(pulses, *BAND) - reference)
+    return rms(0.4 * zone(pulses, *BAND) - reference)
 
 
 # --- Two positions

@@ -27,10 +27,9 @@ from benchmarks.end_to_end.machines import (
     Case,
     Correct,
     hold_levels,
-    pass_zone,
     rms,
 )
-from benchmarks.identify.logs.strangers import lags
+from benchmarks.identify.logs.strangers import lags, zone
 from benchmarks.markdown import head, row
 from undeadzone.util.arrays import Floats
 from undeadzone_export.snippet import Lost, load_lines
@@ -46,7 +45,7 @@ def _cell(behind: float, tare: float) -> Case:
         """Return force, z and readings."""
         force = hold_levels(rng, 8000, 60, 6.0)
         z, noise = COUNTS * lfilter([0.0, 0.2], [1.0, -0.8], force), rng.standard_normal(8000)
-        seen = pass_zone(z + (COUNTED - behind) * noise, *EDGES) + behind * noise
+        seen = zone(z + (COUNTED - behind) * noise, *EDGES) + behind * noise
         return force, z + tare, np.round(seen) + tare
 
     def record(rng: np.random.Generator) -> Floats:
@@ -67,7 +66,7 @@ def _band(low: float, high: float) -> Case:
 
     def passes(pulses: Any) -> Any:
         """Return pulses behind the band, from its middle."""
-        return pass_zone(np.asarray(pulses) - (low + high) / 2, *[(high - low) / 2] * 2)
+        return zone(np.asarray(pulses) - (low + high) / 2, *[(high - low) / 2] * 2)
 
     def record(rng: np.random.Generator) -> Floats:
         """Return times, pulses and speed at 50 Hz."""

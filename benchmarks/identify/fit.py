@@ -20,6 +20,7 @@ from scipy.signal import lfilter
 
 import undeadzone as uz
 from benchmarks.identify.logs import motors
+from benchmarks.identify.logs.strangers import zone as through
 from benchmarks.markdown import head, row
 from benchmarks.results import share
 from undeadzone.nonlinearities.actuator import resolve_actuator, through_zone
@@ -201,7 +202,7 @@ class Case(NamedTuple):
         z = np.array(move.mapaccum(len(u))(start, (pushed + w).T)[1]).T
         zone = resolve_zone(real)
         ahead = z + zone.noise_before * rng.standard_normal(z.shape)
-        seen = ahead if zone.kind == "gears" else cut(ahead, zone.right, zone.left)
+        seen = ahead if zone.kind == "gears" else through(ahead, zone.right, zone.left)
         y = seen + zone.noise * rng.standard_normal(z.shape)
         return {"u": u[before:], "y": y[before:]}
 
@@ -224,11 +225,6 @@ class Servo(Case):
         u, y = motors.record(motor, int(rng.integers(2**31)))
         del truth["disturbance.rms"]
         return truth, [{"u": u, "y": y}]
-
-
-def cut(z: Any, right: Any, left: Any) -> Any:
-    """Return what a dead zone leaves of z."""
-    return np.maximum(z - right, 0) + np.minimum(z + left, 0)
 
 
 def colour(rng: Generator, shape: Any, step: float, disturbance: Any) -> Floats:
@@ -356,7 +352,7 @@ def fit_output_error(case: Case, logs: Logs) -> tuple[Floats, Floats, bool]:
         z = unseen.record_lanes(point[None]).prediction.ravel()
         values = problem.decode_points(point[None])[0]
         found = told | dict(zip((each.name for each in problem.free), values, strict=True))
-        off = cut(z, found["sensor.right"], found["sensor.left"]) - y
+        off = through(z, found["sensor.right"], found["sensor.left"]) - y
         return np.clip(np.nan_to_num(off, nan=1e6), -1e6, 1e6)
 
     span = problem.high - problem.low

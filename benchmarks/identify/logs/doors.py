@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.identify.logs.strangers import dragged, lags, noisy, walk, zone
+from benchmarks.identify.logs.strangers import dragged, follow, lags, noisy, steps, walk, zone
 from undeadzone.util.arrays import Floats
 
 ANY_LOSS = ("loss", "input loss", "output loss")  # one band, wherever it is
@@ -41,16 +41,7 @@ def _of_edges(columns: dict[str, Floats], effects: tuple[str, ...], **edges: flo
 
 def _lag(target: Floats, share: float) -> Floats:
     """Return what follows a target by that share of the distance a sample (N)."""
-    at, out = 0.0, np.empty(target.size)
-    for k, goal in enumerate(target):
-        at += share * (goal - at)
-        out[k] = at
-    return out
-
-
-def _hold(rng: np.random.Generator, size: int, samples: int, low: float, high: float) -> Floats:
-    """Return random levels that are held for so many samples (N)."""
-    return np.repeat(rng.uniform(low, high, size // samples + 1), samples)[:size]
+    return follow(target, lambda at, goal: at + share * (goal - at), 0.0)[1:]
 
 
 def converter(rng: np.random.Generator) -> Door:
@@ -94,7 +85,7 @@ def one_way_stairs(rng: np.random.Generator) -> Door:
 def input_zone_of_a_valve(rng: np.random.Generator) -> Door:
     """A steering valve in a loop: nothing moves below its edges, and the angle integrates."""
     right, left, size = rng.uniform(30, 60), rng.uniform(30, 60), 3000
-    goal, angle = _hold(rng, size, 100, -20, 20), 0.0
+    goal, angle = steps(rng, size, 100, -20, 20), 0.0
     u, y = np.empty(size), np.empty(size)
     for k in range(size):
         error = goal[k] - angle
@@ -108,7 +99,7 @@ def input_zone_of_a_valve(rng: np.random.Generator) -> Door:
 def offset_wheel(rng: np.random.Generator) -> Door:
     """A wheel whose pulses rest about their middle."""
     half = rng.uniform(3, 7)
-    u = np.round(_hold(rng, 2000, 25, 20, 80))
+    u = np.round(steps(rng, 2000, 25, 20, 80))
     y = _lag(3 * zone(u - 50, half, half), 0.3) + 0.5 * rng.standard_normal(2000)
     columns = {"t": 0.02 * np.arange(2000), "command [%]": u, "speed [rpm]": y}
     return _of_edges(columns, ANY_LOSS, lower=50 - half, upper=50 + half)
@@ -136,7 +127,7 @@ def noise_hold(rng: np.random.Generator) -> Door:
 
 def flow_bench(rng: np.random.Generator) -> Door:
     """A flow meter that is cut off below an edge; one sign."""
-    edge, u = rng.uniform(0.5, 1.2), _hold(rng, 2000, 25, 0, 100)
+    edge, u = rng.uniform(0.5, 1.2), steps(rng, 2000, 25, 0, 100)
     z = _lag(0.05 * u, 0.12) + 0.05 * rng.standard_normal(2000)
     columns = {"time": 0.5 * np.arange(2000), "fan_pct": u, "flow": np.where(z > edge, z, 0)}
     return Door(columns, ("output threshold",), {"right": edge}, edge)
@@ -144,7 +135,7 @@ def flow_bench(rng: np.random.Generator) -> Door:
 
 def impeller(rng: np.random.Generator) -> Door:
     """An impeller that loses its first flow."""
-    edge, u = rng.uniform(0.6, 1.4), _hold(rng, 2000, 25, 0, 100)
+    edge, u = rng.uniform(0.6, 1.4), steps(rng, 2000, 25, 0, 100)
     z = _lag(0.05 * u, 0.18) + 0.03 * rng.standard_normal(2000)
     y = np.round(np.maximum(z - edge, 0) * 6.6) / 6.6
     columns = {"time": np.arange(2000.0), "valve_pct": u, "flow_lpm": y}
@@ -153,7 +144,7 @@ def impeller(rng: np.random.Generator) -> Door:
 
 def stepper_threshold(rng: np.random.Generator) -> Door:
     """A drive that passes nothing below a threshold, and all above it."""
-    edge, u = rng.uniform(2, 4), _hold(rng, 2000, 40, -10, 10).round(1)
+    edge, u = rng.uniform(2, 4), steps(rng, 2000, 40, -10, 10).round(1)
     y = _lag(np.where(np.abs(u) >= edge, 20 * u, 0.0), 0.2) + 0.6 * rng.standard_normal(2000)
     columns = {"time [s]": 0.02 * np.arange(2000), "command [V]": u, "speed [rpm]": y}
     return _of_edges(columns, ("input threshold", *ANY_LOSS), lower=-edge, upper=edge)

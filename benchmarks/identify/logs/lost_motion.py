@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from benchmarks.identify.logs.strangers import dragged
+from benchmarks.identify.logs.strangers import dragged, rubbed, steps
 
 Floats = NDArray[np.float64]
 
@@ -115,21 +115,15 @@ def dial_gauge(rng: np.random.Generator) -> MotionLog:
 def goal_servo(rng: np.random.Generator, current: bool = False) -> MotionLog:
     """A proportional loop with friction and a gap, encoder behind the gap, slow goals."""
     gap, stuck = float(rng.uniform(0.01, 0.05)), float(rng.uniform(0.002, 0.01))
-    step, size, rate, damping, parts = 0.005, 4600, 30.0, 1.2, 20
+    step, size, rate, damping = 0.005, 4600, 30.0, 1.2
     t = step * np.arange(size)
     u = 0.8 + 0.25 * np.sin(2 * np.pi * 0.33 * t)
     u += 0.06 * np.sin(2 * np.pi * 0.11 * t + rng.uniform(0, 6))
-    x, v, short = float(u[0]), 0.0, step / parts
-    motor, friction = np.empty(size), rate**2 * stuck
-    for k in range(size):
-        motor[k] = x
-        for _ in range(parts):
-            a = rate**2 * (u[k] - x) - 2 * damping * rate * v
-            if v == 0 and abs(a) <= friction:
-                continue
-            w = v + short * (a - np.sign(v if v else a) * friction)
-            w = 0.0 if w * v < 0 else w
-            x, v = x + short * (v + w) / 2, w
+
+    def push(goal: float, x: float, v: float) -> float:
+        return rate**2 * (goal - x) - 2 * damping * rate * v
+
+    motor = rubbed(u, rate**2 * stuck, push, step, 20, float(u[0]))
     y = 1e-4 * np.round(1e4 * dragged(motor, gap))
     columns = {"t [s]": t, "goal [rad]": u, "position [rad]": y}
     if current:
@@ -155,20 +149,12 @@ def continuous_servo(rng: np.random.Generator) -> MotionLog:
 
 def torque_and_friction(rng: np.random.Generator) -> MotionLog:
     """A joint pushed by a torque against friction, on which it sticks; no gap."""
-    step, size, lag, gain, parts = 0.01, 3000, 0.12, 2.5, 50
-    u = np.repeat(rng.uniform(-1, 1, size // 35 + 1), 35)[:size]
-    share, short, x, v, y = rng.uniform(0.2, 0.45), step / parts, 0.0, 0.0, np.empty(size)
-    for k in range(size):
-        y[k] = x
-        for _ in range(parts):
-            a, friction = (gain * u[k] - v) / lag, gain * share / lag
-            if v == 0 and abs(a) <= friction:
-                continue
-            w = v + short * (a - np.sign(v if v else a) * friction)
-            w = 0.0 if w * v < 0 else w
-            x, v = x + short * (v + w) / 2, w
+    step, lag, gain = 0.01, 0.12, 2.5
+    u = steps(rng, 3000, 35)
+    friction = gain * rng.uniform(0.2, 0.45) / lag
+    y = rubbed(u, friction, lambda torque, _, v: (gain * torque - v) / lag, step, 50)
     columns = {
-        "t [s]": step * np.arange(size),
+        "t [s]": step * np.arange(u.size),
         "torque [Nm]": u,
         "q [rad]": 1e-4 * np.round(1e4 * y),
     }

@@ -18,7 +18,7 @@ import undeadzone as uz
 from benchmarks.identify.logs.lost_motion import KINDS as MOTIONS
 from benchmarks.identify.logs.lost_motion import Floats
 from benchmarks.identify.logs.servo import Servo, input_at_random, recorded
-from benchmarks.identify.logs.strangers import zone
+from benchmarks.identify.logs.strangers import steps, zone
 from benchmarks.identify.logs.valves import make
 from undeadzone_identify.results.assemble import WITHHELD
 
@@ -35,13 +35,6 @@ class Report(NamedTuple):
     columns: dict[str, Floats]
     right: tuple[str, ...]
     width: float | None = None
-
-
-def _draw_levels(
-    rng: np.random.Generator, size: int, samples: int, low: float, high: float
-) -> Floats:
-    """Return levels that are held for so many samples (N)."""
-    return np.repeat(rng.uniform(low, high, size // samples + 1), samples)[:size]
 
 
 def _lagged(u: Floats, step: float, lag: float) -> Floats:
@@ -65,7 +58,7 @@ def duty_and_speed(rng: np.random.Generator) -> Report:
     """A motor by duty cycle, logged in milliseconds by a microcontroller with a waiting loop."""
     size, right, left = 1500, rng.uniform(20, 60), rng.uniform(20, 60)
     t = np.cumsum(0.02 + 0.001 * rng.integers(0, 2, size))
-    u = np.round(_draw_levels(rng, size, 40, -255, 255))
+    u = np.round(steps(rng, size, 40, -255, 255))
     speed = _lagged(1.8 * zone(u, right, left), 0.0205, 0.15) + 2 * rng.standard_normal(size)
     columns = {"millis": np.round(1e3 * t), "pwm": u, "rpm": np.round(speed)}
     return Report(columns, ("input_zone",), right + left)
@@ -82,7 +75,7 @@ def pump(rng: np.random.Generator) -> Report:
 
 def averaging_sensor(rng: np.random.Generator) -> Report:
     """A zone in a sensor whose readings are means of five."""
-    u = _draw_levels(rng, 1200, 40, -1, 1)
+    u = steps(rng, 1200, 40, -1, 1)
     z = _lagged(u, 0.1, 2.0)
     right, left = rng.uniform(0.3, 0.6, 2)
     read = zone(z / z.std(), right, left) + 0.02 * rng.standard_normal(u.size)
@@ -93,7 +86,7 @@ def averaging_sensor(rng: np.random.Generator) -> Report:
 
 def flow_cut_off(rng: np.random.Generator) -> Report:
     """A flow meter that reads 0 below its cut-off."""
-    u, edge = _draw_levels(rng, 2000, 25, 0, 60), rng.uniform(1.2, 2.4)
+    u, edge = steps(rng, 2000, 25, 0, 60), rng.uniform(1.2, 2.4)
     z = 0.12 * _lagged(u, 1.0, 6.0) + 0.03 * rng.standard_normal(u.size)
     y = np.where(z > edge, np.round(z, 2), 0.0)
     columns = {"t": 1.0 * np.arange(u.size), "valve [%]": u, "flow [l/min]": y}
@@ -144,7 +137,7 @@ def geared_motor(rng: np.random.Generator) -> Report:
 
 def oven(rng: np.random.Generator) -> Report:
     """An oven in order: a linear plant, a thermometer with noise."""
-    u = _draw_levels(rng, 1500, 60, 0, 100)
+    u = steps(rng, 1500, 60, 0, 100)
     y = 20 + 1.5 * _lagged(u, 2.0, 60.0) + 0.1 * rng.standard_normal(u.size)
     columns = {"time [s]": 2.0 * np.arange(u.size), "heater [%]": u, "temperature [degC]": y}
     return Report(columns, ("none", "operating_point"))

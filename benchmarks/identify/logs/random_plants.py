@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import cont2discrete, lfilter
 
-from benchmarks.identify.logs.strangers import zone
+from benchmarks.identify.logs.strangers import dragged, noisy, zone
 from undeadzone.util.arrays import Floats
 
 SAMPLES = 1500
@@ -162,9 +162,5 @@ def mapped(seed: int, kind: str) -> Log:
     elif kind == "cubic":
         y = z + 0.5 * z**3
     else:
-        y, now = np.empty(z.size), 0.0
-        for k, value in enumerate(z):
-            now = min(max(now, value - 0.4), value + 0.4)
-            y[k] = now
-        y += 0.03 * rng.standard_normal(z.size)
+        y = noisy(rng, dragged(z, 0.8, 0.0), 0.03)
     return log._replace(y=y)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -13,6 +14,7 @@ from undeadzone.util.arrays import Floats
 STEP = 0.01
 SIZE = 1200
 WIDTHS = (0.5, 0.35)  # of the sensor's zones
+BOTH = sum(WIDTHS)
 
 
 class Strange(NamedTuple):
@@ -53,7 +55,12 @@ def lags(u: Floats, samples: float = 12.0, order: int = 2) -> Floats:
     keep = np.exp(-1 / samples)
     for _ in range(order):
         u = lfilter([0.0, 1 - keep], [1.0, -keep], u)
-    return np.asarray(u / u.std())
+    return scaled(u)
+
+
+def scaled(y: Floats) -> Floats:
+    """An output of rms 1."""
+    return np.asarray(y / y.std())
 
 
 def zone(v: Floats, right: float = WIDTHS[0], left: float = WIDTHS[1]) -> Floats:
@@ -61,13 +68,46 @@ def zone(v: Floats, right: float = WIDTHS[0], left: float = WIDTHS[1]) -> Floats
     return np.asarray(np.maximum(v - right, 0.0) + np.minimum(v + left, 0.0))
 
 
-def dragged(u: Floats, gap: float) -> Floats:
-    """What a play of that gap passes on."""
-    v, at = np.empty(u.size), float(u[0])
+def follow(z: Floats, step: Callable[[Any, Any], Any], begin: Any) -> Floats:
+    """States, or rows of them, from the first to the one behind the last value (N + 1)."""
+    return np.array(list(itertools.accumulate(z, step, initial=begin)))
+
+
+def dragged(u: Floats, gap: float, begin: float | None = None) -> Floats:
+    """What a play of that gap passes on; it begins at the first value if nowhere else."""
+    at_first = float(u[0]) if begin is None else begin
+    return follow(u, lambda at, v: min(max(at, v - gap / 2), v + gap / 2), at_first)[1:]
+
+
+def rubbed(
+    u: Floats,
+    friction: float,
+    push: Callable[[float, float, float], float],
+    step: float,
+    parts: int,
+    begin: float = 0.0,
+) -> Floats:
+    """Positions of a body with Coulomb friction (N).
+
+    Args:
+        u: input (N).
+        friction: as an acceleration.
+        push: acceleration without friction, by input, position and speed.
+        step: of the log [s].
+        parts: of a step, in which it is simulated.
+        begin: position at first.
+    """
+    y, x, v, h = np.empty(u.size), begin, 0.0, step / parts
     for k, value in enumerate(u):
-        at = min(max(at, value - gap / 2), value + gap / 2)
-        v[k] = at
-    return v
+        y[k] = x
+        for _ in range(parts):
+            a = push(value, x, v)
+            if v == 0 and abs(a) <= friction:
+                continue
+            w = v + h * (a - np.sign(v or a) * friction)
+            w = 0.0 if w * v < 0 else w
+            x, v = x + h * (v + w) / 2, w
+    return y
 
 
 def noisy(rng: np.random.Generator, y: Floats, rms: float = 0.02) -> Floats:
@@ -75,64 +115,57 @@ def noisy(rng: np.random.Generator, y: Floats, rms: float = 0.02) -> Floats:
     return np.asarray(y + rms * rng.standard_normal(y.size))
 
 
-def curved(curve: Callable[[Floats], Floats]) -> Callable[[np.random.Generator], Strange]:
-    """A plant behind a curve of its input."""
+def driven(
+    answer: Callable[[Floats], Floats],
+    right: tuple[str, ...],
+    rms: float = 0.02,
+    width: float | None = None,
+    size: int = SIZE,
+    hold: float = 8.0,
+) -> Kind:
+    """What answers to coloured noise, read with white noise."""
 
     def make(rng: np.random.Generator) -> Strange:
-        u = walk(rng)
-        return Strange(u, noisy(rng, lags(curve(u))))
+        u = walk(rng, size, hold)
+        return Strange(u, noisy(rng, answer(u), rms), {}, width)
 
-    return make
+    return Kind(make, right)
+
+
+def curved(curve: Callable[[Floats], Floats], right: tuple[str, ...]) -> Kind:
+    """A plant behind a curve of its input."""
+    return driven(lambda u: lags(curve(u)), right)
 
 
 def sensed(
-    read: Callable[[Floats], Floats], width: float | None = None
-) -> Callable[[np.random.Generator], Strange]:
+    read: Callable[[Floats], Floats], right: tuple[str, ...], width: float | None = None
+) -> Kind:
     """A plant behind a sensor."""
-
-    def make(rng: np.random.Generator) -> Strange:
-        u = walk(rng)
-        return Strange(u, noisy(rng, read(lags(u)), 0.01), {}, width)
-
-    return make
+    return driven(lambda u: read(lags(u)), right, 0.01, width)
 
 
-def play_ahead(gap: float, samples: float) -> Callable[[np.random.Generator], Strange]:
+def play_ahead(gap: float, samples: float) -> Kind:
     """Play between input and plant."""
-
-    def make(rng: np.random.Generator) -> Strange:
-        u = walk(rng, 2000, 30.0)
-        return Strange(u, noisy(rng, lags(dragged(u, gap), samples, 1)), {}, gap)
-
-    return make
+    return driven(
+        lambda u: lags(dragged(u, gap), samples, 1), ("input_play",), 0.02, gap, 2000, 30.0
+    )
 
 
-def sticking(rng: np.random.Generator) -> Strange:
+def sticking(u: Floats) -> Floats:
     """A valve that sticks, and slips by half as much when it moves."""
-    u, v, at = walk(rng, 2000, 30.0), np.empty(2000), 0.0
-    for k, value in enumerate(u):
-        if abs(value - at) > 0.5:
-            at = value - np.sign(value - at) * 0.25
-        v[k] = at
-    return Strange(u, noisy(rng, lags(v, 12.0, 1)))
+
+    def slip(at: float, value: float) -> float:
+        return float(value - np.sign(value - at) * 0.25 if abs(value - at) > 0.5 else at)
+
+    return lags(follow(u, slip, 0.0)[1:], 12.0, 1)
 
 
 def joint(friction: float) -> Callable[[np.random.Generator], Strange]:
     """A joint's position by its torque, with Coulomb friction and no gap."""
 
     def make(rng: np.random.Generator) -> Strange:
-        size, tau, gain, h = 2500, 0.1, 2.0, STEP / 40
-        u = steps(rng, size)
-        y, x, v = np.empty(size), 0.0, 0.0
-        for k in range(size):
-            y[k] = x
-            for _ in range(40):
-                a, f = (gain * u[k] - v) / tau, gain * friction / tau
-                if v == 0 and abs(a) <= f:
-                    continue
-                w = v + h * (a - np.sign(v or a) * f)
-                w = 0.0 if w * v < 0 else w
-                x, v = x + h * (v + w) / 2, w
+        u = steps(rng, 2500)
+        y = rubbed(u, 2.0 * friction / 0.1, lambda drive, _, v: (2.0 * drive - v) / 0.1, STEP, 40)
         return Strange(u, np.round(y / 2e-4) * 2e-4, {"integrators": 1})
 
     return make
@@ -145,9 +178,11 @@ def sines(rng: np.random.Generator, size: int, samples: float) -> Floats:
     return sum((a * np.sin(w * t + p) for a, w, p in tones), np.zeros(size))
 
 
-def steps(rng: np.random.Generator, size: int, hold: int = 30) -> Floats:
+def steps(
+    rng: np.random.Generator, size: int, hold: int = 30, low: float = -1.0, high: float = 1.0
+) -> Floats:
     """Random levels, each held for so many samples."""
-    return np.repeat(rng.uniform(-1, 1, size // hold + 1), hold)[:size]
+    return np.repeat(rng.uniform(low, high, size // hold + 1), hold)[:size]
 
 
 def driven_motor(u: Floats, samples: float) -> Floats:
@@ -157,33 +192,19 @@ def driven_motor(u: Floats, samples: float) -> Floats:
     return np.asarray(np.cumsum(np.append(0.0, v[:-1])))
 
 
-def motor(samples: float) -> Callable[[np.random.Generator], Strange]:
+def of_position(rng: np.random.Generator, u: Floats, y: Floats) -> Strange:
+    """A position by its input, with noise of a few thousandths."""
+    return Strange(u, noisy(rng, y, 0.003 * y.std()), {"integrators": 1})
+
+
+def motor(samples: float) -> Kind:
     """A linear motor's position; its time constant is so many samples."""
 
     def make(rng: np.random.Generator) -> Strange:
         u = sines(rng, 2000, samples)
-        y = driven_motor(u, samples)
-        return Strange(u, noisy(rng, y, 0.003 * y.std()), {"integrators": 1})
+        return of_position(rng, u, driven_motor(u, samples))
 
-    return make
-
-
-def drifting(rng: np.random.Generator) -> Strange:
-    """A gain that falls by half along the log, ahead of a zone."""
-    u = walk(rng)
-    return Strange(u, noisy(rng, zone(lags(u) * np.linspace(1.4, 0.7, u.size)), 0.01))
-
-
-def of_fifth_order(rng: np.random.Generator) -> Strange:
-    """A linear plant of more poles than are tried."""
-    u = walk(rng)
-    return Strange(u, noisy(rng, lags(u, 5.0, 5)))
-
-
-def averaged(rng: np.random.Generator) -> Strange:
-    """A linear plant whose readings are means of five."""
-    u = walk(rng)
-    return Strange(u, noisy(rng, lfilter(np.ones(5) / 5, [1.0], lags(u)), 0.01))
+    return Kind(make, LINEAR)
 
 
 def of_two_inputs(rng: np.random.Generator) -> Strange:
@@ -192,25 +213,23 @@ def of_two_inputs(rng: np.random.Generator) -> Strange:
     return Strange(u, noisy(rng, lags(u) + 0.7 * lags(walk(rng), 30.0, 1)))
 
 
-def softening(rng: np.random.Generator) -> Strange:
+def softening(u: Floats) -> Floats:
     """A mass on a spring that bends."""
-    u = walk(rng)
-    y, x, v = np.empty(u.size), 0.0, 0.0
-    for k, value in enumerate(u):
-        y[k] = x
+
+    def step(state: tuple[float, float], force: float) -> tuple[float, float]:
+        x, v = state
         for _ in range(4):
-            v += 0.25 * (0.02 * (2.0 * value - x - 0.5 * x**3) - 0.15 * v)
+            v += 0.25 * (0.02 * (2.0 * force - x - 0.5 * x**3) - 0.15 * v)
             x += 0.25 * v
-    return Strange(u, noisy(rng, y / y.std()))
+        return x, v
+
+    return scaled(follow(u, step, (0.0, 0.0))[:-1, 0])
 
 
-def tank(rng: np.random.Generator) -> Strange:
+def tank(u: Floats) -> Floats:
     """The level of a tank with a free outlet, less its mean."""
-    u, y, x = walk(rng, SIZE, 30.0), np.empty(SIZE), 1.0
-    for k, value in enumerate(u):
-        y[k] = x
-        x = max(x + 0.03 * (1 + 0.3 * value - np.sqrt(x)), 0.0)
-    return Strange(u, noisy(rng, (y - y.mean()) / y.std()))
+    y = follow(u, lambda x, v: max(x + 0.03 * (1 + 0.3 * v - np.sqrt(x)), 0.0), 1.0)[:-1]
+    return np.asarray((y - y.mean()) / y.std())
 
 
 def by_pulses(rng: np.random.Generator) -> Strange:
@@ -221,11 +240,8 @@ def by_pulses(rng: np.random.Generator) -> Strange:
 
 def slow_rate(v: Floats) -> Floats:
     """Changes limited to so much a sample."""
-    out, at = np.empty(v.size), float(v[0])
-    for k, value in enumerate(v):
-        at += min(max(float(value) - at, -0.06), 0.06)
-        out[k] = at
-    return out
+    begin = float(v[0])
+    return follow(v, lambda at, value: at + min(max(value - at, -0.06), 0.06), begin)[1:]
 
 
 def slopes_apart(v: Floats) -> Floats:
@@ -240,45 +256,26 @@ def slopes_apart(v: Floats) -> Floats:
 def tailed(rng: np.random.Generator) -> Strange:
     """A zone whose readings have noise of heavy tails."""
     u = walk(rng)
-    return Strange(u, zone(lags(u)) + 0.01 * rng.standard_t(3, u.size), {}, sum(WIDTHS))
+    return Strange(u, zone(lags(u)) + 0.01 * rng.standard_t(3, u.size), {}, BOTH)
 
 
-def one_sided(rng: np.random.Generator) -> Strange:
-    """A plant that answers to positive inputs by twice as much."""
-    u = walk(rng)
-    return Strange(u, noisy(rng, lags(np.where(u > 0, u, 0.5 * u))))
-
-
-def widening(rng: np.random.Generator) -> Strange:
+def widening(z: Floats) -> Floats:
     """A zone of the sensor that grows from half of its width to one and a half."""
-    u = walk(rng)
-    grown, z = np.linspace(0.5, 1.5, u.size), lags(u)
-    return Strange(u, noisy(rng, np.asarray(grown * zone(z / grown)), 0.01))
+    grown = np.linspace(0.5, 1.5, z.size)
+    return np.asarray(grown * zone(z / grown))
 
 
-def bent_hysteresis(rng: np.random.Generator) -> Strange:
+def bent_hysteresis(u: Floats) -> Floats:
     """A smooth hysteresis behind the plant (Bouc and Wen)."""
-    u = walk(rng, 2000, 30.0)
-    z, h = lags(u, 12.0, 1), np.zeros(2000)
-    for k in range(1, h.size):
-        d = z[k] - z[k - 1]
-        h[k] = h[k - 1] + d - 1.5 * (abs(d) * h[k - 1] + d * abs(h[k - 1]))
-    return Strange(u, noisy(rng, z + h))
+    z = lags(u, 12.0, 1)
+    return z + follow(np.diff(z), lambda h, d: h + d - 1.5 * (abs(d) * h + d * abs(h)), 0.0)
 
 
-def of_two_rates(rng: np.random.Generator) -> Strange:
+def of_two_rates(u: Floats) -> Floats:
     """A plant that is three times slower on its way down."""
-    u, y, x = walk(rng), np.empty(SIZE), 0.0
-    for k, value in enumerate(u):
-        y[k] = x
-        x += (value - x) * (0.15 if value > x else 0.05)
-    return Strange(u, noisy(rng, y / y.std()))
-
-
-def switched(rng: np.random.Generator) -> Strange:
-    """A relay ahead of the plant."""
-    u = walk(rng)
-    return Strange(u, noisy(rng, lags(np.sign(u))))
+    return scaled(
+        follow(u, lambda x, v: x + (v - x) * (0.15 if v > x else 0.05), 0.0)[:-1],
+    )
 
 
 def stribeck(rng: np.random.Generator) -> Strange:
@@ -302,7 +299,7 @@ def zone_in_loop(rng: np.random.Generator) -> Strange:
         y[k] = float(zone(np.array(x))) + 0.01 * rng.standard_normal()
         u[k] = 3 * (r[k] - y[k])
         x = keep * x + (1 - keep) * u[k]
-    return Strange(u, y, {}, sum(WIDTHS))
+    return Strange(u, y, {}, BOTH)
 
 
 def rounded(z: Floats) -> Floats:
@@ -311,35 +308,17 @@ def rounded(z: Floats) -> Floats:
     return np.asarray(0.05 * (up - down))
 
 
-def late_zone(rng: np.random.Generator) -> Strange:
-    """A zone of the input behind four samples of delay."""
-    u = walk(rng)
-    return Strange(u, noisy(rng, lags(zone(np.roll(u, 4), 0.4, 0.3))), {}, 0.7)
-
-
-def with_actuator_lag(rng: np.random.Generator) -> Strange:
-    """A lag, then a zone, then the plant."""
-    u = walk(rng)
-    return Strange(u, noisy(rng, lags(zone(lags(u, 4.0, 1), 0.4, 0.3))))
-
-
 # --- Kinds that were chosen after the code of their round was finished
 
 
-def dragging(rng: np.random.Generator) -> Strange:
+def dragging(u: Floats) -> Floats:
     """A body in a fluid: its drag is the square of its speed."""
-    u, y, v = walk(rng), np.empty(SIZE), 0.0
-    for k in range(SIZE):
-        y[k] = v
-        v += 0.15 * (u[k] - v * abs(v) - 0.1 * v)
-    return Strange(u, noisy(rng, y / y.std()))
+    return scaled(follow(u, lambda v, f: v + 0.15 * (f - v * abs(v) - 0.1 * v), 0.0)[:-1])
 
 
-def swaying(rng: np.random.Generator) -> Strange:
-    """A linear plant whose gain sways by a third, four times along the log."""
-    u = walk(rng)
-    gain = 1 + 0.33 * np.sin(np.linspace(0, 8 * np.pi, u.size))
-    return Strange(u, noisy(rng, gain * lags(u)))
+def swaying(z: Floats) -> Floats:
+    """An output whose gain sways by a third, four times along the log."""
+    return np.asarray((1 + 0.33 * np.sin(np.linspace(0, 8 * np.pi, z.size))) * z)
 
 
 def jittery(rng: np.random.Generator) -> Strange:
@@ -363,62 +342,33 @@ def with_spikes(rng: np.random.Generator) -> Strange:
     return Strange(u, np.where(rng.random(SIZE) < 0.02, rng.uniform(-3, 3, SIZE), y), {}, BOTH)
 
 
-def switching(rng: np.random.Generator) -> Strange:
-    """A relay with hysteresis ahead of the plant."""
-    u, v, at = walk(rng), np.empty(SIZE), 1.0
-    for k, value in enumerate(u):
-        at = 1.0 if value > 0.4 else -1.0 if value < -0.4 else at
-        v[k] = at
-    return Strange(u, noisy(rng, lags(v)))
-
-
-def between_lags(rng: np.random.Generator) -> Strange:
-    """A lag, a soft limit, and the plant."""
-    u = walk(rng)
-    return Strange(u, noisy(rng, lags(np.tanh(2 * lags(u, 6.0, 1)))))
-
-
-def zone_beside(rng: np.random.Generator) -> Strange:
-    """A zone of the input beside a path without one."""
-    u = walk(rng)
-    return Strange(u, noisy(rng, lags(0.5 * u + zone(u, 0.6, 0.5))))
-
-
-def heated(rng: np.random.Generator) -> Strange:
-    """A heater: it does nothing below 0."""
-    u = walk(rng)
-    return Strange(u, noisy(rng, lags(np.maximum(u, 0.0))))
+def relayed(v: Floats, half: float, low: float, begin: float) -> Floats:
+    """1 or a low value, by a relay with hysteresis."""
+    return follow(v, lambda at, x: 1.0 if x > half else low if x < -half else at, begin)[1:]
 
 
 def on_change(rng: np.random.Generator) -> Strange:
     """A recorder that writes a reading only if it is 0.2 off the last one written."""
     u = walk(rng)
     z = noisy(rng, lags(u))
-    y, at = np.empty(z.size), float(z[0])
-    for k, value in enumerate(z.tolist()):
-        at = value if abs(value - at) > 0.2 else at
-        y[k] = at
-    return Strange(u, y)
+    return Strange(u, follow(z, lambda at, v: v if abs(v - at) > 0.2 else at, float(z[0]))[1:])
 
 
-def humming(rng: np.random.Generator) -> Strange:
+def humming(u: Floats) -> Floats:
     """A linear plant, and hum of a frequency that nobody recorded."""
-    u = walk(rng)
-    return Strange(u, noisy(rng, lags(u) + 0.4 * np.sin(0.31 * np.arange(u.size))))
+    return np.asarray(lags(u) + 0.4 * np.sin(0.31 * np.arange(u.size)))
 
 
-def bilinear(rng: np.random.Generator) -> Strange:
+def bilinear(u: Floats) -> Floats:
     """A plant whose gain grows with its output, as a heat exchanger's does."""
-    u, y, z = walk(rng), np.empty(SIZE), 0.0
-    for k in range(SIZE):
-        y[k] = z
-        z += 0.1 * (u[k] * (1 + 0.5 * np.tanh(z)) - z)
-    return Strange(u, noisy(rng, y / y.std()))
+    return scaled(
+        follow(u, lambda z, v: z + 0.1 * (v * (1 + 0.5 * np.tanh(z)) - z), 0.0)[:-1],
+    )
 
 
-def least_pulse(u: Floats) -> Floats:
-    """A valve by pulses: what is shorter than the least pulse is left out, the rest is whole."""
-    return np.where(np.abs(u) > 0.5, u, 0.0)
+def cut(v: Floats, least: float = 0.4) -> Floats:
+    """Small values are left out, the rest is whole: a valve's least pulse, or a noise gate."""
+    return np.where(np.abs(v) > least, v, 0.0)
 
 
 def freezing(rng: np.random.Generator) -> Strange:
@@ -430,34 +380,27 @@ def freezing(rng: np.random.Generator) -> Strange:
     return Strange(u, y)
 
 
-def swinging(rng: np.random.Generator) -> Strange:
+def swinging(u: Floats) -> Floats:
     """A pendulum under torque: its spring is a sine."""
-    u, y, z, v = walk(rng, hold=20.0), np.empty(SIZE), 0.0, 0.0
-    for k in range(SIZE):
-        y[k] = z
-        v += 0.1 * (1.2 * u[k] - np.sin(z) * 2 - 0.8 * v)
-        z += 0.1 * v
-    return Strange(u, noisy(rng, y / y.std()))
+
+    def step(state: tuple[float, float], torque: float) -> tuple[float, float]:
+        z, v = state
+        v += 0.1 * (1.2 * torque - np.sin(z) * 2 - 0.8 * v)
+        return z + 0.1 * v, v
+
+    return scaled(follow(u, step, (0.0, 0.0))[:-1, 0])
 
 
-def limited_and_sensed(rng: np.random.Generator) -> Strange:
-    """A drive that saturates, and a dead zone of the sensor."""
-    u = walk(rng)
-    return Strange(u, noisy(rng, zone(lags(np.clip(u, -1.2, 1.0)))))
-
-
-def of_changing_delay(rng: np.random.Generator) -> Strange:
+def of_changing_delay(u: Floats) -> Floats:
     """A linear plant behind a pipe whose delay sways between 2 and 10 samples."""
-    u = walk(rng)
     late = np.rint(6 + 4 * np.sin(np.linspace(0, 10 * np.pi, u.size))).astype(int)
-    return Strange(u, noisy(rng, lags(u[np.maximum(np.arange(u.size) - late, 0)], 6.0)))
+    return lags(u[np.maximum(np.arange(u.size) - late, 0)], 6.0)
 
 
-def with_leak(rng: np.random.Generator) -> Strange:
+def with_leak(u: Floats) -> Floats:
     """A zone whose sensor's zero creeps with its reading, slowly."""
-    u = walk(rng)
     y = zone(lags(u))
-    return Strange(u, noisy(rng, y + 0.3 * lags(y, 100.0, 1)), {}, BOTH)
+    return np.asarray(y + 0.3 * lags(y, 100.0, 1))
 
 
 # --- Kinds that were chosen last
@@ -468,12 +411,6 @@ def interpolated(rng: np.random.Generator) -> Strange:
     u, k = walk(rng), np.arange(SIZE)
     y = noisy(rng, lags(u))
     return Strange(u, np.interp(k, k[::4], y[::4]))
-
-
-def with_inverse_response(rng: np.random.Generator) -> Strange:
-    """A linear plant that begins the wrong way."""
-    u = walk(rng)
-    return Strange(u, noisy(rng, lags(u, 12.0, 1) - 1.5 * lags(u, 4.0, 1)))
 
 
 def unstable_in_loop(rng: np.random.Generator) -> Strange:
@@ -494,20 +431,20 @@ def cogging(rng: np.random.Generator) -> Strange:
         for _ in range(10):
             v += 0.001 * (5 * u[k] - 5 * v - 3 * np.sin(12 * x))
             x += 0.001 * v
-    return Strange(u, noisy(rng, y, 0.003 * y.std()), {"integrators": 1})
+    return of_position(rng, u, y)
 
 
-def preloaded(rng: np.random.Generator) -> Strange:
+def preloaded(u: Floats) -> Floats:
     """A lever between springs that are wound up: as a speed with friction, it needs a force to
     leave its middle.
     """
-    u, y, x = walk(rng), np.empty(SIZE), 0.0
-    for k in range(SIZE):
-        y[k] = x
-        moved = x + 0.1 * (u[k] - 0.6 * np.sign(x or u[k]) - x)
-        rests = (x == 0 and abs(u[k]) < 0.6) or moved * x < 0
-        x = 0.0 if rests else moved
-    return Strange(u, noisy(rng, y / y.std()))
+
+    def step(x: float, force: float) -> float:
+        moved = x + 0.1 * (force - 0.6 * np.sign(x or force) - x)
+        rests = (x == 0 and abs(force) < 0.6) or moved * x < 0
+        return 0.0 if rests else float(moved)
+
+    return scaled(follow(u, step, 0.0)[:-1])
 
 
 def of_two_runs(rng: np.random.Generator) -> Strange:
@@ -560,7 +497,7 @@ def hunting(rng: np.random.Generator) -> Strange:
 
 def apart_from_zero(z: Floats) -> Floats:
     """A zone between 0.4 and 1.1, far from 0."""
-    return np.asarray(zone(z - 0.75, 0.35, 0.35))
+    return zone(z - 0.75, 0.35, 0.35)
 
 
 def noisy_by_size(rng: np.random.Generator) -> Strange:
@@ -570,20 +507,14 @@ def noisy_by_size(rng: np.random.Generator) -> Strange:
     return Strange(u, noisy(rng, y * (1 + 0.1 * rng.standard_normal(SIZE)), 0.003), {}, BOTH)
 
 
-def ringing(rng: np.random.Generator) -> Strange:
+def ringing(u: Floats) -> Floats:
     """A zone behind a mass on a spring, which rings ten times."""
-    u = walk(rng)
-    z = lfilter([0.0, 1.0], [1.0, -2 * 0.98 * np.cos(0.2), 0.98**2], u)
-    return Strange(u, noisy(rng, zone(z / z.std()), 0.01), {}, BOTH)
+    return zone(scaled(lfilter([0.0, 1.0], [1.0, -2 * 0.98 * np.cos(0.2), 0.98**2], u)))
 
 
 def compared(z: Floats) -> Floats:
     """One or zero, with a hysteresis."""
-    y, at = np.empty(z.size), 0.0
-    for k, value in enumerate(z):
-        at = 1.0 if value > 0.2 else 0.0 if value < -0.2 else at
-        y[k] = at
-    return y
+    return relayed(z, 0.2, 0.0, 0.0)
 
 
 def nested(z: Floats) -> Floats:
@@ -591,10 +522,10 @@ def nested(z: Floats) -> Floats:
     return np.asarray(sum(dragged(z, gap) for gap in (0.0, 0.3, 0.7, 1.2)) / 4)
 
 
-def of_two_clocks(rng: np.random.Generator) -> Strange:
+def of_two_clocks(u: Floats) -> Floats:
     """A linear plant whose readings have a clock that runs 1 % fast."""
-    u, k = walk(rng), np.arange(SIZE)
-    return Strange(u, noisy(rng, np.interp(k * 0.99, k, lags(u))))
+    k = np.arange(u.size)
+    return np.interp(k * 0.99, k, lags(u))
 
 
 def of_one_step(rng: np.random.Generator) -> Strange:
@@ -603,39 +534,24 @@ def of_one_step(rng: np.random.Generator) -> Strange:
     return Strange(u, noisy(rng, lags(u)))
 
 
-def of_long_delay(rng: np.random.Generator) -> Strange:
-    """A linear plant behind a delay of four of its time constants."""
-    u = walk(rng)
-    return Strange(u, noisy(rng, lags(np.append(np.zeros(48), u[:-48]))))
-
-
-def diffusing(rng: np.random.Generator) -> Strange:
+def diffusing(u: Floats) -> Floats:
     """Heat in a thick wall: half an order, as lags of many time constants."""
-    u = walk(rng, SIZE, 30.0)
-    y = sum((0.5**n * lags(u, 3.0 * 4.0**n, 1) for n in range(5)), np.zeros(SIZE))
-    return Strange(u, noisy(rng, y / y.std()))
+    return scaled(sum((0.5**n * lags(u, 3.0 * 4.0**n, 1) for n in range(5)), np.zeros(u.size)))
 
 
-def passing_on(rng: np.random.Generator) -> Strange:
-    """A zone of the sensor behind a plant that passes on a third of its input at once."""
-    u = walk(rng)
-    return Strange(u, noisy(rng, zone(lags(u) + 0.3 * u), 0.01), {}, BOTH)
+def changes(z: Floats) -> Floats:
+    """A sensor of changes: it forgets what stays."""
+    return np.asarray(lfilter([1.0, -1.0], [1.0, -0.98], z))
 
 
 def slower_upwards(z: Floats) -> Floats:
     """A sensor that follows rises with a lag of 8 samples, and falls with one of 2."""
-    y, at = np.empty(z.size), 0.0
-    for k, value in enumerate(z):
-        at += (value - at) / (8 if value > at else 2)
-        y[k] = at
-    return y
+    return follow(z, lambda at, v: at + (v - at) / (8 if v > at else 2), 0.0)[1:]
 
 
-def dithered(rng: np.random.Generator) -> Strange:
+def dithered(u: Floats) -> Floats:
     """A zone that a tone of its own size, which nobody recorded, carries across its edges."""
-    u = walk(rng)
-    tone = 0.4 * np.sin(2.2 * np.arange(SIZE))
-    return Strange(u, noisy(rng, zone(lags(u) + tone), 0.01))
+    return zone(lags(u) + 0.4 * np.sin(2.2 * np.arange(u.size)))
 
 
 def rectified(rng: np.random.Generator) -> Strange:
@@ -644,81 +560,36 @@ def rectified(rng: np.random.Generator) -> Strange:
     return Strange(np.abs(u), noisy(rng, lags(u)))
 
 
-def lagging_gap(rng: np.random.Generator) -> Strange:
-    """A play of the sensor, whose readings have a lag of four samples."""
-    u = walk(rng, 2000, 30.0)
-    return Strange(u, noisy(rng, lfilter([0.22], [1.0, -0.78], dragged(lags(u), 0.7)), 0.005))
-
-
-def static(curve: Callable[[Floats], Floats]) -> Callable[[np.random.Generator], Strange]:
-    """A reading of the input of its own row, as a joystick's or a valve's at rest."""
-
-    def make(rng: np.random.Generator) -> Strange:
-        u = walk(rng)
-        return Strange(u, noisy(rng, curve(u)))
-
-    return make
-
-
-def saturated_drive(rng: np.random.Generator) -> Strange:
-    """A drive that lags, and ends at 0.9 of the input's rms, ahead of a plant."""
-    u = walk(rng)
-    return Strange(u, noisy(rng, lags(np.clip(lags(u, 4.0, 1), -0.9, 0.9))))
-
-
-def with_drift(read: Callable[[Floats], Floats]) -> Callable[[np.random.Generator], Strange]:
+def with_drift(z: Floats) -> Floats:
     """A sensor whose zero drifts by half an rms along the log."""
-
-    def make(rng: np.random.Generator) -> Strange:
-        u = walk(rng)
-        return Strange(u, noisy(rng, read(lags(u)) + np.linspace(0.0, 0.5, SIZE)))
-
-    return make
+    return np.asarray(z + np.linspace(0.0, 0.5, z.size))
 
 
-def of_two_gains(rng: np.random.Generator) -> Strange:
+def of_two_gains(u: Floats) -> Floats:
     """A linear plant whose gain falls by a third in the middle of the log."""
-    u = walk(rng)
-    gain = np.where(np.arange(SIZE) < SIZE // 2, 1.2, 0.8)
-    return Strange(u, noisy(rng, lags(u * gain)))
+    return lags(u * np.where(np.arange(u.size) < u.size // 2, 1.2, 0.8))
 
 
-def with_coloured_noise(
-    read: Callable[[Floats], Floats],
-) -> Callable[[np.random.Generator], Strange]:
+def with_coloured_noise(read: Callable[[Floats], Floats], right: tuple[str, ...]) -> Kind:
     """A sensor whose noise has a memory of 20 samples and a rms of a tenth."""
 
     def make(rng: np.random.Generator) -> Strange:
         u = walk(rng)
         return Strange(u, noisy(rng, read(lags(u)) + 0.1 * walk(rng, SIZE, 20.0), 0.01))
 
-    return make
+    return Kind(make, right)
 
 
-def with_much_noise(rng: np.random.Generator) -> Strange:
-    """A zone with noise of a third of its width."""
-    u = walk(rng)
-    return Strange(u, noisy(rng, zone(lags(u)), 0.3), {}, BOTH)
-
-
-def sampled(
-    read: Callable[[Floats], Floats], samples: float
-) -> Callable[[np.random.Generator], Strange]:
-    """A sensor behind a plant whose time constant is so many samples."""
-
-    def make(rng: np.random.Generator) -> Strange:
-        u = walk(rng, 2400, samples)
-        return Strange(u, noisy(rng, read(lags(u, samples)), 0.01), {}, BOTH)
-
-    return make
+def sampled(samples: float) -> Kind:
+    """A zone behind a plant whose time constant is so many samples."""
+    return driven(lambda u: zone(lags(u, samples)), ZONE, 0.01, BOTH, 2400, samples)
 
 
 def cylinder(rng: np.random.Generator) -> Strange:
     """The position of a hydraulic cylinder, whose valve overlaps, and which is faster outwards."""
     u = walk(rng, 2400, 20.0)
     v = zone(u, 0.4, 0.3)
-    y = driven_motor(np.where(v > 0, 1.4 * v, v), 5.0)
-    return Strange(u, noisy(rng, y, 0.003 * y.std()), {"integrators": 1})
+    return of_position(rng, u, driven_motor(np.where(v > 0, 1.4 * v, v), 5.0))
 
 
 def missing_counts(rng: np.random.Generator) -> Strange:
@@ -730,142 +601,143 @@ def missing_counts(rng: np.random.Generator) -> Strange:
     return Strange(u, np.round(y, 2), {"integrators": 1})
 
 
-def cut_root(z: Floats) -> Floats:
-    """The root of a pressure drop, which reads 0 for small ones."""
-    root = np.sign(z) * np.sqrt(np.abs(z))
-    return np.asarray(np.where(np.abs(root) > 0.4, root, 0.0))
+def root(z: Floats) -> Floats:
+    """The root of a pressure drop, with its sign."""
+    return np.asarray(np.sign(z) * np.sqrt(np.abs(z)))
 
 
 ZONE = ("dead_zone", "filtered_zone")
 LINEAR = ("none", "operating_point")
-BOTH = sum(WIDTHS)
+CURVE = ("input_curve",)
+BENT = ("other", "saturation")
 ALL = {
-    "fan": Kind(curved(lambda u: u * np.abs(u)), ("input_curve",)),
-    "exponential valve": Kind(curved(np.expm1), ("input_curve",)),
-    "soft limit of the input": Kind(curved(lambda u: np.tanh(2 * u)), ("input_curve",)),
-    "cubic input": Kind(curved(lambda u: u + 0.4 * u**3), ("input_curve",)),
-    "root of the input": Kind(curved(lambda u: np.sign(u) * np.sqrt(np.abs(u))), ("input_curve",)),
-    "limit of the input": Kind(curved(lambda u: np.clip(u, -0.9, 1.1)), ()),
-    "play ahead, 12": Kind(play_ahead(0.5, 12.0), ("input_play",)),
-    "play ahead, 2": Kind(play_ahead(0.9, 2.0), ("input_play",)),
-    "valve that sticks and slips": Kind(sticking, ("input_play", "stiction")),
-    "rate limit of the input": Kind(curved(slow_rate), ("input_rate",)),
+    "fan": curved(lambda u: u * np.abs(u), CURVE),
+    "exponential valve": curved(np.expm1, CURVE),
+    "soft limit of the input": curved(lambda u: np.tanh(2 * u), CURVE),
+    "cubic input": curved(lambda u: u + 0.4 * u**3, CURVE),
+    "root of the input": curved(root, CURVE),
+    "limit of the input": curved(lambda u: np.clip(u, -0.9, 1.1), ()),
+    "play ahead, 12": play_ahead(0.5, 12.0),
+    "play ahead, 2": play_ahead(0.9, 2.0),
+    "valve that sticks and slips": driven(
+        sticking, ("input_play", "stiction"), size=2000, hold=30.0
+    ),
+    "rate limit of the input": curved(slow_rate, ("input_rate",)),
     "pulses about 1500": Kind(by_pulses, ("input_zone",)),
-    "zone, mean of 4": Kind(sensed(lambda z: lfilter(np.ones(4) / 4, [1.0], zone(z)), BOTH), ZONE),
-    "zone, lag of 3": Kind(sensed(lambda z: lfilter([0.3], [1.0, -0.7], zone(z)), BOTH), ZONE),
-    "zone, median of 5": Kind(sensed(lambda z: medfilt(zone(z), 5), BOTH), ZONE),
-    "zone of two slopes": Kind(sensed(slopes_apart), (*ZONE, "other")),
-    "zone that ends": Kind(sensed(lambda z: np.clip(zone(z), -0.6, 0.8)), (*ZONE, "saturation")),
-    "zone behind a drifting gain": Kind(drifting, ZONE),
-    "rate limit of the sensor": Kind(sensed(slow_rate), ()),
-    "soft sensor": Kind(sensed(lambda z: np.tanh(1.5 * z)), ("other", "saturation")),
+    "zone, mean of 4": sensed(lambda z: lfilter(np.ones(4) / 4, [1.0], zone(z)), ZONE, BOTH),
+    "zone, lag of 3": sensed(lambda z: lfilter([0.3], [1.0, -0.7], zone(z)), ZONE, BOTH),
+    "zone, median of 5": sensed(lambda z: medfilt(zone(z), 5), ZONE, BOTH),
+    "zone of two slopes": sensed(slopes_apart, (*ZONE, "other")),
+    "zone that ends": sensed(lambda z: np.clip(zone(z), -0.6, 0.8), (*ZONE, "saturation")),
+    "zone behind a drifting gain": sensed(lambda z: zone(z * np.linspace(1.4, 0.7, z.size)), ZONE),
+    "rate limit of the sensor": sensed(slow_rate, ()),
+    "soft sensor": sensed(lambda z: np.tanh(1.5 * z), BENT),
     "joint, friction .3": Kind(joint(0.3), ("friction",)),
     "joint": Kind(joint(0.0), LINEAR),
-    "motor of 5": Kind(motor(5.0), LINEAR),
-    "motor of 15": Kind(motor(15.0), LINEAR),
-    "motor of 50": Kind(motor(50.0), LINEAR),
-    "motor of 150": Kind(motor(150.0), LINEAR),
-    "motor of 500": Kind(motor(500.0), LINEAR),
-    "fifth order": Kind(of_fifth_order, LINEAR),
-    "mean of 5": Kind(averaged, LINEAR),
+    **{f"motor of {samples}": motor(samples) for samples in (5, 15, 50, 150, 500)},
+    "fifth order": driven(lambda u: lags(u, 5.0, 5), LINEAR),
+    "mean of 5": sensed(lambda z: lfilter(np.ones(5) / 5, [1.0], z), LINEAR),
     "an input that nobody recorded": Kind(of_two_inputs, LINEAR),
-    "spring that bends": Kind(softening, ()),
-    "tank": Kind(tank, ()),
-    "zone": Kind(sensed(zone, BOTH), ("dead_zone",)),
-    "line": Kind(sensed(lambda z: z), LINEAR),
+    "spring that bends": driven(softening, ()),
+    "tank": driven(tank, (), hold=30.0),
+    "zone": sensed(zone, ("dead_zone",), BOTH),
+    "line": sensed(lambda z: z, LINEAR),
     # chosen after the code of the rounds before was finished
     "zone, heavy tails": Kind(tailed, ZONE),
-    "two gains of the input": Kind(one_sided, ("input_curve",)),
-    "zone that grows": Kind(widening, ZONE),
-    "smooth hysteresis": Kind(bent_hysteresis, ("play", "both")),
-    "two rates": Kind(of_two_rates, ()),
-    "relay": Kind(switched, ()),
+    "two gains of the input": curved(lambda u: np.where(u > 0, u, 0.5 * u), CURVE),
+    "zone that grows": sensed(widening, ZONE),
+    "smooth hysteresis": driven(bent_hysteresis, ("play", "both"), size=2000, hold=30.0),
+    "two rates": driven(of_two_rates, ()),
+    "relay": curved(np.sign, ()),
     "friction that falls": Kind(stribeck, ("friction",)),
     "zone in a loop": Kind(zone_in_loop, ZONE),
-    "zone of a late input": Kind(late_zone, ("input_zone",)),
-    "lag, zone, plant": Kind(with_actuator_lag, ()),
-    "zone, round edges": Kind(sensed(rounded, BOTH), ZONE),
-    "zone of one side": Kind(sensed(lambda z: zone(z, 0.6, 0.0), 0.6), ZONE),
-    "root of the output": Kind(
-        sensed(lambda z: np.sign(z) * np.sqrt(np.abs(z))), ("other", "saturation")
+    "zone of a late input": driven(
+        lambda u: lags(zone(np.roll(u, 4), 0.4, 0.3)), ("input_zone",), width=0.7
     ),
-    "tenths of readings": Kind(sensed(lambda z: np.round(z, 1)), LINEAR),
-    "two slopes, no zone": Kind(sensed(lambda z: np.where(z > 0, z, 0.6 * z)), ("other",)),
-    "limit of one side": Kind(sensed(lambda z: np.minimum(z, 0.8)), ("saturation", "other")),
-    "drag by the square": Kind(dragging, ()),
-    "gain that sways": Kind(swaying, LINEAR),
+    "lag, zone, plant": curved(lambda u: zone(lags(u, 4.0, 1), 0.4, 0.3), ()),
+    "zone, round edges": sensed(rounded, ZONE, BOTH),
+    "zone of one side": sensed(lambda z: zone(z, 0.6, 0.0), ZONE, 0.6),
+    "root of the output": sensed(root, BENT),
+    "tenths of readings": sensed(lambda z: np.round(z, 1), LINEAR),
+    "two slopes, no zone": sensed(lambda z: np.where(z > 0, z, 0.6 * z), ("other",)),
+    "limit of one side": sensed(lambda z: np.minimum(z, 0.8), ("saturation", "other")),
+    "drag by the square": driven(dragging, ()),
+    "gain that sways": driven(lambda u: swaying(lags(u)), LINEAR),
     "input of uncertain time": Kind(jittery, LINEAR),
     "sensor's zero that wanders": Kind(wandering, LINEAR),
     "zone and spikes": Kind(with_spikes, ZONE),
-    "relay with hysteresis": Kind(switching, ()),
-    "lag, soft limit, plant": Kind(between_lags, ()),
-    "zone beside a line": Kind(zone_beside, ("input_curve",)),
-    "rounded input": Kind(curved(lambda u: np.round(u)), ()),
-    "sensor of three slopes": Kind(sensed(lambda z: z - 0.5 * np.clip(z, -0.5, 0.4)), ("other",)),
-    "heater": Kind(heated, ("input_curve", "input_zone")),
+    "relay with hysteresis": curved(lambda u: relayed(u, 0.4, -1.0, 1.0), ()),
+    "lag, soft limit, plant": curved(lambda u: np.tanh(2 * lags(u, 6.0, 1)), ()),
+    "zone beside a line": curved(lambda u: 0.5 * u + zone(u, 0.6, 0.5), CURVE),
+    "rounded input": curved(np.round, ()),
+    "sensor of three slopes": sensed(lambda z: z - 0.5 * np.clip(z, -0.5, 0.4), ("other",)),
+    "heater": curved(lambda u: np.maximum(u, 0.0), (*CURVE, "input_zone")),
     "recorder on change": Kind(on_change, ()),
-    "hum": Kind(humming, LINEAR),
-    "gain by the output": Kind(bilinear, ()),
-    "least pulse": Kind(curved(least_pulse), ()),
+    "hum": driven(humming, LINEAR),
+    "gain by the output": driven(bilinear, ()),
+    "least pulse": curved(lambda u: cut(u, 0.5), ()),
     "sensor that freezes": Kind(freezing, LINEAR),
-    "pendulum": Kind(swinging, ()),
-    "limit of the input, zone": Kind(limited_and_sensed, ZONE),
-    "delay that sways": Kind(of_changing_delay, LINEAR),
-    "zone that creeps": Kind(with_leak, ZONE),
+    "pendulum": driven(swinging, (), hold=20.0),
+    "limit of the input, zone": driven(lambda u: zone(lags(np.clip(u, -1.2, 1.0))), ZONE),
+    "delay that sways": driven(of_changing_delay, LINEAR),
+    "zone that creeps": driven(with_leak, ZONE, width=BOTH),
     "interpolated readings": Kind(interpolated, LINEAR),
-    "coarse readings": Kind(sensed(lambda z: 0.6 * np.round(z / 0.6)), LINEAR),
-    "inverse response": Kind(with_inverse_response, LINEAR),
+    "coarse readings": sensed(lambda z: 0.6 * np.round(z / 0.6), LINEAR),
+    "inverse response": driven(lambda u: lags(u, 12.0, 1) - 1.5 * lags(u, 4.0, 1), LINEAR),
     "unstable plant in a loop": Kind(unstable_in_loop, LINEAR),
     "motor that cogs": Kind(cogging, ()),
-    "springs wound up": Kind(preloaded, ("friction",)),
-    "sensor of a logarithm": Kind(
-        sensed(lambda z: np.sign(z) * np.log1p(3 * np.abs(z))), ("other", "saturation")
-    ),
+    "springs wound up": driven(preloaded, ("friction",)),
+    "sensor of a logarithm": sensed(lambda z: np.sign(z) * np.log1p(3 * np.abs(z)), BENT),
     "zone, two runs": Kind(of_two_runs, ZONE),
-    "noise gate": Kind(sensed(lambda z: np.where(np.abs(z) > 0.4, z, 0.0), 0.8), ("jump",)),
+    "noise gate": sensed(cut, ("jump",), 0.8),
     "smoothed both ways": Kind(smoothed, LINEAR),
     "lost rows": Kind(with_lost_rows, LINEAR),
     "loads that come and go": Kind(loaded, LINEAR),
     "thermostat": Kind(by_thermostat, LINEAR),
     "zone of the input, hunting": Kind(hunting, ("input_zone",)),
-    "zone far from 0": Kind(sensed(apart_from_zero, 0.7), ZONE),
-    "angle that wraps": Kind(sensed(lambda z: np.mod(z + 0.5, 1.0) - 0.5), ()),
-    "flow without its sign": Kind(sensed(np.abs), ("other",)),
-    "zone, read every fifth time": Kind(sensed(lambda z: np.repeat(zone(z)[::5], 5), BOTH), ZONE),
-    "read every fifth time": Kind(sensed(lambda z: np.repeat(z[::5], 5)), LINEAR),
+    "zone far from 0": sensed(apart_from_zero, ZONE, 0.7),
+    "angle that wraps": sensed(lambda z: np.mod(z + 0.5, 1.0) - 0.5, ()),
+    "flow without its sign": sensed(np.abs, ("other",)),
+    "zone, read every fifth time": sensed(lambda z: np.repeat(zone(z)[::5], 5), ZONE, BOTH),
+    "read every fifth time": sensed(lambda z: np.repeat(z[::5], 5), LINEAR),
     "zone, noise by its size": Kind(noisy_by_size, ZONE),
-    "zone of a light damping": Kind(ringing, ZONE),
-    "comparator": Kind(sensed(compared), ()),
-    "nested hystereses": Kind(sensed(nested), ("play", "both", "friction")),
-    "clocks apart": Kind(of_two_clocks, LINEAR),
+    "zone of a light damping": driven(ringing, ZONE, 0.01, BOTH),
+    "comparator": sensed(compared, ()),
+    "nested hystereses": sensed(nested, ("play", "both", "friction")),
+    "clocks apart": driven(of_two_clocks, LINEAR),
     "one step": Kind(of_one_step, LINEAR),
-    "long dead time": Kind(of_long_delay, LINEAR),
-    "diffusion": Kind(diffusing, LINEAR),
-    "sensor of changes": Kind(sensed(lambda z: lfilter([1.0, -1.0], [1.0, -0.98], z)), LINEAR),
-    "zone, sensor of changes": Kind(
-        sensed(lambda z: lfilter([1.0, -1.0], [1.0, -0.98], zone(z)), BOTH), ()
-    ),
-    "zone with a share passed on": Kind(passing_on, ZONE),
-    "sensor slower upwards": Kind(sensed(slower_upwards), ()),
-    "range that switches": Kind(sensed(lambda z: np.where(np.abs(z) > 1, 1.05 * z, z)), ("other",)),
-    "dithered zone": Kind(dithered, ZONE),
+    "long dead time": curved(lambda u: np.append(np.zeros(48), u[:-48]), LINEAR),
+    "diffusion": driven(diffusing, LINEAR, hold=30.0),
+    "sensor of changes": sensed(changes, LINEAR),
+    "zone, sensor of changes": sensed(lambda z: changes(zone(z)), (), BOTH),
+    "zone with a share passed on": driven(lambda u: zone(lags(u) + 0.3 * u), ZONE, 0.01, BOTH),
+    "sensor slower upwards": sensed(slower_upwards, ()),
+    "range that switches": sensed(lambda z: np.where(np.abs(z) > 1, 1.05 * z, z), ("other",)),
+    "dithered zone": driven(dithered, ZONE, 0.01),
     "input without its sign": Kind(rectified, ()),
-    "gap behind a lag": Kind(lagging_gap, ("play",)),
+    "gap behind a lag": driven(
+        lambda u: lfilter([0.22], [1.0, -0.78], dragged(lags(u), 0.7)),
+        ("play",),
+        0.005,
+        None,
+        2000,
+        30.0,
+    ),
     # chosen last
-    "no dynamics": Kind(static(lambda u: 2 * u), LINEAR),
-    "no dynamics, zone": Kind(static(zone), (*ZONE, "input_zone")),
-    "no dynamics, play": Kind(static(lambda u: dragged(u, 0.7)), ("play", "input_play")),
-    "no dynamics, limit": Kind(static(lambda u: np.clip(u, -0.9, 1.1)), ("saturation",)),
-    "slow drive that saturates": Kind(saturated_drive, ()),
-    "offset that drifts": Kind(with_drift(lambda z: z), LINEAR),
-    "zone, offset that drifts": Kind(with_drift(zone), ZONE),
-    "gain that steps": Kind(of_two_gains, LINEAR),
-    "coloured noise": Kind(with_coloured_noise(lambda z: z), LINEAR),
-    "zone, coloured noise": Kind(with_coloured_noise(zone), ZONE),
-    "zone, much noise": Kind(with_much_noise, ZONE),
-    "zone, oversampled": Kind(sampled(zone, 120.0), ZONE),
-    "zone, undersampled": Kind(sampled(zone, 0.7), ZONE),
+    "no dynamics": driven(lambda u: 2 * u, LINEAR),
+    "no dynamics, zone": driven(zone, (*ZONE, "input_zone")),
+    "no dynamics, play": driven(lambda u: dragged(u, 0.7), ("play", "input_play")),
+    "no dynamics, limit": driven(lambda u: np.clip(u, -0.9, 1.1), ("saturation",)),
+    "slow drive that saturates": curved(lambda u: np.clip(lags(u, 4.0, 1), -0.9, 0.9), ()),
+    "offset that drifts": driven(lambda u: with_drift(lags(u)), LINEAR),
+    "zone, offset that drifts": driven(lambda u: with_drift(zone(lags(u))), ZONE),
+    "gain that steps": driven(of_two_gains, LINEAR),
+    "coloured noise": with_coloured_noise(lambda z: z, LINEAR),
+    "zone, coloured noise": with_coloured_noise(zone, ZONE),
+    "zone, much noise": driven(lambda u: zone(lags(u)), ZONE, 0.3, BOTH),
+    "zone, oversampled": sampled(120.0),
+    "zone, undersampled": sampled(0.7),
     "cylinder": Kind(cylinder, ("input_zone",)),
     "encoder that misses counts": Kind(missing_counts, LINEAR),
-    "root with a cut-off": Kind(sensed(cut_root), ("jump", "other")),
+    "root with a cut-off": sensed(lambda z: cut(root(z)), ("jump", "other")),
 }
