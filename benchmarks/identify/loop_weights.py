@@ -33,7 +33,8 @@ from undeadzone_identify.selection.loop import (
     find_loop_cause,
 )
 
-FIRST, RIDGE, OF_RECORDS = 20000, 2.0, 3.0  # seed; of the weights; weight of a valve of the records
+FIRST, OF_RECORDS = 20000, 3.0  # seed; weight of a valve of the records
+RIDGES = (0.25, 0.5, 1.0, 2.0, 4.0)  # of the weights: the one by which valves foretell others best
 STORED = Path("build/loop_features.jsonl")
 WRITTEN = Path(selection.__file__).with_suffix(".toml")
 
@@ -62,17 +63,24 @@ def records() -> list[dict[str, Any]]:
     return rows
 
 
-def fit_weights(x: np.ndarray, causes: np.ndarray, share: np.ndarray) -> dict[str, Any]:
+def likelihood(logits: np.ndarray, causes: np.ndarray, share: np.ndarray) -> float:
+    """Return the log likelihood of causes; that of -1 is any but the first."""
+    odds = log_softmax(logits, axis=1)
+    own = odds[np.arange(len(odds)), causes]
+    return float(share @ np.where(causes < 0, logsumexp(odds[:, 1:], axis=1), own))
+
+
+def fit_weights(
+    x: np.ndarray, causes: np.ndarray, share: np.ndarray, ridge: float
+) -> dict[str, Any]:
     """Return the logistic weights of most likelihood with a ridge on those of scaled features."""
     middle, scale, width = x.mean(axis=0), x.std(axis=0), x.shape[1] + 1
     scaled = np.column_stack([np.ones(len(x)), (x - middle) / scale])
 
     def loss(flat: np.ndarray) -> float:
         table = flat.reshape(len(CAUSES), width)
-        odds = log_softmax(scaled @ table.T, axis=1)
-        own = odds[np.arange(len(x)), causes]
-        value = np.where(causes < 0, logsumexp(odds[:, 1:], axis=1), own)
-        return float(-share @ value + RIDGE * np.sum(table[:, 1:] ** 2))
+        beside = ridge * float(np.sum(table[:, 1:] ** 2))
+        return beside - likelihood(scaled @ table.T, causes, share)
 
     table = minimize(loss, np.zeros(len(CAUSES) * width), method="L-BFGS-B").x.reshape(-1, width)
     weights = table[:, 1:] / scale
@@ -84,10 +92,9 @@ def fit_weights(x: np.ndarray, causes: np.ndarray, share: np.ndarray) -> dict[st
     }
 
 
-def sticking_odds(table: dict[str, Any], x: np.ndarray) -> np.ndarray:
-    """Return the odds of each row that its valve sticks, by itself."""
-    logits = x @ np.array(table["weights"]).T + table["bias"]
-    return np.exp(log_softmax(logits, axis=1))[:, 0]
+def logits_of(table: dict[str, Any], x: np.ndarray) -> np.ndarray:
+    """Return the log odds of the causes of each row, by itself, but for a constant."""
+    return x @ np.array(table["weights"]).T + table["bias"]
 
 
 def table() -> str:
@@ -103,21 +110,30 @@ def table() -> str:
     share = np.where(is_record, OF_RECORDS, 1.0) / times[at]
     tags = [{*valve[is_record & ((causes == 0) == so)]} for so in (True, False)]
     valves = list(map(len, tags)) if is_record.any() else [1, 1]
-    odds, names = np.empty(len(rows)), np.empty(len(rows), int)
     groups = np.where(is_record, at, at % 10 + at.max() + 1)
-    for group in np.unique(groups):
-        out = groups == group
-        others = fit_weights(x[~out], causes[~out], share[~out])
-        odds[out] = sticking_odds(others, x[out])
-        for one in np.unique(at[out]):
-            word, likely = next(
-                iter(combine_odds(x[at == one], others | {"valves": valves}).items())
-            )
-            names[at == one] = CAUSES.index(word) if likely >= NAMED else -1
-    fitted = fit_weights(x, causes, share)
-    texts = {"causes": CAUSES, "features": list(FEATURES), "valves": valves, **fitted}
+
+    def judge(ridge: float) -> tuple[float, float, np.ndarray, np.ndarray]:
+        """Mean log likelihood of a valve by the weights of others, ridge, log odds, and names."""
+        logits, names = np.empty((len(rows), len(CAUSES))), np.empty(len(rows), int)
+        for group in np.unique(groups):
+            out = groups == group
+            others = fit_weights(x[~out], causes[~out], share[~out], ridge)
+            logits[out] = logits_of(others, x[out])
+            for one in np.unique(at[out]):
+                word, likely = next(
+                    iter(combine_odds(x[at == one], others | {"valves": valves}).items())
+                )
+                names[at == one] = CAUSES.index(word) if likely >= NAMED else -1
+        return likelihood(logits, causes, share) / float(share.sum()), ridge, logits, names
+
+    judged = list(map(judge, RIDGES))
+    _, ridge, logits, names = max(judged, key=lambda one: one[0])
+    odds = np.exp(log_softmax(logits, axis=1))[:, 0]
+    fitted = fit_weights(x, causes, share, ridge)
+    texts = {"causes": CAUSES, "features": list(FEATURES), "valves": valves}
+    texts |= {key: np.round(value, 4).tolist() for key, value in fitted.items()}
     lines = [f"# Written by `python -m benchmarks loop_weights` from {len(rows)} loops: {of}."]
-    lines += [f"{key} = {json.dumps(rounded(value))}" for key, value in texts.items()]
+    lines += [f"{key} = {json.dumps(value)}" for key, value in texts.items()]
     WRITTEN.write_text("\n".join(lines) + "\n", encoding="utf-8")
     shown = head(
         "loops", "records", "valves", "AUC, all", "AUC, ellipse", "stick", "so named",
@@ -134,15 +150,10 @@ def table() -> str:
             shown.append(row(name, str(part.sum()), str(first.size), *cells))
     about = (
         "Each loop is judged by weights of other valves: the records valve by valve, generated"
-        f" loops in ten parts. Ridge {RIDGE:g}; a valve of the records counts {OF_RECORDS:g} times."
+        f" loops in ten parts. A valve of the records counts {OF_RECORDS:g} times. The ridge is"
+        f" {ridge:g}: mean log likelihoods of a valve by the weights of others are "
+        f"{', '.join(f'{one[0]:.3f} at {one[1]:g}' for one in judged)}."
         " AUC is that of single records; a valve is named by the odds of all its records, from"
         f" {NAMED:g} on."
     )
     return "\n".join(["## Weights of loops", "", about, "", *shown, ""])
-
-
-def rounded(value: Any) -> Any:
-    """Return numbers with four digits, as they are written."""
-    if isinstance(value, list | tuple):
-        return [rounded(one) for one in value]
-    return float(f"{value:.4g}") if isinstance(value, float) else value

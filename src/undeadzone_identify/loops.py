@@ -64,7 +64,7 @@ def loops(source: Path, workers: int, resume: bool, output: Output) -> int:
 
         with open_answers(keep, lambda: {"source": str(source)}, "loops", resume) as answers:
             rows = answers.compute_missing([*found], answer_missing)
-    rows.sort(key=lambda one: -one["cost"])
+    rows.sort(key=lambda one: -(one["cost"] or 0.0))
     written = []
     if folder is not None:
         written.append(write_loops(rows, folder, source.name))
@@ -113,13 +113,13 @@ def cells_of_row(row: dict[str, Any]) -> list[str]:
     """Return the cells of a loop's line, in the order of HEAD."""
     from undeadzone_identify.models.estimates import Interval
     from undeadzone_identify.results.formats import describe_interval
-    from undeadzone_identify.results.loop import read_number
+    from undeadzone_identify.results.loop import cost_in_words, read_number
 
     if row["verdict"] == "refused":
         return [row["loop"], "refused", *["-"] * 5, row["found"]]
     word, share = next(iter(row["odds"].items()))
     sizes = [describe_interval(Interval(*row[key]), "") for key in ("S", "J")]
-    cost = f"{read_number(row['error'])} ({read_number(100 * row['cost'], 2)} % of SP)"
+    cost = cost_in_words(read_number(row["error"]), row["cost"], row["about"])
     odds = f"{word} {100 * share:.0f} %"
     rest = [cost, read_number(row["travel"]), *(row["do"] or ["-"])]
     return [row["loop"], row["verdict"], odds, *sizes, *rest]
