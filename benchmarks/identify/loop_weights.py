@@ -34,7 +34,8 @@ from undeadzone_identify.selection.loop import (
 )
 
 FIRST, OF_RECORDS = 20000, 3.0  # seed; weight of a valve of the records
-RIDGES = (0.25, 0.5, 1.0, 2.0, 4.0)  # of the weights: the one by which valves foretell others best
+RIDGES = (0.5, 1.0, 2.0, 4.0)  # of the weights: that by which valves foretell others best, without
+# a false name of a valve that sticks
 STORED = Path("build/loop_features.jsonl")
 WRITTEN = Path(selection.__file__).with_suffix(".toml")
 
@@ -112,8 +113,10 @@ def table() -> str:
     valves = list(map(len, tags)) if is_record.any() else [1, 1]
     groups = np.where(is_record, at, at % 10 + at.max() + 1)
 
-    def judge(ridge: float) -> tuple[float, float, np.ndarray, np.ndarray]:
-        """Mean log likelihood of a valve by the weights of others, ridge, log odds, and names."""
+    def judge(ridge: float) -> tuple[int, float, float, np.ndarray, np.ndarray]:
+        """Less the false names of valves, mean log likelihood of a valve by the weights of
+        others, ridge, log odds, names.
+        """
         logits, names = np.empty((len(rows), len(CAUSES))), np.empty(len(rows), int)
         for group in np.unique(groups):
             out = groups == group
@@ -124,11 +127,12 @@ def table() -> str:
                     iter(combine_odds(x[at == one], others | {"valves": valves}).items())
                 )
                 names[at == one] = CAUSES.index(word) if likely >= NAMED else -1
-        return likelihood(logits, causes, share) / float(share.sum()), ridge, logits, names
+        value = likelihood(logits, causes, share) / float(share.sum())
+        return -len({*at[(causes != 0) & (names == 0)]}), value, ridge, logits, names
 
     judged = list(map(judge, RIDGES))
-    _, ridge, logits, names = max(judged, key=lambda one: one[0])
-    odds = np.exp(log_softmax(logits, axis=1))[:, 0]
+    _, _, ridge, logits, names = max(judged, key=lambda one: one[:2])
+    log_odds = log_softmax(logits, axis=1)[:, 0]
     fitted = fit_weights(x, causes, share, ridge)
     texts = {"causes": CAUSES, "features": list(FEATURES), "valves": valves}
     texts |= {key: np.round(value, 4).tolist() for key, value in fitted.items()}
@@ -136,23 +140,23 @@ def table() -> str:
     lines += [f"{key} = {json.dumps(value)}" for key, value in texts.items()]
     WRITTEN.write_text("\n".join(lines) + "\n", encoding="utf-8")
     shown = head(
-        "loops", "records", "valves", "AUC, all", "AUC, ellipse", "stick", "so named",
-        "others so named", "other false names",
+        "loops", "records", "valves", "AUC, all", "stick", "so named", "others so named",
+        "other false names",
     )  # fmt: skip
     for name, part in (("records", is_record), ("generated", ~is_record)):
         if part.any():
-            areas = (area_under_curve(s, causes[part] == 0) for s in (odds[part], x[part, 0]))
+            area = area_under_curve(log_odds[part], causes[part] == 0)
             first = np.unique(at[part], return_index=True)[1]
             cause, said = causes[part][first], names[part][first]
             false = (said > 0) & (said != cause) & (cause >= 0)
             counts = (cause == 0, (cause == 0) & (said == 0), (cause != 0) & (said == 0), false)
-            cells = [*(f"{area:.3f}" for area in areas), *(str(one.sum()) for one in counts)]
+            cells = [f"{area:.3f}", *(str(one.sum()) for one in counts)]
             shown.append(row(name, str(part.sum()), str(first.size), *cells))
     about = (
         "Each loop is judged by weights of other valves: the records valve by valve, generated"
         f" loops in ten parts. A valve of the records counts {OF_RECORDS:g} times. The ridge is"
-        f" {ridge:g}: mean log likelihoods of a valve by the weights of others are "
-        f"{', '.join(f'{one[0]:.3f} at {one[1]:g}' for one in judged)}."
+        f" {ridge:g}, by mean log likelihoods of a valve by the weights of others (and false names"
+        f" that it sticks): {', '.join(f'{one[1]:.3f} ({-one[0]}) at {one[2]:g}' for one in judged)}."
         " AUC is that of single records; a valve is named by the odds of all its records, from"
         f" {NAMED:g} on."
     )
