@@ -156,7 +156,8 @@ def table() -> str:
         "Each loop is judged by weights of other valves: the records valve by valve, generated"
         f" loops in ten parts. A valve of the records counts {OF_RECORDS:g} times. The ridge is"
         f" {ridge:g}, by mean log likelihoods of a valve by the weights of others (and false names"
-        f" that it sticks): {', '.join(f'{one[1]:.3f} ({-one[0]}) at {one[2]:g}' for one in judged)}."
+        " that it sticks): "
+        f"{', '.join(f'{one[1]:.3f} ({-one[0]}) at {one[2]:g}' for one in judged)}."
         " AUC is that of single records; a valve is named by the odds of all its records, from"
         f" {NAMED:g} on."
     )

@@ -17,7 +17,7 @@ from undeadzone.util.progress import terminal_progress as progress
 if TYPE_CHECKING:
     from undeadzone_identify.logs.loops import Record
 
-HEAD = ("loop", "cause", "odds", "S [% of OP]", "J [% of OP]", "cost", "travel a day", "what to do")
+HEAD = ("loop", "cause", "odds", "S of OP", "J of OP", "cost", "travel a day", "what to do")
 
 
 @click.command(epilog="Example: undeadzone loops plant --out ranked")
@@ -101,6 +101,7 @@ def judge_loop(tag: str, records: list[Record], folder: Path | None) -> dict[str
     numbers = answer.numbers()
     row |= {key: numbers[key] for key in ("verdict", "found", "odds", "records")} | numbers["loop"]
     cure = answer.found.remarks[-1:] if answer.found.is_thinned else ()
+    row["unit"] = numbers["units"]["input"]
     row["do"] = [*cure, *answer.account.remedies, *answer.account.doubts][:1]
     if folder is not None:
         page = re.sub(r"[^\w.-]+", "_", tag)
@@ -112,13 +113,14 @@ def judge_loop(tag: str, records: list[Record], folder: Path | None) -> dict[str
 def cells_of_row(row: dict[str, Any]) -> list[str]:
     """Return the cells of a loop's line, in the order of HEAD."""
     from undeadzone_identify.models.estimates import Interval
-    from undeadzone_identify.results.formats import describe_interval
+    from undeadzone_identify.results.formats import describe_interval, unit_suffix
     from undeadzone_identify.results.loop import cost_in_words, read_number
 
     if row["verdict"] == "refused":
         return [row["loop"], "refused", *["-"] * 5, row["found"]]
     word, share = next(iter(row["odds"].items()))
-    sizes = [describe_interval(Interval(*row[key]), "") for key in ("S", "J")]
+    unit = unit_suffix(row["unit"])
+    sizes = [describe_interval(Interval(*row[key]), unit) for key in ("S", "J")]
     cost = cost_in_words(read_number(row["error"]), row["cost"], row["about"])
     odds = f"{word} {100 * share:.0f} %"
     rest = [cost, read_number(row["travel"]), *(row["do"] or ["-"])]
