@@ -5,8 +5,6 @@ RECORDS_FOLDER: the records, asked without options. The answers are as sure as t
 not; RECORDS_LABELS: a table of others (columns file, options, right; words that are right,
 separated by spaces), by default `labels.csv` in the folder. Nothing of the records is kept. A
 false name above .8 is an error: exit code 1.
-
-A false name with odds above .8 costs 10, another one 5, a withheld one 1.
 """
 
 from __future__ import annotations
@@ -25,7 +23,6 @@ from benchmarks.markdown import head, row
 
 NO_NAME = ("undecided", "unclear", "unreached", "refused")
 SURE = 0.8  # odds above which no name may be wrong
-SURELY_WRONG, WRONG, WITHHELD = 10, 5, 1  # prices
 ODDS_OF = {"operating_point": "none"}
 STICKS = ("stiction", "input_play", "friction")
 MOVES = ("none", "operating_point", "input_curve", "other", "external", "tight_tuning")
@@ -56,12 +53,6 @@ class Outcome(NamedTuple):
     def is_wrong(self) -> bool:
         """Whether another name is given."""
         return not self.is_right and self.verdict not in NO_NAME
-
-    def price(self) -> int:
-        """What it costs."""
-        if self.is_wrong:
-            return SURELY_WRONG if self.false_odds > SURE else WRONG
-        return 0 if self.is_right else WITHHELD
 
 
 def ask(kind: str, right: tuple[str, ...], width: float | None, **log: Any) -> Outcome:
@@ -135,10 +126,9 @@ def table_lines(every: list[Outcome]) -> list[str]:
     )
     cells = [count, right, count - right - len(wrong), len(wrong), surely, printed]
     hits = f"{sum(holds)} of {len(holds)}"
-    price = sum(one.price() for one in every) / max(count, 1)
     spent = float(np.mean([one.seconds for one in every])) if every else 0.0
-    numbers = (*(str(cell) for cell in cells), hits, f"{price:.2f}", f"{spent:.1f}")
-    return [*head(*names, "price a log", "CPU s"), row(*numbers)]
+    numbers = (*(str(cell) for cell in cells), hits, f"{spent:.1f}")
+    return [*head(*names, "CPU s"), row(*numbers)]
 
 
 def each(every: list[Outcome]) -> list[str]:

@@ -33,7 +33,9 @@ from undeadzone_identify.selection.loop import (
     find_loop_cause,
 )
 
-FIRST, RIDGE, OF_RECORDS = 20000, 2.0, 3.0  # seed; of the weights; weight of a valve of the records
+FIRST, OF_RECORDS = 20000, 3.0  # seed; weight of a valve of the records
+RIDGES = (0.5, 1.0, 2.0, 4.0)  # of the weights: that by which valves foretell others best, without
+# a false name of a valve that sticks
 STORED = Path("build/loop_features.jsonl")
 WRITTEN = Path(selection.__file__).with_suffix(".toml")
 
@@ -62,17 +64,24 @@ def records() -> list[dict[str, Any]]:
     return rows
 
 
-def fit_weights(x: np.ndarray, causes: np.ndarray, share: np.ndarray) -> dict[str, Any]:
+def likelihood(logits: np.ndarray, causes: np.ndarray, share: np.ndarray) -> float:
+    """Return the log likelihood of causes; that of -1 is any but the first."""
+    odds = log_softmax(logits, axis=1)
+    own = odds[np.arange(len(odds)), causes]
+    return float(share @ np.where(causes < 0, logsumexp(odds[:, 1:], axis=1), own))
+
+
+def fit_weights(
+    x: np.ndarray, causes: np.ndarray, share: np.ndarray, ridge: float
+) -> dict[str, Any]:
     """Return the logistic weights of most likelihood with a ridge on those of scaled features."""
     middle, scale, width = x.mean(axis=0), x.std(axis=0), x.shape[1] + 1
     scaled = np.column_stack([np.ones(len(x)), (x - middle) / scale])
 
     def loss(flat: np.ndarray) -> float:
         table = flat.reshape(len(CAUSES), width)
-        odds = log_softmax(scaled @ table.T, axis=1)
-        own = odds[np.arange(len(x)), causes]
-        value = np.where(causes < 0, logsumexp(odds[:, 1:], axis=1), own)
-        return float(-share @ value + RIDGE * np.sum(table[:, 1:] ** 2))
+        beside = ridge * float(np.sum(table[:, 1:] ** 2))
+        return beside - likelihood(scaled @ table.T, causes, share)
 
     table = minimize(loss, np.zeros(len(CAUSES) * width), method="L-BFGS-B").x.reshape(-1, width)
     weights = table[:, 1:] / scale
@@ -84,10 +93,9 @@ def fit_weights(x: np.ndarray, causes: np.ndarray, share: np.ndarray) -> dict[st
     }
 
 
-def sticking_odds(table: dict[str, Any], x: np.ndarray) -> np.ndarray:
-    """Return the odds of each row that its valve sticks, by itself."""
-    logits = x @ np.array(table["weights"]).T + table["bias"]
-    return np.exp(log_softmax(logits, axis=1))[:, 0]
+def logits_of(table: dict[str, Any], x: np.ndarray) -> np.ndarray:
+    """Return the log odds of the causes of each row, by itself, but for a constant."""
+    return x @ np.array(table["weights"]).T + table["bias"]
 
 
 def table() -> str:
@@ -103,46 +111,54 @@ def table() -> str:
     share = np.where(is_record, OF_RECORDS, 1.0) / times[at]
     tags = [{*valve[is_record & ((causes == 0) == so)]} for so in (True, False)]
     valves = list(map(len, tags)) if is_record.any() else [1, 1]
-    odds, names = np.empty(len(rows)), np.empty(len(rows), int)
     groups = np.where(is_record, at, at % 10 + at.max() + 1)
-    for group in np.unique(groups):
-        out = groups == group
-        others = fit_weights(x[~out], causes[~out], share[~out])
-        odds[out] = sticking_odds(others, x[out])
-        for one in np.unique(at[out]):
-            word, likely = next(
-                iter(combine_odds(x[at == one], others | {"valves": valves}).items())
-            )
-            names[at == one] = CAUSES.index(word) if likely >= NAMED else -1
-    fitted = fit_weights(x, causes, share)
-    texts = {"causes": CAUSES, "features": list(FEATURES), "valves": valves, **fitted}
+
+    def judge(ridge: float) -> tuple[int, float, float, np.ndarray, np.ndarray]:
+        """Less the false names of valves, mean log likelihood of a valve by the weights of
+        others, ridge, log odds, names.
+        """
+        logits, names = np.empty((len(rows), len(CAUSES))), np.empty(len(rows), int)
+        for group in np.unique(groups):
+            out = groups == group
+            others = fit_weights(x[~out], causes[~out], share[~out], ridge)
+            logits[out] = logits_of(others, x[out])
+            for one in np.unique(at[out]):
+                word, likely = next(
+                    iter(combine_odds(x[at == one], others | {"valves": valves}).items())
+                )
+                names[at == one] = CAUSES.index(word) if likely >= NAMED else -1
+        value = likelihood(logits, causes, share) / float(share.sum())
+        return -len({*at[(causes != 0) & (names == 0)]}), value, ridge, logits, names
+
+    judged = list(map(judge, RIDGES))
+    _, _, ridge, logits, names = max(judged, key=lambda one: one[:2])
+    log_odds = log_softmax(logits, axis=1)[:, 0]
+    fitted = fit_weights(x, causes, share, ridge)
+    texts = {"causes": CAUSES, "features": list(FEATURES), "valves": valves}
+    texts |= {key: np.round(value, 4).tolist() for key, value in fitted.items()}
     lines = [f"# Written by `python -m benchmarks loop_weights` from {len(rows)} loops: {of}."]
-    lines += [f"{key} = {json.dumps(rounded(value))}" for key, value in texts.items()]
+    lines += [f"{key} = {json.dumps(value)}" for key, value in texts.items()]
     WRITTEN.write_text("\n".join(lines) + "\n", encoding="utf-8")
     shown = head(
-        "loops", "records", "valves", "AUC, all", "AUC, ellipse", "stick", "so named",
-        "others so named", "other false names",
+        "loops", "records", "valves", "AUC, all", "stick", "so named", "others so named",
+        "other false names",
     )  # fmt: skip
     for name, part in (("records", is_record), ("generated", ~is_record)):
         if part.any():
-            areas = (area_under_curve(s, causes[part] == 0) for s in (odds[part], x[part, 0]))
+            area = area_under_curve(log_odds[part], causes[part] == 0)
             first = np.unique(at[part], return_index=True)[1]
             cause, said = causes[part][first], names[part][first]
             false = (said > 0) & (said != cause) & (cause >= 0)
             counts = (cause == 0, (cause == 0) & (said == 0), (cause != 0) & (said == 0), false)
-            cells = [*(f"{area:.3f}" for area in areas), *(str(one.sum()) for one in counts)]
+            cells = [f"{area:.3f}", *(str(one.sum()) for one in counts)]
             shown.append(row(name, str(part.sum()), str(first.size), *cells))
     about = (
         "Each loop is judged by weights of other valves: the records valve by valve, generated"
-        f" loops in ten parts. Ridge {RIDGE:g}; a valve of the records counts {OF_RECORDS:g} times."
+        f" loops in ten parts. A valve of the records counts {OF_RECORDS:g} times. The ridge is"
+        f" {ridge:g}, by mean log likelihoods of a valve by the weights of others (and false names"
+        " that it sticks): "
+        f"{', '.join(f'{one[1]:.3f} ({-one[0]}) at {one[2]:g}' for one in judged)}."
         " AUC is that of single records; a valve is named by the odds of all its records, from"
         f" {NAMED:g} on."
     )
     return "\n".join(["## Weights of loops", "", about, "", *shown, ""])
-
-
-def rounded(value: Any) -> Any:
-    """Return numbers with four digits, as they are written."""
-    if isinstance(value, list | tuple):
-        return [rounded(one) for one in value]
-    return float(f"{value:.4g}") if isinstance(value, float) else value

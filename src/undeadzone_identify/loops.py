@@ -17,7 +17,7 @@ from undeadzone.util.progress import terminal_progress as progress
 if TYPE_CHECKING:
     from undeadzone_identify.logs.loops import Record
 
-HEAD = ("loop", "cause", "odds", "S [% of OP]", "J [% of OP]", "cost", "travel a day", "what to do")
+HEAD = ("loop", "cause", "odds", "S of OP", "J of OP", "cost", "travel a day", "what to do")
 
 
 @click.command(epilog="Example: undeadzone loops plant --out ranked")
@@ -64,7 +64,7 @@ def loops(source: Path, workers: int, resume: bool, output: Output) -> int:
 
         with open_answers(keep, lambda: {"source": str(source)}, "loops", resume) as answers:
             rows = answers.compute_missing([*found], answer_missing)
-    rows.sort(key=lambda one: -one["cost"])
+    rows.sort(key=lambda one: -(one["cost"] or 0.0))
     written = []
     if folder is not None:
         written.append(write_loops(rows, folder, source.name))
@@ -101,6 +101,7 @@ def judge_loop(tag: str, records: list[Record], folder: Path | None) -> dict[str
     numbers = answer.numbers()
     row |= {key: numbers[key] for key in ("verdict", "found", "odds", "records")} | numbers["loop"]
     cure = answer.found.remarks[-1:] if answer.found.is_thinned else ()
+    row["unit"] = numbers["units"]["input"]
     row["do"] = [*cure, *answer.account.remedies, *answer.account.doubts][:1]
     if folder is not None:
         page = re.sub(r"[^\w.-]+", "_", tag)
@@ -112,14 +113,15 @@ def judge_loop(tag: str, records: list[Record], folder: Path | None) -> dict[str
 def cells_of_row(row: dict[str, Any]) -> list[str]:
     """Return the cells of a loop's line, in the order of HEAD."""
     from undeadzone_identify.models.estimates import Interval
-    from undeadzone_identify.results.formats import describe_interval
-    from undeadzone_identify.results.loop import read_number
+    from undeadzone_identify.results.formats import describe_interval, unit_suffix
+    from undeadzone_identify.results.loop import cost_in_words, read_number
 
     if row["verdict"] == "refused":
         return [row["loop"], "refused", *["-"] * 5, row["found"]]
     word, share = next(iter(row["odds"].items()))
-    sizes = [describe_interval(Interval(*row[key]), "") for key in ("S", "J")]
-    cost = f"{read_number(row['error'])} ({read_number(100 * row['cost'], 2)} % of SP)"
+    unit = unit_suffix(row["unit"])
+    sizes = [describe_interval(Interval(*row[key]), unit) for key in ("S", "J")]
+    cost = cost_in_words(read_number(row["error"]), row["cost"], row["about"])
     odds = f"{word} {100 * share:.0f} %"
     rest = [cost, read_number(row["travel"]), *(row["do"] or ["-"])]
     return [row["loop"], row["verdict"], odds, *sizes, *rest]

@@ -32,8 +32,8 @@ LINE, TAGGED = "{k},{op},{pv},{sp}", "time,FIC101.OP,FIC101.PV,FIC101.SP"
 LONG = "{t},FIC101.MV,{op_}\n{t},FIC101.PV,{pv_}\n{t},FIC101.SV,{sp_}"
 SHAPES = {
     "tags": (TAGGED, LINE),
-    "yokogawa": ("time,FIC101.MV,FIC101.PV,FIC101.SV", LINE),
-    "siemens": ("time,FIC101.MV,FIC101.CV,FIC101.SV", LINE),
+    "iFIX": ("time,FIC101_MV.F_CV,FIC101_PV.F_CV,FIC101_SV.F_CV,FIC101.MODE", LINE + ",AUTO"),
+    "Step 7": ("time,FIC101.MV#Value,FIC101.PV_Out#Value,FIC101.SP_INT#Value", LINE),
     "pcs7": ('"Datum","W1//F/P.MV.Value [%]","W1//F/P.PV.Value [t]","W1//F/P.SP.Value [t]"', LINE),
     "deltav": ("time,F/PID1/OUT.CV,F/PID1/PV.CV,F/PID1/SP.CV", "{t:%d-%b-%Y %X}" + LINE[3:]),
     "honeywell": ("Date,Time,F.PIDA.OP,F.PIDA.PV,F.PIDA.SP", "{t:%m/%d/%Y},{t:%X}" + LINE[3:]),
@@ -42,7 +42,6 @@ SHAPES = {
     "underscores": ("time,FIC101_OP [%],FIC101_PV [t/h],FIC101_SP [t/h]", LINE),
     "ahead": ("time,OP_FIC101,PV_FIC101,SP_FIC101", LINE),
     "blanks": ("time,FIC101.OP,FIC101.SP,FIC101.PV", "{k},{op_},{sp_},{pv}"),
-    "mode": (f"{TAGGED},FIC101.MODE", LINE + ",AUTO"),
     "lines": ("timestamp,tag,value", LONG.replace("_", "")),
     "changes": ("timestamp,tag,value", LONG),
     "status": ("Time,Tag,Quality,Value", LONG.replace(",{", ",Good,{")),
@@ -54,7 +53,7 @@ SHAPES = {
     "one value a line": (TAGGED, '{k},{op},"",""\n{k},"",{pv},""\n{k},"","",{sp}'),
     "names in two columns": ("time,loop,signal,value", LONG.replace(".", ",").replace("_", "")),
     "two loops": (f"{TAGGED},FIC102.OP,FIC102.PV,FIC102.SP", LINE + ",{op},{pv},{sp}"),
-    "German": ("Zeit;F Stellgröße;F Istwert;F Sollwert", LINE.replace(",", ";")),
+    "German": ("Zeit;F Stellgröße;F Regelgröße;F Führungsgröße", LINE.replace(",", ";")),
     "German lines": ("Zeitstempel;Variable;Wert", LONG.replace(",", ";")),
 }
 
@@ -177,7 +176,7 @@ def test_odds_of_a_loop_end_where_the_number_of_valves_ends(count: int, share: f
     """One valve of known cause supports odds of 3, ten of 30."""
     most = selection.PER_VALVE * min(selection.load_weights()["valves"])
     wide = float(share > 0.5)
-    row = [wide, 10.0 * wide - 3.0, 0.0, -1.0, 0.0]
+    row = [wide, 10.0 * wide - 3.0, 0.0, -1.0, 0.0, 0.0]
     odds = selection.combine_odds(np.array([row] * count))
     assert sum(odds.values()) == pytest.approx(1.0)
     assert max(odds.values()) <= most / (1 + most) + 1e-9

@@ -45,7 +45,7 @@ _WITH_UNIT: Final = re.compile(
     r"(.*[^\W_])[_ ](N|Nm|V|A|K|W|(?i:deg|rad|mrad|arcsec|arcmin|mm|cm|um|inch|us|ms|ns|px|counts"
     r"|pct|percent|mv|ma|volts?|amps?|newtons?|pa|kpa|bar|psi|degc|celsius|kelvin|kg|rpm|lpm))"
 )
-_WORDS: Final = re.compile(r"[A-Z]+(?![a-zµμ])|[A-ZÀ-Þ]?[^\W\d_A-Z]+|[A-Z]+|\d+|[°%]")
+_WORDS: Final = re.compile(r"[A-Z]+(?![a-zµμß-ÿ])|[A-ZÀ-Þ]?[^\W\d_A-Z]+|[A-Z]+|\d+|[°%]")
 
 TABLE: Final = 160  # rows that someone has written down, at most
 EXACT: Final = 20.0  # rank of names without doubt
@@ -62,7 +62,7 @@ _TABLE: Final = tuple(
             "op",
             EXACT,
         ),
-        (r"\bpv\b|^process (value|variable)$", "pv", -EXACT),
+        (r"\bpv\b|^process (value|variable)$|^regelgr(ö|oe)(ß|ss)e$", "pv", -EXACT),
         (r"^u \w+$", "", 17.0),
         (r"^y \w+$", "", -17.0),
         (r"^(command|cmd)$", "goal", 18.0),
@@ -79,7 +79,8 @@ _TABLE: Final = tuple(
         ),
         (r"\bsp\b|^sv$", "sp", REFERENCE),
         (
-            r"^(r|ref|reference|set ?point|sollwert|consigne|consigna|referencia|riferimento)$",
+            r"^(r|ref|reference|set ?point|sollwert|consigne|consigna|referencia|riferimento"
+            r"|führungsgr(ö|oe)(ß|ss)e)$",
             "goal",
             REFERENCE,
         ),
@@ -120,8 +121,8 @@ _TABLE: Final = tuple(
             14.0,
         ),
         (r"^q( \d+)?$", "position", 0.0),  # a joint's coordinate, or a flow that is set
-        (r"^[flpt]c?v \d", "drive", 14.0),  # tags of ISA-5.1: valves, and transmitters
-        (r"^[flpt]i?t \d", "", -12.0),
+        (r"^[flpt]c?v \d", "op", 14.0),  # tags of ISA-5.1: valves, and transmitters
+        (r"^[flpt]i?t \d", "pv", -12.0),
         (r"^t \d+$", "", -8.0),  # temperatures
         (r"^dec( raw|$)", "position", -9.0),
         (r"^ra( raw|$)", "position", -8.5),

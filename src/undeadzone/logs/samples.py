@@ -215,7 +215,8 @@ class LogReader:
             self.ahead = ahead or 0
             numbers, lines = numbers[self.ahead + heads :], below[heads:]
         if not self._dialect.mark and (self._live or self.layout is None):
-            mark, grouped = decimal_mark(lines, self._dialect.separator, self._live, self._source)
+            rows, separator = map(self._dialect.cells, lines), self._dialect.separator
+            mark, grouped = decimal_mark(rows, separator, self._live, self._source)
             self._dialect = self._dialect._replace(mark=mark, grouped=grouped)
         self.layout = self.layout or self._layout(lines)
         return self._samples(numbers, lines, self.layout)

@@ -12,7 +12,7 @@ import itertools
 import math
 import re
 import zipfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import BinaryIO, Final, NamedTuple
 
@@ -52,6 +52,7 @@ _OPEN: Final = r'(?:^|[,;\t])"[^"\n]*'  # a cell in quotes that goes on in the n
 _OPENS: Final = re.compile(f"{_OPEN}$")
 _BROKEN: Final = re.compile(rf'^(.*{_OPEN})\n([^"\n]*"(?=$|[,;\t]))', re.MULTILINE)
 OTHER: Final = {".": ",", ",": "."}
+_DOTTED: Final = re.compile(r"\d{1,2}\.\d{1,2}\.\d{2,4}\b")  # a date beside decimal commas
 TELLING_MARK: Final = 5000  # lines that tell the decimal mark
 PREAMBLE: Final = 60  # lines among which the header is looked for
 _ESCAPED: Final = re.compile("[\udc80-\udcff]+")
@@ -304,12 +305,17 @@ def parse_cell(cell: str, mark: str) -> float | None:
     return None if abs(value) > LARGEST or "_" in cell else value
 
 
-def decimal_mark(lines: Sequence[str], separator: str, live: bool, source: str) -> tuple[str, bool]:
+def decimal_mark(
+    rows: Iterable[Sequence[str]], separator: str, live: bool, source: str
+) -> tuple[str, bool]:
     """Return the decimal mark of all numbers of a text, "" if no line shows it, and whether
     some surely have the other mark between thousands.
 
+    Where no number shows it, a semicolon between cells or a dotted date does: both belong to
+    decimal commas.
+
     Args:
-        lines: some of its lines with numbers.
+        rows: the cells of lines with numbers, of which the first tell it.
         separator: between two cells.
         live: whether more lines come, which cannot be waited for.
         source: the text, for messages.
@@ -317,13 +323,14 @@ def decimal_mark(lines: Sequence[str], separator: str, live: bool, source: str) 
     Raises:
         FileError: each comma may stand before decimals or between thousands.
     """
-    rows = (split_cells(line, separator) for line in lines[:TELLING_MARK])
-    cells = list(itertools.chain.from_iterable(rows))
+    cells = list(itertools.chain.from_iterable(itertools.islice(rows, TELLING_MARK)))
     counts = {mark: len([*filter(shape.fullmatch, cells)]) for mark, shape in _TELLING.items()}
     mark = "," if counts[","] > counts["."] else "."
     if counts[mark]:
         return mark, any(map(_GROUPED[mark].fullmatch, cells))
     open_one = next(filter(_THOUSANDS[","].fullmatch, cells), "")
+    if open_one and (separator == ";" or any(map(_DOTTED.match, cells))):
+        return ",", False
     if open_one and not live:
         whole = open_one.replace(",", "")
         decimal = open_one.replace(",", ".")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import itertools
 import re
@@ -10,7 +11,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-from undeadzone.errors import InputError
+from undeadzone.errors import FileError, InputError
 from undeadzone.logs.kinds import split_unit
 from undeadzone.logs.names import parse_columns
 from undeadzone.logs.text import PREAMBLE, lines_ahead
@@ -31,23 +32,25 @@ from undeadzone_identify.logs.tables import (
 ROLES = {
     **dict.fromkeys(
         ("OP", "MV", "CO", "OUT", "OUTPUT", "CONTROLLER_OUTPUT", "LMN", "CVEU", "SORTIE", "SALIDA",
-         "STELLGRÖSSE", "STELLGRÖßE", "STELLWERT", "Y"), "u",
+         "USCITA", "UITGANG", "STELLGRÖSSE", "STELLGRÖßE", "STELLWERT", "Y"), "u",
     ),
     **dict.fromkeys(
-        ("PV", "PV_IN", "MEAS", "PROCESS", "PROCESS_VALUE", "PROCESS_VARIABLE", "MESURE",
-         "ISTWERT", "REGELGRÖSSE", "REGELGRÖßE", "VALUE", "X"), "y",
+        ("PV", "PV_IN", "PV_OUT", "MEAS", "PROCESS", "PROCESS_VALUE", "PROCESS_VARIABLE", "MESURE",
+         "MISURA", "MEETWAARDE", "ISTWERT", "REGELGRÖSSE", "REGELGRÖßE", "VALUE", "X"), "y",
     ),
     **dict.fromkeys(
-        ("SP", "SV", "SPT", "WSP", "SETPOINT", "SET_POINT", "SET", "CONSIGNE", "CONSIGNA",
-         "SOLLWERT", "FÜHRUNGSGRÖSSE", "FÜHRUNGSGRÖßE", "W"), "r",
+        ("SP", "SV", "SPT", "WSP", "SP_INT", "SP_OUT", "SETPOINT", "SET_POINT", "SET", "CONSIGNE",
+         "CONSIGNA", "SOLLWERT", "FÜHRUNGSGRÖSSE", "FÜHRUNGSGRÖßE", "W"), "r",
     ),
     "CV": "yu",  # controlled variable, or beside a PV the controller's
 }  # fmt: skip
 WEAK = {"X", "W", "Y", "VALUE", "OUTPUT"}  # words of other things too: two of them name no loop
 _ROLE = "|".join(ROLES).replace("_", r"[\W_]")
-TAGGED = re.compile(rf"(?i)(?:(.*?)(?:[\W_]|(?<=\d))({_ROLE})(?:\.CV|\.VALUE)?|({_ROLE})[\W_](.+))")
+TAGGED = re.compile(
+    rf"(?i)(?:(.*?)(?:[\W_]|(?<=\d))({_ROLE})(?:\W(?:F_)?(?:CV|VALUE))?|({_ROLE})[\W_](.+))"
+)
 BLOCK = re.compile(r"[/\\.](AI|AO|PID|DACA|PIDA)\d*$")  # function blocks of one module
-ENDINGS = (".csv", ".txt", ".tsv", ".parquet")
+ENDINGS = (".csv", ".txt", ".tsv", ".xlsx", ".parquet")
 Record = Path | Callable[[], Log]  # a file, or what builds the log of a table's columns
 DAY = re.compile(r"(^|[-_. /])\d[\d_.\-T]*(?=/|$)")  # behind the name of a valve, or alone
 
@@ -72,18 +75,19 @@ def find_loops(source: Path) -> dict[str, list[Record]]:
     files: dict[str, list[Path]] = defaultdict(list)
     for path in sorted(source.rglob("*")):
         if path.suffix.lower() in ENDINGS:
-            several = read_loops(path)
+            several = _read_readable(path)
             for tag, one in several.items():
                 loops[tag].append(one)
             if not several:
                 name = path.relative_to(source).with_suffix("").as_posix()
                 files[DAY.sub("", name).strip("/") or path.stem].append(path)
     for tag, roles in _find_roles(files).items():
-        signals = list[tuple[str, Path]]()
-        for name in roles.values():
-            signals += zip(itertools.repeat(name), files.pop(name), strict=False)
-        arrays = signals_of_columns(*columns_of_files(signals)) or {}
-        loops[tag] += _records_of(arrays, str(source)).values()
+        signals = [(name, path) for name in roles.values() for path in files[name]]
+        with contextlib.suppress(FileError):  # files that cannot be read are refused one by one
+            arrays = signals_of_columns(*columns_of_files(signals)) or {}
+            loops[tag] += _records_of(arrays, str(source)).values()
+            for name in roles.values():
+                del files[name]
     for name, paths in files.items():
         loops[name] += paths
     if not loops:
@@ -101,6 +105,13 @@ def read_loops(path: Path) -> dict[str, Record]:
         FileError: it cannot be read.
     """
     return _records_of(_read_arrays(path), str(path))
+
+
+def _read_readable(path: Path) -> dict[str, Record]:
+    """Return the loops of a table of a plant; one that cannot be read is refused as a record."""
+    with contextlib.suppress(FileError):
+        return read_loops(path)
+    return {}
 
 
 def _records_of(arrays: Arrays, source: str) -> dict[str, Record]:
@@ -176,6 +187,8 @@ def _read_arrays(path: Path) -> Arrays:
     if path.suffix.lower() == ".parquet":
         return read_parquet(path)
     lines = read_lines(path)
+    if not lines:
+        raise FileError(f"{path}: no line with content")
     titles, columns = columns_of_lines(lines[lines_ahead(lines[:PREAMBLE]) or 0 :])
     if sum(bool(TAGGED.fullmatch(split_unit(one).name)) for one in titles) < 2:
         return signals_of_columns(titles, columns) or {}

@@ -17,7 +17,15 @@ from undeadzone.errors import FileError
 from undeadzone.logs.kinds import split_unit, time_rank
 from undeadzone.logs.samples import FIRST, numbers_of_texts
 from undeadzone.logs.stamps import stamps_of
-from undeadzone.logs.text import Text, blocks_of, dialect_of, is_content, parse_cell, split_cells
+from undeadzone.logs.text import (
+    Text,
+    blocks_of,
+    decimal_mark,
+    dialect_of,
+    is_content,
+    parse_cell,
+    split_cells,
+)
 from undeadzone.util.arrays import Floats
 from undeadzone.util.files import LARGEST_TABLE, read_bytes, unreadable_file
 
@@ -137,7 +145,8 @@ def numbers_of_columns(
         titles: of the columns.
         columns: their cells.
     """
-    parse = functools.partial(parse_cell, mark="")
+    mark, _ = decimal_mark(zip(*columns, strict=True), "", True, "")
+    parse = functools.partial(parse_cell, mark=mark)
     numbers = [numbers_of_texts(x, parse) for x in columns]
     dated, clocks, others = list[int](), list[int](), list[int]()
     for k, (title, cells) in enumerate(zip(titles, columns, strict=False)):
@@ -190,7 +199,7 @@ def columns_of_lines(lines: Sequence[str]) -> Table:
 
 
 def columns_of_files(files: Iterable[tuple[str, Path]]) -> Table:
-    """Return the columns of a long table of files with a time and a value in each line.
+    """Return the columns of a long table of files with a value in each line, perhaps a time.
 
     Args:
         files: names of signals, and their files.
@@ -203,9 +212,10 @@ def columns_of_files(files: Iterable[tuple[str, Path]]) -> Table:
         titles, columns = columns_of_lines(read_lines(path))
         numbers, times = numbers_of_columns(titles, columns)
         values = [k for k, x in enumerate(numbers) if k not in times and np.isfinite(x).any()]
-        if not times or not values:
-            raise FileError(f"{path}: expected a column of times and one of values")
-        signals.append((name, columns[times[0]], columns[values[0]]))
+        if not values:
+            raise FileError(f"{path}: expected a column of values")
+        x = columns[values[0]]
+        signals.append((name, columns[times[0]] if times else [*map(str, range(len(x)))], x))
     return _join_signals(signals)
 
 

@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from scipy.signal import correlate, freqz, zoom_fft
+from scipy.signal import correlate, freqz
 from scipy.special import expit, softmax
 
 from undeadzone.compile import lanes
@@ -41,6 +41,8 @@ DECAY = np.exp(-1 / np.array(MEMORY))
 MORE = 2  # lags of the position beyond those of the reading
 LATEST = 30  # largest delay of a plant [samples]
 HARMONICS = (1, 2, 3)  # of an external oscillation
+# its least periods in a record, and frequencies of a periodogram for each of those of the record
+FEWEST, FINE = 4, 32
 BREAKS = 2  # parameters that the breakpoints of a valve count for, beside S and J
 # least S [range of u], and the number of S of a grid up to the range
 FINEST = 0.005
@@ -224,37 +226,6 @@ class Regression:
         errors = regression_residual(self.regressors(v, lags, others), self.y)
         return float(np.mean(errors**2))
 
-    def mean_squares_beside_waves(self, v: Floats, lags: range, frequencies: Floats) -> Floats:
-        """Return the mean squared one-step prediction errors beside waves (F x H).
-
-        Products with the waves of all frequencies are chirp transforms, and a Cholesky factor has
-        the regressions on one harmonic, on two and so on.
-
-        Args:
-            v: position before its averages (N x A).
-            lags: lags of the position [samples].
-            frequencies: of the first harmonic, at equal distances (F) [1/sample].
-        """
-        basis = np.linalg.qr(self.regressors(v, lags, v[:, :0]))[0]
-        target = self.y - basis @ (basis.T @ self.y)
-        columns = np.zeros((self.rows[-1] + 1, basis.shape[1] + 2))
-        columns[self.rows] = np.column_stack([basis, target, np.ones(self.rows.size)])
-        ends = np.outer(range(2 * len(HARMONICS) + 1), frequencies[[0, -1]])
-        sums = [
-            zoom_fft(columns, one, frequencies.size, fs=1.0, endpoint=True, axis=0) for one in ends
-        ]
-        product = np.array([*sums, *np.conj(sums[:0:-1])])  # negative harmonics at the end
-        waves = np.outer(HARMONICS, [1, -1]).ravel()
-        past = product[waves, :, :-2]
-        gram = product[np.subtract.outer(waves, waves), :, -1].T
-        gram -= np.einsum("afl,bfl->fba", past, np.conj(past))
-        factor = np.linalg.cholesky(
-            gram.swapaxes(1, 2) + 1e-10 * self.rows.size * np.eye(waves.size)
-        )
-        along = np.linalg.solve(factor, product[waves, :, -2].T[:, :, None])
-        explained = np.cumsum(np.abs(along[:, :, 0]) ** 2, axis=1)[:, 1::2]
-        return np.mean(target**2) - explained / self.rows.size
-
     def prediction_errors_of_each(self, v: Floats, lags: range) -> Floats:
         """Return the one-step prediction errors for each of several positions (K x n).
 
@@ -339,7 +310,7 @@ class Structure(NamedTuple):
     Attributes:
         regression: regression of all readings.
         lags: lags of the position [samples].
-        oscillation: sines and cosines of its harmonics (N x 2 K), no column without an oscillation.
+        oscillation: sines and cosines of its harmonics (N x 2 K).
     """
 
     regression: Regression
@@ -367,6 +338,7 @@ class LoopLog:
         ideal: u before its averages, as an ideal valve follows it (N x A).
         error: control error y - r, without its mean (N).
         regularity, period: of its oscillation, as `oscillation_of` returns them.
+        line, frequency: of its largest sine, as `find_line` returns them.
     """
 
     def __init__(self, u: Floats, y: Floats, ok: Flags, r: Floats) -> None:
@@ -380,6 +352,7 @@ class LoopLog:
         self.error = np.where(ok, self.y - (r - y[ok].mean()) / self.deviation, 0.0)
         self.error -= self.error.mean()
         self.regularity, self.period = oscillation_of(self.error)
+        self.line, self.frequency = find_line(self.error)
 
     @property
     def step(self) -> float:
@@ -428,7 +401,7 @@ class LoopLog:
             regression = self.regress(order, first, stride)
             lags = range(lag, lag + order + MORE)
             rivals = (positions[best], waves[:, :0]), (self.ideal, waves)
-            for v, others in rivals[: 1 + (waves.size > 0)]:
+            for v, others in rivals:
                 square = regression.mean_square_beside(v, lags, others)
                 numbers = 2 * order + others.shape[1] + (others.size > 0)
                 costs.append((_bic(square, regression.rows.size, numbers), order))
@@ -436,25 +409,19 @@ class LoopLog:
         return Structure(self.regress(order, first), range(lag, lag + order + MORE), waves)
 
     def _find_oscillation(self, regression: Regression, lags: range) -> Floats:
-        """Find the external oscillation of least BIC, with a period near that of the error.
+        """Return the external oscillation of least BIC, a sine of the error with its harmonics.
 
         Args:
             regression: regression of the readings.
             lags: lags of u [samples].
 
         Returns:
-            Sines and cosines of its harmonics (N x 2 K); no column if the log has fewer than 4
-            periods.
+            Sines and cosines of its harmonics (N x 2 K).
         """
-        t = np.arange(self.y.size)
-        if self.period > t.size / 4:
-            return np.empty((t.size, 0))
-        frequencies = np.arange(0.75, 1.25, self.period / (6 * t.size)) / self.period
-        squares = regression.mean_squares_beside_waves(self.ideal, lags, frequencies)
-        bic = _bic(squares, regression.rows.size, 2 * np.array(HARMONICS))
-        best, more = np.unravel_index(np.argmin(bic), bic.shape)
-        phases = 2 * np.pi * frequencies[best] * np.outer(t, HARMONICS[: more + 1])
-        return np.hstack([np.sin(phases), np.cos(phases)])
+        phases = 2 * np.pi * self.frequency * np.outer(np.arange(self.y.size), HARMONICS)
+        waves = [np.hstack([np.sin(phases[:, :k]), np.cos(phases[:, :k])]) for k in HARMONICS]
+        squares = [regression.mean_square_beside(self.ideal, lags, one) for one in waves]
+        return waves[np.argmin(_bic(squares, regression.rows.size, 2 * np.array(HARMONICS)))]
 
     def fit_all(self, structure: Structure, thinned: int = 1, rounds: int = ROUNDS) -> LoopFits:
         """Fit the loop with an ideal valve, with an external oscillation, and with faulty valves.
@@ -671,8 +638,7 @@ def oscillation_of(e: Floats) -> tuple[float, float]:
         r = mean / (3 std) of the half periods, above 1 for a regular oscillation; and the period,
         inf without an oscillation.
     """
-    trend_window = max(3, e.size // 5)
-    e = e - np.convolve(e, np.ones(trend_window) / trend_window, "same")  # without its slow trend
+    e = _without_trend(e)
     autocorrelation = correlate(e, e)[e.size - 1 :][: e.size // 2]
     # later crossings are sums of few products, and noisy
     crossings = np.flatnonzero(np.diff(np.signbit(autocorrelation)))[:12]
@@ -682,3 +648,27 @@ def oscillation_of(e: Floats) -> tuple[float, float]:
     mean = half_periods.mean()
     # 0.1 samples keep r finite if all half periods are equal.
     return float(mean / (3 * half_periods.std() + 0.1)), float(2 * mean)
+
+
+def find_line(e: Floats) -> tuple[float, float]:
+    """Return the share of a signal's variance that its largest sine has, and the sine's frequency.
+
+    A sine from outside keeps its phase throughout a record. A loop near its limit rings by
+    whatever disturbs it, so that its line is as wide as its damping makes it.
+
+    Args:
+        e: control error (N).
+
+    Returns:
+        The share [1], and a frequency of at least `FEWEST` periods in the record [1/sample].
+    """
+    e = _without_trend(e)
+    power = np.abs(np.fft.rfft(e, FINE * e.size)) ** 2
+    peak = FEWEST * FINE + int(np.argmax(power[FEWEST * FINE :]))
+    return 2 * power[peak] / (e.size * max(float(e @ e), 1e-20)), peak / (FINE * e.size)
+
+
+def _without_trend(e: Floats) -> Floats:
+    """Return a signal without its slow trend (N)."""
+    window = max(3, e.size // 5)
+    return e - np.convolve(e, np.ones(window) / window, "same")

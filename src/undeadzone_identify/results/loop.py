@@ -111,6 +111,17 @@ class IdentifiedLoop(SpokenWithoutPlant):
         sensitivity = max(math.exp(self.found.median("sensitivity")), 1.0)
         return max((1 - 1 / sensitivity) / (1 - 1 / GOOD), 1.0)
 
+    @property
+    def about(self) -> str:
+        """Return what PV swings about: SP where PV meets it."""
+        return "SP" if self.found.is_met else "mean PV"
+
+    @property
+    def share(self) -> float | None:
+        """Return the rms of the swing in units of what it is about; None of a PV about 0."""
+        share = self.found.median("share")
+        return share if share < 1 else None
+
     def numbers(self) -> dict[str, Any]:
         """Return all numbers of the answer, as `--json` prints."""
         found, first = self.found, self.logs[0]
@@ -137,7 +148,8 @@ class IdentifiedLoop(SpokenWithoutPlant):
                 "regularity": math.exp(found.median("regularity")),
                 "sensitivity": math.exp(found.median("sensitivity")),
                 "error": found.median("error"),
-                "cost": found.median("share"),
+                "cost": self.share,
+                "about": self.about,
                 "travel": found.median("travel"),
                 "exception": found.exception,
             },
@@ -172,8 +184,10 @@ class IdentifiedLoop(SpokenWithoutPlant):
         lines["if it sticks"] = self.size_in_words
         lines["loop"] = self.swing_in_words
         travel = f"the stem travels {read_number(found.median('travel'))}{unit} a day"
-        error = f"rms of PV - SP {read_number(found.median('error'))}{reading}"
-        lines["cost"] = f"{error} ({read_number(100 * found.median('share'), 2)} % of SP); {travel}"
+        cost = cost_in_words(
+            f"{read_number(found.median('error'))}{reading}", self.share, self.about
+        )
+        lines["cost"] = f"rms of PV - {self.about} {cost}; {travel}"
         if len(found.swings) > 1:
             lines["by record"] = [
                 f"{k}: S by the ellipse {read_number(one.expected)}{unit}"
@@ -198,6 +212,12 @@ class IdentifiedLoop(SpokenWithoutPlant):
         return f"{how} (r {read_number(r, 2)})"
 
     drawn = ("undeadzone_identify.figures", "loop_over_time", "loop_ellipse")
+
+
+def cost_in_words(size: str, share: float | None, about: str) -> str:
+    """Return the rms of a swing with its share of what it is about, as the result has them."""
+    beside = "PV is about 0" if share is None else f"{read_number(100 * share, 2)} % of {about}"
+    return f"{size} ({beside})"
 
 
 def read_number(x: float, digits: int = 3) -> str:

@@ -147,13 +147,18 @@ def test_a_time_that_comes_twice_is_counted() -> None:
 
 @pytest.mark.parametrize(
     ("cell", "time", "value"),
-    [("1,301.5", "0.0{}", 1301.5), ("1,301", "0,0{}", 1.301), ("1.301,5", "0,0{}", 1301.5)],
+    [
+        ("1,301.5", "0.0{}", 1301.5),
+        ("1,301", "0,0{}", 1.301),
+        ("1.301,5", "0,0{}", 1301.5),
+        ("1,301", "13.06.2024 08:00:00,0{}", 1.301),
+    ],
 )
 def test_one_decimal_mark_for_a_file(cell: str, time: str, value: float, tmp_path: Path) -> None:
     rows = "".join(f"{time.format(k)}\t{cell}\t995\n" for k in range(10))
     _, samples = read(tmp_path / "a.csv", "t\tu\ty\n" + rows)
     assert (samples.u == value).all()
-    assert samples.t[9] == pytest.approx(0.09)
+    assert samples.t[9] - samples.t[0] == pytest.approx(0.09, rel=1e-5)
 
 
 def test_a_mark_that_may_be_either_counts_as_unreadable(tmp_path: Path) -> None:
