@@ -678,37 +678,31 @@ def _to_contact_estimate(
         unseen = q.modes.slack
     link = mean[:N] + centre - xi
     x = ca.vertcat(mean[:N], link, mean[2 * N : 4 * N])
-    var = partial(_row_variances, whole.whole)
+    cov = whole.whole.cov
+    variances = ca.fmax(ca.diag(cov), 0.0)
+    certain = variances[of("half")]
+    shift = variances[of("centre")]
+    both_ways = 2 * ca.diag(cov[of("half"), of("centre")])
     contact = ca.SX(N, 1)
     for group, drive, one in zip(setup.groups, setup.drives, each, strict=True):
         contact[list(group)] = contact_balance(drive, one)
     give = ca.vertcat(q.modes.slack * ca.SX.ones(N), both)
-    rows = ca.DM.eye(layout.entry_count)
-    halves, centres = (rows[of(name), :] for name in ("half", "centre"))
     z = setup.model.output(q.modes.model, x)
     estimate = build_estimate(x, z, right, left, reading, q.slope, setup.kind, whole.e)
     push = mean[of("push")] / setup.gears.gear_number(q.modes.model, "inertia")
     names = ("payload", *FRICTION, *layout.further)
-    variances = var(rows[: 4 * N, :])
-    known = ca.fmin(variances[N : 2 * N], half**2 + variances[:N] + var(halves) + var(centres))
-    certain = var(halves)
+    known = ca.fmin(variances[N : 2 * N], half**2 + variances[:N] + certain + shift)
     open_to = ca.fmax((q.modes.high - q.modes.low)[of("half")] ** 2 / 12, certain)
     wider = ca.fmax(doubt.coupling / EVEN, WIDENED) if setup.ones else 1.0
     wide = ca.fmin(ca.fmax(wider * certain, doubt.variance), open_to)
     return estimate._replace(
         x_std=ca.sqrt(ca.vertcat(variances[:N], known + unseen, variances[2 * N : 4 * N])),
-        right_std=ca.sqrt(ca.vertcat(var(halves + centres) + wide - certain, both) + give),
-        left_std=ca.sqrt(ca.vertcat(var(halves - centres) + wide - certain, both) + give),
+        right_std=ca.sqrt(ca.vertcat(wide + shift + both_ways, both) + give),
+        left_std=ca.sqrt(ca.vertcat(wide + shift - both_ways, both) + give),
         width_std=2 * ca.sqrt(ca.vertcat(wide, both) + give),
         innovation_std=whole.std,
         w=ca.vertcat(ca.SX.zeros(2 * N), push, ca.SX.zeros(N)),
         theta=ca.vertcat(*(mean[of(name)] for name in names)),
-        theta_std=ca.sqrt(ca.vertcat(*(var(rows[of(name), :]) for name in names))),
+        theta_std=ca.sqrt(ca.vertcat(*(variances[of(name)] for name in names))),
         contact=ca.vertcat((contact > 0.5) - (contact < -0.5), both),
     )
-
-
-def _row_variances(belief: Gaussian, rows: Any) -> Any:
-    """Return the variances of some rows times x (k)."""
-    rows = ca.sparsify(rows)
-    return ca.fmax(ca.diag(rows @ belief.cov @ rows.T), 0.0)

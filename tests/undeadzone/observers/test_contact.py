@@ -45,6 +45,8 @@ from undeadzone.observers.contact_filter.modes import (
     Posterior,
     _move_mode,
     condition_on_impact,
+    correct_modes,
+    predict_modes,
     replace_diverged,
 )
 from undeadzone.plants.robots.build import build_two_link
@@ -429,16 +431,15 @@ def test_joint_by_joint_a_resting_link_gives_no_information_on_a_gap(
     assert gap_shift(True) == pytest.approx(share * gap_shift(False), abs=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("joints", "drift", "apart"), [("coupled", 3e-5, [False]), ("separate", 4.5e-4, [True, True])]
-)
-def test_half_gaps_drift_faster_joint_by_joint(joints: str, drift: float, apart: list) -> None:
-    example = tomllib.loads((EXAMPLES / "two_link_gears.toml").read_text())
-    example["observer"]["joints"] = joints
-    observer = resolve_scenario(convert(example)).observer
-    step, (setup,) = example["simulation"]["step"], observer.step.args
-    assert observer.params.modes.Q[Layout(2).slice_of("half")] == pytest.approx(drift**2 * step)
-    assert [drive.apart for drive in setup.drives] == apart
+def test_without_a_reading_no_gap_is_learnt() -> None:
+    """Links come and go, and the mean of half a gap over the modes stays."""
+    observer = resolve_scenario(servo()).observer
+    (setup,), q, half = observer.step.args, observer.params, Layout(1).slice_of("half")
+    before = correct_modes(setup.drives[0], q.modes, q.start[0][0], ca.DM([0.0]))
+    after = predict_modes(setup.drives[0], q.modes, before, ca.DM([1.0]))
+    mean = sum(mode.chance * mode.belief.mean[half] for mode in after)
+    assert float(after[1].chance) > 0.4
+    assert float(mean) == pytest.approx(float(before.whole.mean[half]), rel=1e-9)
 
 
 @pytest.mark.parametrize(("spread", "part"), [(0.0, 1.0), (0.5, 0.75), (1.0, 0.0), (2.0, 0.0)])

@@ -19,6 +19,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import casadi as ca
+import numpy as np
 
 from undeadzone.numerics.gaussian import Gaussian, linearise, mix_gaussians
 from undeadzone.numerics.runge_kutta import GAMMA, rosenbrock_change
@@ -520,7 +521,7 @@ def update_group_numbers(
         own_parts.append(part._replace(model=_group_parameters(gears, own, part.model, group)))
     torques = gear_torques(drives, own_parts, posteriors)
     order = [*itertools.chain(*groups)]
-    torques = GearTorques(*(_sort_rows(column, order) for column in torques))
+    torques = GearTorques(*(column[np.argsort(order).tolist()] for column in torques))
     mobility = _link_mobility(arm, groups, torques.chance)
     tau = _mean_gear_torques(arm, torques, drives[0])
     a = arm.inverse @ (tau - arm.needed)
@@ -564,13 +565,6 @@ def update_group_numbers(
         Q = ca.SX(part.Q)
         Q[Layout(size).slice_of("link_speed")] += noise[joints]
         after.append(part._replace(Q=Q))
-    return after
-
-
-def _sort_rows(column: Any, order: Sequence[int]) -> Any:
-    """Return a column (N) with row k of the given one at place order[k]."""
-    after = ca.SX(len(order), 1)
-    after[list(order)] = column
     return after
 
 

@@ -465,16 +465,41 @@ def predict_modes(drive: Drive, q: Numbers, posterior: Posterior, u: Any) -> tup
         _leaving_probabilities(drive, q, contact, mode, u)
         for contact, mode in zip(contacts, modes, strict=True)
     ]
+    before = modes
     for joint in range(drive.layout.size):
         modes, leaving = _leave_flanks(drive, q, joint, modes, leaving)
-    moved = _move_modes(drive, q, modes, u)
+    modes = _keep_half(drive.layout, before, modes)
+    moved = before = _move_modes(drive, q, modes, u)
     arrivals = [
         _arrival_shares(drive.layout, q.slack, contact, start, end)
         for contact, start, end in zip(contacts, modes, moved, strict=True)
     ]
     for joint in range(drive.layout.size):
         moved, arrivals = _reach_flanks(drive, q, joint, moved, arrivals)
-    return tuple(moved)
+    return tuple(_keep_half(drive.layout, before, moved))
+
+
+def _keep_half(layout: Layout, before: Sequence[Mode], after: Sequence[Mode]) -> list[Mode]:
+    """Return the modes after links have come and gone, with the mean of the half gaps as before.
+
+    Without a reading nothing is learnt: by the law of total expectation the mean of a half gap over
+    all modes stays. Gaussians that are truncated, or merged at a flank, have it only nearly, and
+    what they miss adds up from sample to sample. The rest of x moves as the covariance has it.
+
+    Args:
+        layout: places of the quantities in x.
+        before, after: the modes.
+    """
+    half = layout.slice_of("half")
+    means = [
+        sum(mode.chance * mode.belief.mean[half] for mode in modes) for modes in (before, after)
+    ]
+    kept = []
+    for chance, (mean, cov) in after:
+        variances = cov[half, half] + NONE * ca.DM.eye(layout.size)
+        shift = cov[:, half] @ ca.solve(variances, means[0] - means[1])
+        kept.append(Mode(chance, Gaussian(mean + shift, cov)))
+    return kept
 
 
 def _sample_motion(drive: Drive, q: Numbers, contact: Contacts, u: Any) -> Callable[[Any], Any]:
