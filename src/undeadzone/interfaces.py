@@ -14,6 +14,7 @@ from undeadzone.nonlinearities.limits import Limits, is_beyond_range
 from undeadzone.nonlinearities.sensor import inverse, present, side
 from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
+from undeadzone.util.files import read_table
 
 
 class Reading(NamedTuple):
@@ -100,15 +101,15 @@ class Quantity(NamedTuple):
         meaning: in words.
         unit: quantity whose unit it has: an output, input or state, or a state's rate (1: no unit).
         signal: of a run that holds it, in turn with the others of the same signal (empty: none).
-        final: form of its last value in a summary: as one number each, as their sum, as whether all
-            of them hold (None: not at all).
+        final: form of its last value in a summary: "float", one number each, "int", their sum, or
+            "bool", whether all of them hold (empty: not at all).
         column: its name in columns of a table (empty: as the field).
     """
 
     meaning: str
     unit: Literal["output", "input", "state", "rate", "1"]
     signal: str = ""
-    final: type[float] | type[int] | type[bool] | None = None
+    final: Literal["float", "int", "bool", ""] = ""
     column: str = ""
 
 
@@ -180,57 +181,6 @@ class Estimate(NamedTuple):
     noise_assumed: Any = NONE
 
 
-_OF_FIELDS = Estimate(
-    x=Quantity("estimated state", "state", "x_hat", column="x_hat"),
-    z=Quantity("estimated output behind the dead zone", "output", "z_hat", column="z_hat"),
-    right=Quantity(
-        "estimated right width of the dead zone", "output", "d_hat", float, column="d_right"
-    ),
-    left=Quantity(
-        "estimated left width of the dead zone", "output", "d_hat", float, column="d_left"
-    ),
-    z_inverse=Quantity("reading with the dead zone undone", "output", "z_inverse"),
-    innovation=Quantity("addition of the reading to the prediction", "output", "innovation"),
-    x_std=Quantity("standard deviations of x", "state", "x_std"),
-    right_std=Quantity(
-        "standard deviation of right", "output", "d_std", float, column="d_right_std"
-    ),
-    left_std=Quantity("standard deviation of left", "output", "d_std", float, column="d_left_std"),
-    width_std=Quantity("standard deviation of right + left", "output", "width_std", float),
-    innovation_std=Quantity("standard deviation of the innovation", "output", "innovation_std"),
-    w=Quantity("what the model leaves out, x' = f(x, u) + w", "rate", "w_hat", column="w_hat"),
-    theta=Quantity("estimated parameters of the model", "1", "theta_hat", column="theta_hat"),
-    theta_std=Quantity("standard deviations of theta", "1", "theta_std"),
-    consistent=Quantity(
-        "1 if the readings of late fit the assumptions, else 0", "1", "consistent", bool
-    ),
-    claims=Quantity("bits of the assumptions that the readings of late refute", "1", "claims"),
-    suspect=Quantity("number of the likeliest of these, from 1 on; 0: none", "1", "suspect"),
-    refused=Quantity("readings taken for wrong so far", "1", "refused", int),
-    restarts=Quantity("how often the observer lost its state and began anew", "1", "restarts", int),
-    contact=Quantity("side of the play that the readings are on: 1 right, -1 left, 0 neither", "1"),
-    actuator_right=Quantity(
-        "estimated right width of the actuator's dead zone", "input", "b_hat", float
-    ),
-    actuator_left=Quantity(
-        "estimated left width of the actuator's dead zone", "input", "b_hat", float
-    ),
-    actuator_right_std=Quantity("standard deviation of actuator_right", "input", "b_std", float),
-    actuator_left_std=Quantity("standard deviation of actuator_left", "input", "b_std", float),
-    gap_right=Quantity(
-        "estimated right gap of the play ahead of the dead zone", "output", "c_hat", float
-    ),
-    gap_left=Quantity(
-        "estimated left gap of the play ahead of the dead zone", "output", "c_hat", float
-    ),
-    gap_right_std=Quantity("standard deviation of gap_right", "output", "c_std", float),
-    gap_left_std=Quantity("standard deviation of gap_left", "output", "c_std", float),
-    gap_std=Quantity("standard deviation of gap_right + gap_left", "output", "gap_std", float),
-    noise=Quantity("rms of a reading outside the zone, as learnt", "output", "noise", float),
-    noise_assumed=Quantity("the same as assumed", "output", "noise", float),
-)
-
-
 class AssumptionCheck(NamedTuple):
     """Words for an assumption of an observer that the readings reject.
 
@@ -244,7 +194,7 @@ class AssumptionCheck(NamedTuple):
     words: str
     look: str = ""
     change: str = "raise"
-    keys: tuple[str, ...] = ()
+    keys: Sequence[str] = ()
 
     def cure(self, options: Collection[str] = ()) -> str:
         """Return the remedy as a phrase, such as `raise observer.noise or sensor.noise`.
@@ -262,37 +212,9 @@ class AssumptionCheck(NamedTuple):
         return ", or ".join(phrase for phrase in (self.look, change) if phrase)
 
 
+_TABLES: Final = read_table(__file__)
 ASSUMPTION_CHECKS: Final = {
-    "noise": AssumptionCheck(
-        "the noise is larger than declared", keys=("sensor.noise", "observer.noise")
-    ),
-    "slope": AssumptionCheck(
-        "the readings follow the input with another gain than declared",
-        "declare sensor.slope",
-        keys=("observer.tolerance",),
-    ),
-    "dynamics": AssumptionCheck(
-        "the readings answer changes of the input too late or too early",
-        "give the model the lag or delay that is missing",
-        keys=("observer.tolerance",),
-    ),
-    "sensor": AssumptionCheck(
-        "readings insist on a value that was not predicted: a stuck sensor, an offset, an edge "
-        "that jumped, "
-        "a log that is glued",
-        "look at sensor and log, take an offset from its readings",
-        keys=("observer.drift",),
-    ),
-    "gust": AssumptionCheck(
-        "something lasts in the readings that nobody declared",
-        keys=("observer.disturbance", "observer.bias", "observer.drift"),
-    ),
-    "glitches": AssumptionCheck("most readings of late were taken for wrong", "look at the sensor"),
-    "range": AssumptionCheck(
-        "a width, or a payload, lies outside its range",
-        change="widen",
-        keys=("observer.right", "observer.left", "observer.payload"),
-    ),
+    name: AssumptionCheck(**words) for name, words in _TABLES["assumption"].items()
 }
 """What readings may refute, in the order of the bits of `Estimate.claims`."""
 
@@ -357,7 +279,7 @@ def describe_unknowns(options: Collection[str]) -> str:
     )
 
 
-QUANTITIES: Final[dict[str, Quantity]] = _OF_FIELDS._asdict()
+QUANTITIES: Final = {name: Quantity(**words) for name, words in _TABLES["quantity"].items()}
 """What each field of an estimate is, by its name."""
 
 COLUMNS = Estimate(*(quantity.column or name for name, quantity in QUANTITIES.items()))

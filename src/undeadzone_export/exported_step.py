@@ -341,8 +341,7 @@ def _trace_observer(problem: Problem, observer: Observer, params: _StepNumbers) 
     reading = to_reading(counted, *params.sensor)
     after, estimate = observer.step(params.observer, s.observer, acting, reading)
     following = _ObserverMemory(after, used)
-    if levels is not None:
-        estimate = levels.restore_estimate(estimate)
+    estimate = _shown_estimate(problem, estimate)
     out = (estimate, sample_branch(reading, estimate))
     output_fields = _estimate_fields(problem, estimate)
     return _TracedStep(memory, column, [y, u], following, out, [_u_field(problem)], output_fields)
@@ -377,11 +376,24 @@ def _trace_loop(problem: Problem, observer: Observer, params: Any) -> _TracedSte
     )
     if levels is not None:
         u = u + levels.u
-        estimate = levels.restore_estimate(estimate)
+    estimate = _shown_estimate(problem, estimate)
     out = u, estimate, sample_branch(reading, estimate)
     output_fields = [_u_field(problem), *_estimate_fields(problem, estimate)]
     fields = _target_fields(like, problem.scenario.units)
     return _TracedStep(memory, column, [y, t_column], following, out, fields, output_fields)
+
+
+def _shown_estimate(problem: Problem, estimate: Estimate) -> Estimate:
+    """Return the estimate from its operating point on, without a side on which an edge does not
+    exist.
+    """
+    if problem.levels is not None:
+        estimate = problem.levels.restore_estimate(estimate)
+    for side, absent in zip(("right", "left"), problem.sensor.absent, strict=True):
+        if absent.any():
+            names = (side, f"{side}_std", "width_std")
+            estimate = estimate._replace(**dict.fromkeys(names, ca.SX(0, 1)))
+    return estimate
 
 
 def _u_field(problem: Problem) -> Field:

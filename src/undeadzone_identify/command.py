@@ -25,7 +25,7 @@ from undeadzone.cli.common import (
 )
 from undeadzone.cli.output import Output, add_output_options, files_line, partial_file
 from undeadzone.errors import InputError
-from undeadzone.util.files import write_text
+from undeadzone.util.files import read_table, write_text
 from undeadzone.util.progress import terminal_progress as progress
 
 if TYPE_CHECKING:
@@ -44,27 +44,9 @@ NOISES = click.Choice(["auto", "before", "after"])
 PLACES = click.Choice(["auto", "sensor", "actuator", "plant"])
 
 
-SUBJECTS = {
-    "Options": (
-        "--columns",
-        "--order",
-        "--right",
-        "--left",
-        "--next",
-        "--out",
-        "--help-all",
-        "--help",
-    ),
-    "Log": ("--zero", "--threshold", "--resample", "--delay", "--held-out", "--strict"),
-    "Model": ("--kind", "--place", "--noise", "--offset", "--integrators"),
-    "Results": ("--chain", "--resume", "--force", "--json", "--no-figures"),
-    "Files of strangers": ("--untrusted",),
-}
-
-
 @click.command(
     cls=SubjectCommand,
-    subjects=SUBJECTS,
+    subjects=read_table(__file__)["subjects"],
     epilog="Example: undeadzone identify log.csv && undeadzone run log.toml",
 )
 @click.argument("logs", nargs=-1, required=True, type=READ, metavar="LOG [LOG ...]")

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+import undeadzone as uz
 from further import further
 from records import write_log
 from undeadzone.cli import group
@@ -51,7 +52,7 @@ def test_a_sensor_without_a_left_edge_ends_in_code(jump: bool, tmp_path: Path) -
     assert (numbers["left"], numbers["width"]) == (None, None)
     assert any("taken to have none" in one for one in numbers["remarks"])
     scenario = tmp_path / "flow.toml"
-    assert "so far away that no reading lies beyond it" in scenario.read_text()
+    assert "left = inf  # 95 %: no edge" in scenario.read_text()
     printed = invoke(
         "estimate", str(scenario), str(log), "--no-figures", "--out", str(tmp_path / "e")
     )
@@ -61,3 +62,28 @@ def test_a_sensor_without_a_left_edge_ends_in_code(jump: bool, tmp_path: Path) -
         out = str(tmp_path / precision)
         report = invoke("export", str(scenario), "--precision", precision, "--out", out)
         assert "REFUSED" not in report
+        assert "left" not in (Path(out) / "flow.h").read_text()
+
+
+def test_an_edge_that_does_not_exist_is_never_reached() -> None:
+    """A reading beyond it is none, a mirrored sensor gives mirrored estimates, no z is far off."""
+    u, y = flow(jump=False)
+    plant = uz.Plant(A=[[-1 / 6]], B=[[0.02]], C=[[1.0]])
+    runs = []
+    for sign, beyond in ((1, np.nan), (1, -9.0), (-1, 9.0)):
+        right, left = (EDGE, np.inf)[::sign]
+        sensor = uz.Sensor(right=right, left=left, noise_before=0.03)
+        online = uz.Online(uz.Auto(right=[1.0, 3.0]), plant, sensor, STEP)
+        seen = sign * y[:400]
+        seen[200:203] = beyond
+        estimates = [online.update(*sample) for sample in zip(seen, sign * u, strict=False)]
+        runs.append(sign * np.array([one.z[0] for one in estimates]))
+        assert {one.right[0] + one.left[0] for one in estimates} == {np.inf}
+        assert estimates[-1].refused[0] == (3 if np.isfinite(beyond) else 0)
+    assert np.array_equal(runs[0], runs[1])
+    assert runs[2] == pytest.approx(runs[0], rel=1e-9)
+    outside = y[:400] > 0
+    outside[[*range(50), 200, 201, 202]] = False
+    assert np.std((runs[0] - y[:400] - EDGE)[outside]) < 0.05
+    with pytest.raises(uz.InputError, match="'certified' needs two edges"):
+        uz.Online(uz.Certified(), plant, sensor, STEP)

@@ -7,11 +7,11 @@ coefficients.toml.
 
 from __future__ import annotations
 
-import tomllib
-from pathlib import Path
 from typing import Final
 
 import msgspec
+
+from undeadzone.util.files import read_table
 
 
 class Numbers(msgspec.Struct, frozen=True):
@@ -104,7 +104,7 @@ class Numbers(msgspec.Struct, frozen=True):
         return 1.5 * self.first_whole
 
 
-_TABLES: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+_TABLES: Final = read_table(__file__)
 DOUBLE: Final = msgspec.convert(_TABLES["double"], Numbers)
 FUSED: Final = msgspec.convert(_TABLES["double"] | _TABLES["fused"], Numbers)
 SINGLE: Final = msgspec.convert(_TABLES["single"], Numbers)

@@ -24,8 +24,10 @@ from undeadzone.nonlinearities.limits import (
 )
 from undeadzone.nonlinearities.play import KEY, Ahead, gaps_of
 from undeadzone.util.arrays import (
+    LARGEST,
     Array,
     Floats,
+    require_array,
     require_nonnegative,
     require_number,
     require_vector,
@@ -238,7 +240,8 @@ class Sensor(OptionTable, frozen=True, kw_only=True):
         Actuator, Scenario
 
     Attributes:
-        right, left: widths d_r, d_l of the dead zone, or gaps c_r, c_l of a play (p) [z].
+        right, left: widths d_r, d_l of the dead zone, or gaps c_r, c_l of a play (p) [z]; inf: the
+            zone has no edge on that side (of a dead zone or a jump).
         kind: "deadzone": the reading is m (z - Sat z); "jump": it is m z outside the zone, as of
             velocity sensors; "play", or its other name "backlash" (sampled time): the reading
             holds while z crosses the gap.
@@ -310,7 +313,8 @@ class Zone(msgspec.Struct, frozen=True):
 
     Attributes:
         kind: "deadzone", "jump" or "play"; "gears" of encoders beside gears.
-        right, left: widths d_r, d_l, of a play or gears their gaps, at t = 0 (p) [z].
+        right, left: widths d_r, d_l, of a play or gears their gaps, at t = 0 (p) [z] (`LARGEST`: no
+            edge).
         slope: m (p) [y/z].
         noise: rms of the noise after the deadzone (p) [y].
         noise_before: rms of the noise ahead of the deadzone (p) [z].
@@ -354,6 +358,16 @@ class Zone(msgspec.Struct, frozen=True):
     lag: Floats | None = None
 
     @property
+    def absent(self) -> np.ndarray:
+        """Return whether the right and the left edge do not exist (2 x p)."""
+        return np.stack([self.right, self.left]) == LARGEST
+
+    @property
+    def widest(self) -> Floats:
+        """Return the largest width that exists (p) [z]."""
+        return np.where(self.absent, 0.0, [self.right, self.left]).max(axis=0)
+
+    @property
     def moves(self) -> bool:
         """Return whether it is a play, or has one: its readings depend on the motion of z."""
         return self.kind == "play" or self.play is not None
@@ -374,9 +388,22 @@ class Zone(msgspec.Struct, frozen=True):
         return np.hypot(noise, rounding)
 
 
+def with_edges_beyond(sensor: Zone, z: Floats) -> Zone:
+    """Return the sensor with finite widths, that of an edge that does not exist beyond all outputs.
+
+    Args:
+        sensor: the dead zone.
+        z: outputs (N x p).
+    """
+    beyond = 2 * np.abs(z).max(axis=0)
+    widths = np.where(sensor.absent, beyond, [sensor.right, sensor.left])
+    return msgspec.structs.replace(sensor, right=widths[0], left=widths[1])
+
+
 def _width(key: str, value: Array, p: int) -> Floats:
     """Return the widths of one side (p). Raises InputError, ShapeError."""
-    widths = require_vector(key, value, p, f"one per output, the plant has {p}")
+    given = np.clip(require_array(key, value, infinite=True), -LARGEST, LARGEST)
+    widths = require_vector(key, given, p, f"one per output, the plant has {p}")
     if (widths < 0).any():
         raise InputError(
             f"{key}: must not be negative, found {widths.min():g}. It is a width, from 0 to the "
@@ -427,7 +454,13 @@ def resolve(sensor: Sensor, p: int, step: float, pace: float = 1.0) -> Zone:
     load = _load(sensor, p)
     ahead = _ahead(sensor, p, _motion(noise, quantum, window, step, play.FALSE_ALARMS * pace))
     shape = [_shape(name, sensor, p) for name in SHAPE]
-    return Zone(sensor.kind, right, left, *numbers, start, window, *load, ahead, *shape)
+    zone = Zone(sensor.kind, right, left, *numbers, start, window, *load, ahead, *shape)
+    if zone.absent.all(axis=0).any() or (zone.absent.any() and zone.moves):
+        raise InputError(
+            "sensor.right, left: inf, no edge, stands for one of two edges of a dead zone or a jump"
+            " without a play. Give a number"
+        )
+    return zone
 
 
 def _shape(name: str, sensor: Sensor, p: int) -> Floats | None:

@@ -20,7 +20,6 @@ from undeadzone.observers.filtering.unknown_inputs import (
     OFFSET,
     build_colour,
     build_unknown_inputs,
-    read_time_span,
     read_tolerance,
     resolve_correlation_time,
     resolve_input_rms,
@@ -47,8 +46,6 @@ class Censored(Assumptions, frozen=True, kw_only=True, tag_field="method", tag="
         Auto, Kalman, deadzone_update
 
     Attributes:
-        washout_time: time constant of a washout that takes the constant part from the disturbance
-            [s] (default none).
         levels: number of disturbance levels (rms) that are weighted by their likelihood (1 to 10).
             Three or more begin with four times the assumed rms, then the assumed one, and each
             further one is a quarter of the one before. Without an assumed rms they run from four
@@ -56,7 +53,6 @@ class Censored(Assumptions, frozen=True, kw_only=True, tag_field="method", tag="
         silence: false ignores what silent samples bound, and the ranges but as a prior.
     """
 
-    washout_time: float | None = None
     levels: int = 3
     silence: bool = True
 
@@ -68,11 +64,6 @@ class Censored(Assumptions, frozen=True, kw_only=True, tag_field="method", tag="
         Ts = model.Ts
         assert Ts is not None
         correlation = resolve_correlation_time(self.correlation_time, model.continuous, Ts)
-        washout = (
-            None
-            if self.washout_time is None
-            else read_time_span("washout_time", self.washout_time, Ts)
-        )
         calibrated = require_number("observer.calibrated", self.calibrated, least=0.0)
         if calibrated >= 1:
             name = "observer.calibrated"
@@ -80,7 +71,7 @@ class Censored(Assumptions, frozen=True, kw_only=True, tag_field="method", tag="
         usual = default_disturbance_rms(model, prior.largest, correlation)
         rms = resolve_input_rms("disturbance", self.disturbance, usual)
         bias = resolve_input_rms("bias", self.bias, OFFSET * usual)
-        colour = build_colour(correlation, washout, Ts)
+        colour = build_colour(correlation, Ts)
         units = power_of_two_units(model)
         tolerance = read_tolerance(model, self.tolerance, units)
         glitches = outlier_probability(self.glitches)

@@ -124,7 +124,7 @@ class Extended(Options, frozen=True, kw_only=True, tag="extended"):
         bias = resolve_input_rms("bias", self.bias, OFFSET * usual * doubts)
         # Joints that are filtered each for itself need [q; q'] as it is.
         units = np.ones(model.n) if self.joints == "separate" else power_of_two_units(model)
-        colour = build_colour(correlation, None, Ts)
+        colour = build_colour(correlation, Ts)
         default = LEVELS if doubts else 1
         traits = prior_traits(prior, self.x_std)
         return build_branch_filter(

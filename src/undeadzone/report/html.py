@@ -17,7 +17,7 @@ from undeadzone import __version__
 from undeadzone.report.style import write_figure
 from undeadzone.results.feedback import describe_feedback, has_weak_feedback
 from undeadzone.results.sheet import Row
-from undeadzone.util.files import write_text
+from undeadzone.util.files import read_table, write_text
 from undeadzone.util.text import escape_controls
 
 if TYPE_CHECKING:
@@ -299,21 +299,9 @@ def _reproduction_section(origin: Origin) -> Html:
 
 
 _WRITTEN: Final = f"Written by undeadzone {__version__}."
-_SYMBOLS: Final = (
-    ("z, y, r", "output of the plant, reading of the sensor, reference"),
-    ("x, u", "state of the plant, its input"),
-    ("d_r, d_l", "widths of the dead zone to the right and to the left: y = 0 for -d_l < z < d_r"),
-    ("c_r, c_l; b_r, b_l", "gaps of a play ahead of it, widths of an actuator's dead zone"),
-    ("x^, z^, d_r^, d_l^", "estimates of the observer"),
-    ("x~, d~", "their errors, truth less estimate"),
-    ("d_r + d_l, (d_r − d_l)/2", "width of the whole zone, its centre, 0 of a symmetric one"),
-    ("L, γ, K", "gains of the observer for x^ and for the widths; of the controller, u = −K x^"),
-    ("V", "storage (Lyapunov) function of the error. With a certificate it never rises"),
-    ("0.98 [0.55, 1.41]", "a value and its 95 % interval, of the observer"),
-)
 _LEGEND: Final = build_section(
     "Symbols",
-    build_table(("symbol", "meaning"), _SYMBOLS),
+    build_table(("symbol", "meaning"), read_table(__file__)["symbols"]),
     build_paragraph("In figures: grey the dead zone, pale the truth.", "note"),
 )
 

@@ -179,7 +179,7 @@ def output(axes: Axes, result: Estimation, i: int = 0, of: str = "") -> None:
         shade_gap(axes, t, result.y[window, i], right, left)
     elif right > -left:
         at = result.info.output_level[i] if result.info.output_level else 0.0
-        shade_zone(axes, right + at, left - at)
+        shade_zone(axes, right + at, left - at, result.z_hat[window, i])
     axes.plot(t, result.y[window, i], color=ink.READING, label="reading y")
     axes.plot(t, result.z_hat[window, i], color=ink.ESTIMATE, label="estimate ẑ")
     if result.z_smooth is not None:

@@ -107,7 +107,7 @@ def output(axes: Axes, run: Run, i: int = 0, of: str = "") -> None:
         shade_gap(axes, t, run.y[window, i], right, left)
     else:
         at = run.info.output_level[i] if run.info.output_level else 0.0
-        shade_zone(axes, right + at, left - at)
+        shade_zone(axes, right + at, left - at, run.z[window, i])
     if i in run.info.tracked:
         r = run.r[window, run.info.tracked.index(i)]
         axes.plot(t, r, color=ink.REFERENCE, linewidth=2.6, alpha=0.45, label="reference r")
@@ -306,9 +306,9 @@ def _shade_joint_zone(axes: Axes, run: Run, i: int) -> None:
     if i >= run.z.shape[1] or run.info.sensor == "gears":
         return
     silent_at = constant_offset(run.x[run.plot_window, i], run.z[run.plot_window, i])
-    if silent_at is None:
-        return
     right, left = run.info.widths[2 * i : 2 * i + 2]
+    if silent_at is None or np.inf in (right, left):
+        return
     ends = silent_at - left, silent_at + right
     axes.axvspan(*ends, color=ink.ZONE, alpha=0.18, linewidth=0, label="dead zone")
 

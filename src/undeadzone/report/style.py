@@ -152,9 +152,11 @@ def escape_formulas(text: str) -> str:
     return escape_controls(text).replace("$", r"\$")
 
 
-def shade_zone(axes: Axes, right: float, left: float) -> None:
-    """Shade the dead zone [-d_l, d_r] as a grey band."""
-    axes.axhspan(-left, right, color=ink.ZONE, alpha=0.18, linewidth=0, label="dead zone")
+def shade_zone(axes: Axes, right: float, left: float, z: Any = 0.0) -> None:
+    """Shade the dead zone [-d_l, d_r] as a grey band, without an edge to the end of the z shown."""
+    ends = np.array([-left, right])
+    shown = np.where(np.isinf(ends), [np.min(z), np.max(z)], ends)
+    axes.axhspan(*shown, color=ink.ZONE, alpha=0.18, linewidth=0, label="dead zone")
 
 
 def shade_gap(axes: Axes, t: Floats, y: Floats, right: float, left: float) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import os
 from collections.abc import Sequence
 from typing import Any, ClassVar, Final
@@ -208,7 +209,8 @@ def _describe_branches(info: LogInfo, i: int) -> str:
     text = f"{right} right, {left} left, {info.silent[i]} {neither}"
     if info.limited:
         text += f", {info.limited[i]} at a limit"
-    never = [name for name, count in (("right", right), ("left", left)) if count == 0]
+    sides = (("right", right, info.d_right), ("left", left, info.d_left))
+    never = [name for name, count, edge in sides if count == 0 and edge[i] < math.inf]
     return f"{text}: the {' and the '.join(never)} edge is never passed" if never else text
 
 

@@ -39,7 +39,7 @@ def plant_scales(problem: Problem) -> Scales:
     t = np.arange(problem.steps + 1) * problem.scenario.simulation.step
     sensor = problem.sensor
     plant = problem.plant.linear
-    signals = [sensor.right, sensor.left, problem.reference.output_at(t)]
+    signals = [sensor.widest, problem.reference.output_at(t)]
     if not problem.plant.nonlinear:
         signals.append(plant.C @ problem.x0)
     largest = max(float(np.abs(signal).max(initial=0.0)) for signal in signals)
@@ -62,7 +62,9 @@ def largest_scaled_signals(
         outputs: z, z^, widths (each N x ...).
         u: the inputs (N x m).
     """
-    worst = np.abs(np.hstack(outputs)).max(axis=1) / scales.output
+    signals = np.hstack(outputs)
+    signals = np.where(signals == np.inf, 0.0, signals)  # widths of edges that do not exist
+    worst = np.abs(signals).max(axis=1) / scales.output
     for x in states:
         worst = np.maximum(worst, (np.abs(x) / scales.states).max(axis=1))
     return np.maximum(worst, np.abs(u).max(axis=1) / scales.input)

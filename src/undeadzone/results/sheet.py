@@ -50,7 +50,12 @@ class Row(NamedTuple):
 
     @property
     def value_with_interval(self) -> str:
-        """Return the value as text, with its 95 % interval if known, nan if missing."""
+        """Return the value as text, with its 95 % interval if known, nan if missing.
+
+        A width whose least value is infinite is one without an edge.
+        """
+        if self.least == math.inf:
+            return "no edge"
         if self.withheld:
             return f"[{self.least:.4g}, {self.most:.4g}] as declared"
         if self.std is None:
@@ -165,7 +170,9 @@ def _build_side_rows(
         std = found[2 + k] if len(found) > 2 else None
         truth = None if true is None else true[k]
         row = Row(f"{name}_{side}", f"{letter}_{side[0]}^", found[k], unit, std, truth)
-        rows.append(row._replace(least=ranges[k][0], most=ranges[k][1]))
+        row = row._replace(least=ranges[k][0], most=ranges[k][1])
+        absent = row._replace(unit="", true=None, least=math.inf)
+        rows.append(absent if found[k] == math.inf else row)
     if name == "gap":
         title = " + ".join(row.title for row in rows)
         total = None if true is None else sum(true)

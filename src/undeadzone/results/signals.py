@@ -10,6 +10,7 @@ import numpy as np
 from undeadzone.interfaces import COLUMNS, QUANTITIES, Estimate, list_rejected_assumptions
 from undeadzone.scenario.schema import Units
 from undeadzone.util.arrays import Floats, to_scalar_or_list
+from undeadzone.util.files import read_table
 
 
 class Signal(NamedTuple):
@@ -30,13 +31,16 @@ class Signal(NamedTuple):
     final: type | None = None
 
 
+FORMS: Final[dict[str, type]] = {"float": float, "int": int, "bool": bool}
+
+
 def _build_estimated_signals() -> dict[str, Signal]:
     """Return the signals that observers estimate. A run's b is called actuator in an estimate."""
     found: dict[str, Signal] = {}
     for field, quantity in QUANTITIES.items():
         if not quantity.signal:
             continue
-        before = found.get(quantity.signal, Signal(quantity.unit, final=quantity.final))
+        before = found.get(quantity.signal, Signal(quantity.unit, final=FORMS.get(quantity.final)))
         column = getattr(COLUMNS, field).replace("actuator", "b")
         found[quantity.signal] = before._replace(
             columns=(*before.columns, column), fields=(*before.fields, field)
@@ -45,13 +49,9 @@ def _build_estimated_signals() -> dict[str, Signal]:
 
 
 ESTIMATED: Final = _build_estimated_signals()
+_UNITS: Final = read_table(__file__)["signals"]
 SIGNALS: Final = {
-    "t": Signal("s"),
-    **dict.fromkeys(("x", "x_smooth", "x_smooth_std"), Signal("state")),
-    **dict.fromkeys(("z", "y", "r", "level", "z_smooth"), Signal("output")),
-    "u": Signal("input"),
-    **dict.fromkeys(("tip", "tip_hat", "tip_r", "poses"), Signal("m")),
-    **dict.fromkeys(("side", "V", "B"), Signal("1")),
+    **dict(zip(_UNITS, map(Signal, _UNITS.values()), strict=True)),
     **ESTIMATED,
     "d_smooth": Signal("output", ("d_right_smooth", "d_left_smooth")),
     "d_smooth_std": Signal("output", ("d_right_smooth_std", "d_left_smooth_std")),

@@ -28,7 +28,8 @@ TUNABLE: Final = ("observer", "controller")  # the tables whose numbers have add
 TABLES: Final = (ensemble_table.TABLE, tune_table.TABLE)  # those whose keys may be addresses
 S = TypeVar("S", bound=msgspec.Struct)
 LAST = "compare"  # changed after [observer], whose keys it may take
-ENDLESS = "sensor.range"  # the key whose numbers may be infinite; nan is refused later
+# keys whose numbers may be infinite
+ENDLESS: Final = ("sensor.range", "sensor.right", "sensor.left")
 
 
 class Number(NamedTuple):
@@ -280,8 +281,6 @@ def with_entries(data: Mapping[str, Any]) -> dict[str, Any]:
 
 def require_finite(value: Any, key: str) -> None:
     """Raise InputError if a number at or below a key is not finite, or too large."""
-    if key == ENDLESS:
-        return
     if isinstance(value, dict):
         for name, child in value.items():
             require_finite(child, f"{key}.{name}" if key else name)
@@ -289,7 +288,8 @@ def require_finite(value: Any, key: str) -> None:
         for index, child in enumerate(value):
             require_finite(child, f"{key}[{index}]")
     elif isinstance(value, float) and not math.isfinite(value):
-        raise InputError(f"{key}: must be a finite number, found {value}")
+        if math.isnan(value) or not key.startswith(ENDLESS):
+            raise InputError(f"{key}: must be a finite number, found {value}")
     elif isinstance(value, int) and abs(value) >= 2**63:
         raise InputError(f"{key}: the whole number is too large")
 

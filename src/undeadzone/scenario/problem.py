@@ -172,6 +172,7 @@ def _require_no_samples(plant: System, model: System, sensor: Zone) -> None:
         "plant.delay: counts samples": plant.delay or model.delay,
         "sensor.quantum: a reading is rounded when it is taken": sensor.quantum.any(),
         "plant.arm.gears: contacts close and open too fast for steps that locate each": plant.gears,
+        "sensor.left: inf, no edge, is known to the filters alone": sensor.absent.any(),
         f"{play}: a play shows its side from one reading to the next": sensor.moves,
     }
     for reason, is_needed in needed.items():

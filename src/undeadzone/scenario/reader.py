@@ -24,24 +24,18 @@ from undeadzone.scenario.messages import explain
 from undeadzone.scenario.schema import Scenario
 from undeadzone.util.arrays import parse_matlab_matrix
 from undeadzone.util.earlier import translate_scenario
-from undeadzone.util.files import LARGEST_TABLE, read_bytes, read_text, to_path, unreadable_file
+from undeadzone.util.files import (
+    LARGEST_TABLE,
+    read_bytes,
+    read_table,
+    read_text,
+    to_path,
+    unreadable_file,
+)
 from undeadzone.util.toml import require_short_keys
 
 FILE_KEYS: Final = ("path", "design")  # of a table, which name a file that is read
-# What people write, by what such a line holds, and what to write instead.
-HABITS = (
-    (r"[\u2018\u2019\u201c\u201d\u201e]", 'write straight quotes, "..."'),
-    (r"^\s*(%|//|;|/\*)", "remarks begin with #"),
-    (r"=\s*-?\d+,\d+\s*(#|$)", "write a decimal point, 0.01"),
-    (r"=\s*[-+]?(\.\d|\d+\.(\D|$))", "write a digit on both sides of the point, 0.5"),
-    (r"=\s*[-+]?\d+\s*[/*^]", "write the number itself. Formulas stand in plant.f alone"),
-    (r"=[^#\"']*;\s*(#|$)", "leave the ; out"),
-    (r"^\s*[\w.]+\s*:\s", "write = in place of :"),
-    (r"=\s*(None|null|NULL|nil)\b", "leave the key out"),
-    (r"=\s*(True|False|TRUE|FALSE|yes|no|on|off)\b", "write true or false"),
-    (r"=\s*[-+]?[\d.]+(e[-+]?\d+)?\s*[a-zA-Z]+", "write the number alone, [units] has the units"),
-    (r"=\s*[A-Za-z]", "put words in quotes"),
-)
+HABITS: Final = read_table(__file__)["habits"]
 OPEN = r"^\s*([\w.]+)\s*=\s*\[\s*[-+.\de]+(\s+[-+.\de]+)+\s*(#.*|%.*)?$"  # A = [0 1
 
 

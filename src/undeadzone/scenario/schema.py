@@ -56,7 +56,8 @@ def _assumes_centre(assumptions: Any) -> bool:
 
 def vague_assumptions(sensor: Sensor) -> Assumptions:
     """Return the assumption that the widths lie between 0 and `VAGUE` times the largest, alone."""
-    largest = float(max(np.max(sensor.right), np.max(sensor.left)))
+    widths = np.concatenate([np.ravel(sensor.right), np.ravel(sensor.left)])
+    largest = float(widths[np.isfinite(widths)].max(initial=0.0))
     return Assumptions(right=[0.0, VAGUE * (largest or 1.0)])
 
 
@@ -256,7 +257,7 @@ class Scenario(OptionTable, frozen=True, kw_only=True):
             if value is not None or field.default is not None:
                 require_kind(field.name, value, field.type)
         for side in ("right", "left"):
-            require_array(f"sensor.{side}", getattr(self.sensor, side))
+            require_array(f"sensor.{side}", getattr(self.sensor, side), infinite=True)
         if self.schema not in (None, SCHEMA):
             raise InputError(f"schema: expected {SCHEMA}, found {self.schema!r:.40}")
         if any(_assumes_centre(getattr(self, name)) for name in ASSUMPTION_TABLES):

@@ -19,7 +19,7 @@ from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import flat_targets
 from undeadzone.interfaces import Estimate
 from undeadzone.nonlinearities.play import levels
-from undeadzone.nonlinearities.sensor import DIRECTIONS
+from undeadzone.nonlinearities.sensor import DIRECTIONS, with_edges_beyond
 from undeadzone.observers.contact import JERK, unknown_torques
 from undeadzone.observers.contact_filter.drive import FADING
 from undeadzone.plants.robots.arm import evaluate_rows
@@ -71,11 +71,12 @@ def verdicts_of_run(problem: Problem, signal: Outputs) -> list[WidthIdentifiabil
         return mark_excluded_widths(problem, _verdicts_along(problem, signal))
     step = problem.scenario.simulation.step
     arrived = np.isfinite(signal.y)
-    schedule = schedule_of_record(signal.z, problem.sensor, step, problem.model.Ts, arrived)
+    beyond = problem._replace(sensor=with_edges_beyond(problem.sensor, signal.z))
+    schedule = schedule_of_record(signal.z, beyond.sensor, step, problem.model.Ts, arrived)
     if actuator_unknown(problem):
-        found = _width_verdicts_beside_actuator(problem, signal, schedule)
+        found = _width_verdicts_beside_actuator(beyond, signal, schedule)
     else:
-        found = linear_verdicts(problem, schedule, np.ones(problem.model.p))
+        found = linear_verdicts(beyond, schedule, np.ones(problem.model.p))
     return mark_excluded_widths(problem, found)
 
 
@@ -401,13 +402,14 @@ def _info(
     plant = problem.plant
     traits = problem.observer.traits
     scales = plant_scales(problem)
+    absent = problem.sensor.absent
     return Info(
         title=scenario.title,
         method=str(type(scenario.observer).__struct_config__.tag),
         time=scenario.simulation.time,
         step=scenario.simulation.step,
         tracked=problem.tracked,
-        widths=_in_turn(problem.sensor.right, problem.sensor.left),
+        widths=_in_turn(*np.where(absent, np.inf, [problem.sensor.right, problem.sensor.left])),
         threshold=problem.sensor.threshold.tolist(),
         certified=None if proof is None else proof.certified,
         integration_error=None if error is None else error.largest,

@@ -171,7 +171,9 @@ class Follower:
         self._counts[3] += (np.abs(sides) == 2).sum(axis=0)
         with np.errstate(invalid="ignore"):
             counted = estimate.x / state_units(self.model.continuous)  # as they show in z
-            worst = np.abs(np.hstack([counted, estimate.z, estimate.right, estimate.left]))
+            widths = np.hstack([estimate.right, estimate.left])
+            widths = np.where(widths == np.inf, 0.0, widths)  # of edges that do not exist
+            worst = np.abs(np.hstack([counted, estimate.z, widths]))
             self._diverged = self._diverged or not bool((worst < LIMIT).all())
         if len(sides):
             self._last = Estimate(*[field[-1] for field in estimate])

@@ -39,7 +39,7 @@ from undeadzone.nonlinearities.sensor import DIRECTIONS
 from undeadzone.observers.filtering.prior import read_width_ranges
 from undeadzone.scenario.problem import Problem
 from undeadzone.simulation.loop import Outputs
-from undeadzone.util.arrays import Floats, shift_rows
+from undeadzone.util.arrays import LARGEST, Floats, shift_rows
 
 NEGLIGIBLE = 1e-6  # share of the motion's range: a smaller deviation is known, also of width 0
 ROUNDING: Final = 1e-9  # share of a gap by which an assumed one may miss it
@@ -270,7 +270,11 @@ def mark_excluded_widths(
     for i, verdict in enumerate(verdicts):
         for side, (low, high) in (("right", ranges[i]), ("left", ranges[p + i])):
             width = getattr(problem.sensor, side)[i]
-            if not low <= width <= high:
+            if width == LARGEST:  # the other edge is all that there is
+                every: dict[str, Any] = dict.fromkeys(DIRECTIONS, True)
+                if verdict.right or verdict.left:
+                    verdict = verdict._replace(**every, reasons=())
+            elif not low <= width <= high:
                 reason = (
                     f"a false assumption: the {side} width is {width:.4g}, observer.{side} says "
                     f"{low:.4g} to {high:.4g}"

@@ -301,19 +301,6 @@ class Online:
         sides = out[:, self._where.side]
         return Estimate(*[out[:, part] for part in self._where.estimate]), sides
 
-    def peek(self, y: Array) -> Estimate:
-        """Return the estimate that `update(y, u)` would return. The state does not advance.
-
-        It does not depend on u.
-
-        Args:
-            y: reading (p).
-        """
-        before = self._step.state.copy(), self._out.copy(), self.samples, self.missing
-        estimate = self.update(y, 0.0)
-        self._step.state[:], self._out[:], self.samples, self.missing = before
-        return estimate
-
 
 def _stepper(graph: ObserverGraph, compiled: bool) -> Stepper | CompiledStepper:
     """Return the stepper that runs the samples."""

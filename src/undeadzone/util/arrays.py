@@ -32,11 +32,15 @@ def decode_array(kind: type, value: Any) -> Floats:
     """
     if kind is not np.ndarray:
         raise NotImplementedError(kind)
-    return to_float_array(value)
+    return to_float_array(value, infinite=True)
 
 
-def to_float_array(value: Any) -> Floats:
+def to_float_array(value: Any, infinite: bool = False) -> Floats:
     """Return a float array from numbers, nested lists, or MATLAB's text `"[0 1; -1 -2]"`.
+
+    Args:
+        value: the numbers.
+        infinite: whether they may be infinite.
 
     Raises:
         ValueError: other text, booleans, ragged lists, non-finite or huge entries.
@@ -54,9 +58,10 @@ def to_float_array(value: Any) -> Floats:
     if array.dtype.kind not in "iuf":
         raise ValueError(f"expected numbers, found {value!r:.60}")
     array = array.astype(np.float64)
-    if not np.isfinite(array).all():
+    finite = np.isfinite(array)
+    if not (finite | (infinite & np.isinf(array))).all():
         raise ValueError("every number must be finite, found nan or inf")
-    largest = np.abs(array).max(initial=0.0)
+    largest = np.abs(array[finite]).max(initial=0.0)
     if largest > LARGEST:
         raise ValueError(f"every number must be below {LARGEST:g} in size, found {largest:g}")
     return array
@@ -85,14 +90,16 @@ def parse_matlab_matrix(text: str) -> list[list[float]]:
         raise ValueError(f"expected numbers, found {text!r:.60}") from None
 
 
-def require_array(key: str, value: Any) -> Floats:
+def require_array(key: str, value: Any, infinite: bool = False) -> Floats:
     """Return the value as a float array. An error contains the key.
+
+    Infinite numbers are refused unless they are allowed.
 
     Raises:
         InputError: not numbers.
     """
     try:
-        return to_float_array(value)
+        return to_float_array(value, infinite)
     except ValueError as error:
         raise InputError(f"{key}: {error}") from None
 

@@ -8,6 +8,7 @@ import os
 import stat
 import sys
 import tempfile
+import tomllib
 import zipfile
 import zlib
 from collections.abc import Iterator
@@ -108,6 +109,11 @@ def open_plain(path: Name, largest: int | None = None) -> Iterator[BinaryIO]:
     with open(open_descriptor(path, os.O_RDONLY), "rb") as file:
         _require_plain_status(os.fstat(file.fileno()), largest)
         yield file
+
+
+def read_table(module: str) -> dict[str, Any]:
+    """Return the tables in the TOML file beside a module, by its `__file__`."""
+    return tomllib.loads(Path(module).with_suffix(".toml").read_text(encoding="utf-8"))
 
 
 def read_text(path: Name, largest: int = LARGEST_TEXT) -> str:

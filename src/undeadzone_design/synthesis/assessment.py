@@ -29,7 +29,7 @@ from undeadzone.analysis.identifiability.linear import (
 )
 from undeadzone.analysis.identifiability.play_and_zone import state_identifiability
 from undeadzone.controllers.state_feedback import StateFeedback
-from undeadzone.errors import StructureError
+from undeadzone.errors import InputError, StructureError
 from undeadzone.nonlinearities.sensor import DIRECTIONS
 from undeadzone.results.run import Run
 from undeadzone.scenario.problem import Problem, constant_gains
@@ -266,6 +266,8 @@ def assess_identifiability(
     """
     if run is not None and (problem.model.nonlinear or actuator_unknown(problem)):
         return _identifiability_from_run(run)
+    if problem.sensor.absent.any():
+        raise InputError("sensor.left: inf, no edge: `undeadzone run` shows what is known of one")
     linear = problem.model.linear
     jump = problem.sensor.kind == "jump"
     if problem.sensor.play is None:

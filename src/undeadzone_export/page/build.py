@@ -349,7 +349,7 @@ def _output_sizes(problem: Problem) -> Floats:
     if not problem.model.nonlinear:
         largest = np.abs(rows[:, q : q + n] @ problem.model.linear.C.T).max(axis=0)
     largest[problem.tracked] = np.abs(rows[:, :q]).max(axis=0)
-    widest = np.maximum(problem.sensor.right, problem.sensor.left)
+    widest = problem.sensor.widest
     return np.where(largest > 0, largest, np.where(widest > 0, 4 * widest, 1.0))
 
 

@@ -102,13 +102,15 @@ def _breakpoint_sliders(problem: Problem, loop: Loop, sizes: Floats) -> list[Sli
     """Return a slider for each breakpoint of each output."""
     sliders = []
     limit = problem.observer.traits.width_max
-    widest = np.maximum(problem.sensor.right, problem.sensor.left)
+    sensor = problem.sensor
     for output in range(problem.plant.p):
-        for side in ("right", "left"):
+        for k, side in enumerate(("right", "left")):
+            if sensor.absent[k, output]:
+                continue
             number = str(output + 1) if problem.plant.p > 1 else ""
             of = f" of output {number}" if number else ""
-            width = float(getattr(problem.sensor, side)[output])
-            most = round_up_nicely(float(max(2 * widest[output], sizes[output] / 2)))
+            width = float(getattr(sensor, side)[output])
+            most = round_up_nicely(float(max(2 * sensor.widest[output], sizes[output] / 2)))
             if limit is not None:
                 most = min(most, float(limit[output]))
             place = _param_index(loop, f"sensor.{side}[{output}]")

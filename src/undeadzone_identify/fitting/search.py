@@ -15,18 +15,12 @@ from scipy.stats import qmc
 
 from undeadzone.util.answers import MemoryAnswers
 from undeadzone.util.arrays import Flags, Floats
+from undeadzone.util.files import read_table
 from undeadzone_identify.fitting.problem import FitProblem
 
 STARTS: Final = 64  # points, of which the best are followed
 HOT: Final = 0.2  # heat of the first stage, in the rms of readings and inputs
-STAGES: Final = (
-    *((1.0, 8, 3), (1.0, 4, 6), (0.2, 4, 6), (0.04, 2, 6), (0.008, 2, 6), (0.0, 2, 25)),
-)
-FIRST: Final = (  # samples that show x(0) ahead of all, and heat of noise and disturbance
-    *((20, (25.0, 0.2)), (20, (5.0, 0.2)), (20, (1.0, 0.2))),
-    *((20, (0.2, 0.2)), (60, (0.2, 0.2)), (60, (0.04, 0.04))),
-)
-AGAIN: Final = ((0.04, 2, 6), (0.008, 2, 6), (0.0, 2, 25))  # from the answer, once more
+_PLAN: Final = read_table(__file__)
 DAMPINGS: Final = (1e-2, 1.0, 1e3)  # factors that each step tries
 STUCK: Final = 1e6  # damping beyond which a search ends, and its growth without a gain
 DIFFERENCE: Final = 0.02  # of a derivative, in deviations of the number
@@ -181,7 +175,7 @@ def search_maximum(
     hot = HOT * np.array([np.nanstd(problem.whole.y), np.nanstd(problem.whole.u)])
     started = np.array([each.is_start for each in problem.free])
     point = problem.start
-    for count, share in FIRST if started.any() else ():
+    for count, share in _PLAN["first"] if started.any() else ():
         point, _ = climb(
             problem.keep_first(count), point, np.array(share) * hot, 25, ~started, tick
         )
@@ -203,7 +197,7 @@ def search_maximum(
         return Peaks(*map(np.array, zip(*found, strict=True))).keep_best(count)
 
     found = [Peaks(points, problem.evaluate_points(points, hot))]
-    for k, stage in enumerate((*STAGES, *AGAIN)):
+    for k, stage in enumerate(_PLAN["stages"] + _PLAN["again"]):
         found.append(run_stage(k, found[-1], *stage))
-    both = zip(found[len(STAGES)], found[-1], strict=True)
+    both = zip(found[len(_PLAN["stages"])], found[-1], strict=True)
     return Peaks(*map(np.concatenate, both)).keep_best()

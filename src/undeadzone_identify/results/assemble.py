@@ -610,7 +610,7 @@ def prior_width_range(answer: Answer, side: str) -> tuple[float, float]:
 
     Each half of the displayed interval grows as Student's quantile does for the degrees of freedom
     that it has, which are few if the edge is passed a few times. An edge of a jump sensor has
-    quantiles of its own.
+    quantiles of its own, and an edge that does not exist has the other's range.
 
     Args:
         answer: with both widths.
@@ -623,7 +623,7 @@ def prior_width_range(answer: Answer, side: str) -> tuple[float, float]:
         InputError: the width has no upper bound.
     """
     if side in absent_edges(answer.case):
-        return 0.5 * FAR_EDGE * answer.scale, 1.5 * FAR_EDGE * answer.scale
+        (side,) = {*SIDES} - {side}
     edge: Interval = getattr(answer, side)
     low, high = answer.case.options.parse_bounds(side)
     prior = _interval_of_prior(answer, side, edge)

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from undeadzone.util.arrays import Flags, Floats
+from undeadzone.util.files import read_table
 from undeadzone_identify.models.elements import FEWEST, limited_zone_map
 from undeadzone_identify.models.least_squares import FittedModel
 from undeadzone_identify.models.likelihood import root_mean_square
@@ -45,42 +46,8 @@ DYNAMICS = "plant and nonlinearity, fitted together"
 NO_BETTER = "a straight plant simulates held-out readings about as well"
 OTHER_END = "a band of the input, or friction, simulates held-out readings about as well"
 BOTH_POSITIONS = "one position along the other"
-EFFECT_OF = {  # words of the verdict
-    "dead_zone": "output loss",
-    "unreached": "output loss",
-    "filtered_zone": "output loss",
-    "jump": "output threshold",
-    "saturation": "output range",
-    "other": "output shape",
-    "play": "output reversal",
-    "both": "output reversal",
-    "friction": "friction",
-    "input_zone": "input loss",
-    "two_zones": "output loss",
-    "input_curve": "input shape",
-    "input_play": "input reversal",
-    "input_rate": "input rate",
-    "stiction": "stick",
-    "external": "outside",
-    "tight_tuning": "tuning",
-}
-NAMES = {  # of the classes
-    "dead_zone": "Dead zone of the sensor",
-    "unreached": "Dead zone of the sensor, an edge of which is never reached",
-    "none": "No dead zone and no backlash: a linear plant explains the log",
-    "saturation": "Saturation",
-    "jump": "Dead zone with a jump (readings are not shifted)",
-    "play": "Backlash",
-    "both": "Backlash and a dead zone of the sensor",
-    "friction": "Friction",
-    "input_zone": "Dead zone of the actuator",
-    "two_zones": "Dead zones of sensor and actuator",
-    "input_curve": "Curve of the input",
-    "input_rate": "Limit of the input's rate",
-    "input_play": "Backlash ahead of the plant",
-    "filtered_zone": "Dead zone of the sensor with a filter, two slopes or round edges",
-    "other": "Another nonlinearity",
-}
+_TABLES = read_table(__file__)
+EFFECT_OF, NAMES = _TABLES["effect_of"], _TABLES["names"]
 SIZES = ("width", "gap", "level")
 OTHERS = 2  # effects that are printed beside the first
 LOSS = "output loss"

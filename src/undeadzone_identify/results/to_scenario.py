@@ -243,7 +243,7 @@ def _toml_numbers(values: Iterable[Any]) -> str:
 def _interval_remark(edges: Sequence[Interval]) -> str:
     """Return the 95 % intervals of all outputs, for a remark."""
     if all(edge.low == edge.high for edge in edges):
-        return "none: it is known, or so far away that no reading lies beyond it"
+        return "no edge" if edges[0].value == math.inf else "none: it is known"
     return "; ".join(f"{edge.low:.6g} to {edge.high:.6g}" for edge in edges)
 
 
@@ -252,7 +252,8 @@ def _require_edges(answer: Answer) -> tuple[Interval, Interval]:
     pair = (answer.right, answer.left)
     if answer.element is not None and answer.element.edges is not None:
         pair = answer.element.edges
-    far = dict.fromkeys(absent_edges(answer.case), Interval(*[FAR_EDGE * answer.scale] * 3))
+    width = FAR_EDGE * answer.scale if answer.verdict == "input_zone" else math.inf
+    far = dict.fromkeys(absent_edges(answer.case), Interval(width, width, width))
     right, left = (edge or far.get(side) for side, edge in zip(SIDES, pair, strict=True))
     if right is None or left is None:
         raise InputError("scenario: both widths must be known")
@@ -265,7 +266,7 @@ def _require_nonnegative(
     """Return widths that a scenario may have. Raise InputError."""
     edges = {"right": right, "left": left}
     for name, edge in edges.items():
-        if not math.isfinite(edge.value):
+        if not math.isfinite(edge.value) and name not in absent_edges(answer.case):
             raise InputError(
                 f"scenario: the {name} edge is never reached in the log. Give it by --{name}"
             )

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.polynomial.hermite_e import hermegauss
 
 from undeadzone.util.arrays import Flags, Floats, rows_since_start, shift_rows
+from undeadzone.util.files import read_table
 from undeadzone_identify.models import least_squares
 from undeadzone_identify.models.chain import ChainModel, lag_columns, limit_rates
 from undeadzone_identify.models.least_squares import (
@@ -50,53 +51,13 @@ VANISHING = 1e-6  # of a column: one that the model's own numbers explain
 NONE_EXPLAINS = "no known model explains this log"
 SURE = 2.0  # deviations, from which a weight counts
 ALIKE = 1e-3  # of the largest singular value: columns that say the same
-DEPENDS = {
-    "input": "the size of the input",
-    "levels of the input": "single levels of the input",
-    "output": "the size of the output",
-    "turns of the input": "the direction in which the input moved last",
-    "turns of the output": "the direction in which the output moved last",
-    "behind": "the readings a few samples before",
-    "ahead": "the input a few samples before",
-    "beside": "the input within its zone",
-    "spring": "the size of the output as a force on the plant",
-    "rate of the input": "how fast the input changes",
-    "rate of the output": "how fast the output changes",
-    "time": "the time",
-    "steps": "the place of the output between equal steps",
-}
+_TABLES = read_table(__file__)
+DEPENDS, SEEN = _TABLES["depends"], _TABLES["seen"]
 COARSE = {  # least share of models that are coarse themselves, by direction
     # It holds the plant by the sample, when it turns and where it rests.
     "friction": {"output": 0.2, "turns of the output": LARGE_SHARE, "rate of the input": 0.2},
     # It blurs its corners, each of which shifts the samples behind.
     "jump": dict.fromkeys(DEPENDS, 0.25) | {"behind": math.inf, "steps": 0.05},
-}
-SEEN = {
-    "input": "the input may act by a curve that is not known here. Record steps to several levels"
-    " of it, each held until the readings settle, and the curve can be read off",
-    "levels of the input": "the input may act in coarse steps, as behind a converter or a relay."
-    " Record its output as the input",
-    "output": "the sensor may have a curve that is not known here. Record slow ramps through its"
-    " whole range",
-    "turns of the input": "there may be play or sticking between the input and the plant. Record"
-    " slow triangles of the input, of several amplitudes",
-    "turns of the output": "there may be hysteresis behind the plant. Record slow triangles of the"
-    " input, of several amplitudes",
-    "behind": "the sensor may smooth its readings. Record them with its filter off",
-    "ahead": "a drive may delay the input ahead of its zone or curve. Record its output as the "
-    "input, or hold each level of the input until the readings settle",
-    "beside": "a part of the input may reach the plant beside its zone, or the zone may only be a"
-    " flatter piece of a curve. Record steps to several levels of the input within and outside it,"
-    " each held until the readings settle, and the curve can be read off",
-    "spring": "the plant may bend: a spring that stiffens, or an outlet of nonlinear flow."
-    " Record with a smaller input",
-    "rate of the input": "the drive of the input may be limited in its rate. Record with an input"
-    " that changes more slowly",
-    "rate of the output": "the sensor may be limited in its rate, or slower one way than the other."
-    " Record with an input that changes more slowly",
-    "steps": "the sensor may round its readings to coarse steps. Record slow ramps through its"
-    " whole range",
-    "time": "the plant or the sensor may drift. Identify a shorter part of the log",
 }
 
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from undeadzone.nonlinearities.sensor import DIRECTIONS
 from undeadzone.util.arrays import Flags, Floats, Integers
+from undeadzone.util.files import read_table
 from undeadzone_identify.models import plant
 from undeadzone_identify.models.chain import ChainFit, ChainModel
 from undeadzone_identify.models.elements import (
@@ -76,18 +77,8 @@ LEAST_NOISE = 0.01  # rms of y, from which noise that falls silent is told from 
 EVEN = "the centre of the gap is not known, and both sides are half of the width"
 LONGEST = 25  # steps of a climb that checks a fit
 TOP_OF_ODDS = ("none", "saturation")  # named for other reasons than odds, too
-SMALLER = {  # words of models that a word's model holds
-    "zone_and_friction": ("dead_zone", "friction"),
-    "two_zones": ("dead_zone", "input_zone"),
-    "both": ("dead_zone",),
-    "filtered_zone": ("dead_zone",),
-    "friction": ("none",),
-    "input_zone": ("none",),
-    "input_curve": ("none",),
-    "input_play": ("none",),
-    "input_rate": ("none",),
-    "other": ("none",),
-}
+_TABLES = read_table(__file__)
+SMALLER, MEASURED = _TABLES["smaller"], _TABLES["measured"]  # by word
 SURELY = 2.0  # deviations, by which a larger model must be worse to be denied
 APART = 2.5  # deviations, by which a model is told from another
 LITTLE = 0.1  # share of held-out squares: a smaller gain must be one by SURELY deviations
@@ -114,17 +105,6 @@ FAR_AWAY, BETWEEN = 7.0, 0.01  # times that; of the readings that may lie farthe
 UNSEEN = 0.1  # of the readings' noise: what a disturbance makes of z, and no log of this kind shows
 AHEAD = ("input_zone", "input_play")  # words of elements of the input
 OF_INPUT = ("friction", *AHEAD)  # words of widths in the input's unit
-MEASURED = {  # what is known of an element, by word
-    "friction": ("right", "left", "width"),
-    "input_zone": tuple(DIRECTIONS),
-    "two_zones": tuple(DIRECTIONS),
-    "dead_zone": tuple(DIRECTIONS),
-    "filtered_zone": tuple(DIRECTIONS),
-    "jump": ("right", "left", "width"),
-    "play": ("width",),
-    "both": ("width",),
-    "input_play": ("width",),
-}
 
 
 class Element(NamedTuple):

@@ -161,30 +161,10 @@ def test_a_silence_that_contradicts_nothing_changes_nothing() -> None:
 def test_the_disturbance_is_first_order_noise_of_unit_rms(
     correlation: float, relative_step: float
 ) -> None:
-    colour = build_colour(correlation, None, relative_step * correlation)
+    colour = build_colour(correlation, relative_step * correlation)
     assert np.concatenate([*colour.F, *colour.Q, *colour.cov, colour.C]) == pytest.approx(
         [np.exp(-relative_step), -np.expm1(-2 * relative_step), 1.0, 1.0]
     )
-
-
-@given(st.floats(0.01, 10), st.floats(0.1, 10), st.floats(0.001, 0.3))
-def test_with_a_washout_it_has_no_constant_part(
-    correlation: float, ratio: float, relative_step: float
-) -> None:
-    """The covariance of p_1 - p_2 at lag t is (a e^-at - b e^-bt) / (a - b), 1 at 0.
-
-    Its integral is 0; a = 1 / correlation, b = 1 / washout.
-    """
-    Ts, washout = relative_step * correlation, ratio * correlation * 1.0001
-    F, Q, cov, w = build_colour(correlation, washout, Ts)
-    assert F @ cov @ F.T + Q == pytest.approx(cov, rel=1e-9)
-    a, b = 1 / correlation, 1 / washout
-    for lag in (0, 1, 5, 20):
-        t = lag * Ts
-        expected = (a * np.exp(-a * t) - b * np.exp(-b * t)) / (a - b)
-        assert w @ np.linalg.matrix_power(F, lag) @ cov @ w == pytest.approx(expected, abs=1e-6)
-    total = w @ np.linalg.solve(np.eye(2) - F, cov) @ w * Ts - Ts / 2
-    assert abs(total) < 0.1 * relative_step**2 * correlation * (1 + 1 / ratio) ** 2
 
 
 @settings(max_examples=25)
@@ -697,7 +677,7 @@ def test_tolerance_of_a_nonlinear_plant_is_one_number() -> None:
 def test_a_small_bias_is_a_prior_a_hundred_times_narrower() -> None:
     """Where nothing has been read yet: its variance is (SMALL b)^2, and the odds stay."""
     rms = 0.7
-    colour, none = build_colour(0.5, None, TS), np.zeros(1)
+    colour, none = build_colour(0.5, TS), np.zeros(1)
     augmentation = build_unknown_inputs(
         MODEL, colour, none, np.array([rms]), 0.8, read_tolerance(MODEL, 0.0)
     )

@@ -328,10 +328,10 @@ def test_one_output_without_noise_is_refused() -> None:
 
 def test_a_time_is_resolved_from_a_tenth_of_a_sample_on() -> None:
     for time in (0.101, 0.99e6):
-        assert read_time_span("washout", time * 0.02, 0.02) == time * 0.02
+        assert read_time_span("correlation", time * 0.02, 0.02) == time * 0.02
     for time in (0.099, 1.01e6):
         with pytest.raises(InputError, match=r"between 0\.1 and 1e6 sample times"):
-            read_time_span("washout", time * 0.02, 0.02)
+            read_time_span("correlation", time * 0.02, 0.02)
 
 
 def test_the_default_disturbance_is_that_of_the_output_that_it_moves_most() -> None:

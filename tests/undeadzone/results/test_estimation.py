@@ -20,6 +20,7 @@ from undeadzone.results.estimation import _describe_branches
 )
 def test_an_edge_without_a_reading_is_never_passed(right: int, left: int, expected: str) -> None:
     info: Any = SimpleNamespace(
-        sensor="dead_zone", right=[right], left=[left], silent=[3], limited=[]
+        sensor="dead_zone", right=[right], left=[left], silent=[3], limited=[], d_right=[1.0]
     )
+    info.d_left = info.d_right
     assert _describe_branches(info, 0) == expected

@@ -74,16 +74,6 @@ def test_missing_input_is_replaced_by_the_last_one() -> None:
     np.testing.assert_array_equal(holding.update(2.0, 0.0).x, given.update(2.0, 0.0).x)
 
 
-def test_peek_is_the_next_estimate_and_changes_nothing() -> None:
-    online = uz.Online(OBSERVER, PLANT, SENSOR, STEP)
-    online.update(2.0, 1.0)
-    peeked = online.peek(1.5)
-    updated = online.update(1.5, 7.0)
-    for a, b in zip(peeked, updated, strict=True):
-        np.testing.assert_array_equal(a, b)
-    assert online.samples == 2
-
-
 def test_estimates_are_copies() -> None:
     online = uz.Online(OBSERVER, PLANT, SENSOR, STEP)
     first = online.update(2.0, 1.0)
@@ -134,9 +124,6 @@ def test_latest_is_one_view_and_unknown_before_the_first_sample() -> None:
         online.update_into(np.array([2.5]), np.array([1.0]))
         assert latest is online.latest
         assert latest.z != first
-        preview = online.peek(1.0)
-        assert preview.z_inverse != latest.z_inverse
-        assert online.samples == 2
 
 
 def test_several_outputs_and_inputs_compiled() -> None:

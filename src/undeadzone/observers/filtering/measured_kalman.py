@@ -61,6 +61,7 @@ from undeadzone.observers.filtering.measurement_update import (
     certain_branch,
     confirm_silences,
     correct_by_readings,
+    drop_absent_edges,
     find_censored,
     foresee_reading,
     is_surely_exact,
@@ -232,7 +233,7 @@ def build_branch_filter(
     member = Member(params, init, partial(step_filter, setup), smoothing)
     member = add_disturbance_levels(member, levels, is_assumed)
     observer = rescale_states(add_consistency_tests(member, model, doubts, traits, recovers), units)
-    return add_motion_detection(observer, plant, sensor)
+    return add_motion_detection(drop_absent_edges(observer, sensor), plant, sensor)
 
 
 class Update(NamedTuple):
@@ -272,7 +273,7 @@ def update_measurement(setup: Setup, q: Params, s: State, reading: Reading) -> U
     )
     bounded = Corrected(corrected.belief, s.wait, corrected.trust, corrected.likely)
     bounded = apply_bounds(setup, q, s, bounded, reading, y, side)
-    if setup.has_limits:
+    if setup.has_limits or setup.sensor.absent.any():
         bounded = bounded._replace(trust=reject_impossible(bounded.trust, reading))
     return Update(y, side, before, corrected, bounded, columns)
 

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.interfaces import Reading
+from undeadzone.interfaces import Estimate, Observer, Reading
 from undeadzone.nonlinearities.play import readings_of_motion
 from undeadzone.nonlinearities.sensor import LEFT, RIGHT, Zone, offset, present
 from undeadzone.numerics.gaussian import (
@@ -206,8 +206,8 @@ def use_bounds(
             zone (None: no play is ahead of it).
     """
     p = setup.model.p
-    waits = [None] * (2 * p)
-    believed = [None] * (2 * p)
+    waits = ca.vertsplit(ca.SX(known.wait))[: 2 * p]
+    believed: list[Any] = [0.0] * (2 * p)
     belief = known.belief
     likely = ca.SX(known.likely)
     trust = ca.SX(known.trust)
@@ -246,11 +246,69 @@ def _edge_groups(setup: Setup) -> list[tuple[int, dict[int, float]]]:
     Those of a jump sensor are applied one by one: a z beyond one of them implies nothing about the
     other.
     """
-    p = setup.model.p
-    if setup.is_jump_sensor:
-        rights: list[tuple[int, dict[int, float]]] = [(i, {i: RIGHT}) for i in range(p)]
-        return rights + [(i, {p + i: LEFT}) for i in range(p)]
-    return [(i, {i: RIGHT, p + i: LEFT}) for i in range(p)]
+    each = _existing_edges(setup.sensor)
+    if not setup.is_jump_sensor:
+        return list(enumerate(each))
+    alone = []
+    for i, edges in enumerate(each):
+        for k, edge in edges.items():
+            alone.append((i, {k: edge}))
+    return sorted(alone, key=lambda one: max(one[1]))
+
+
+def _existing_edges(sensor: Zone) -> list[dict[int, float]]:
+    """Return the side of each edge that exists by its place among all, output by output."""
+    p = sensor.slope.size
+    each = []
+    for i, absent in enumerate(sensor.absent.T):
+        edges = {}
+        for k, side, gone in zip((i, p + i), (RIGHT, LEFT), absent, strict=True):
+            if not gone:
+                edges[k] = side
+        each.append(edges)
+    return each
+
+
+def drop_absent_edges(observer: Observer, sensor: Zone) -> Observer:
+    """Return a filter to which a reading beyond an edge that does not exist is impossible.
+
+    Its estimate of that width is infinite, without a deviation.
+
+    Args:
+        observer: the filter, which knows no such edge.
+        sensor: the dead zone.
+    """
+    right, left = sensor.absent
+    if not sensor.absent.any():
+        return observer
+
+    def without(reading: Reading) -> Reading:
+        """Return the reading, missing and impossible on a side without an edge."""
+        beyond = ca.logic_or(ca.logic_and(right, reading.side > 0), left * (reading.side < 0))
+        y = ca.if_else(beyond, np.inf, reading.y)
+        return reading._replace(y=y, side=ca.if_else(beyond, 0.0, reading.side))
+
+    def shown(estimate: Estimate) -> Estimate:
+        """Return the estimate with infinite widths."""
+        for side, gone in zip(("right", "left"), sensor.absent, strict=True):
+            width = ca.if_else(gone, np.inf, getattr(estimate, side))
+            std = getattr(estimate, f"{side}_std") * ~gone
+            estimate = estimate._replace(**{side: width, f"{side}_std": std})
+        other = estimate.right_std + estimate.left_std
+        width_std = ca.if_else(right | left, other, estimate.width_std)
+        return estimate._replace(width_std=width_std)
+
+    def step(q: Any, s: Any, u: Any, reading: Reading) -> tuple[Any, Estimate]:
+        """Return the next state and the estimate."""
+        after, estimate = observer.step(q, s, u, without(reading))
+        return after, shown(estimate)
+
+    inner = observer.smoothing
+    smoothing = inner._replace(
+        moments=lambda q, s, u, reading: inner.moments(q, s, u, without(reading)),
+        mixture_estimate=lambda *beliefs: shown(inner.mixture_estimate(*beliefs)),
+    )
+    return observer._replace(step=step, smoothing=smoothing)
 
 
 def find_censored(setup: Setup, q: Params, reading: Reading, y: Any) -> Any:
@@ -286,9 +344,9 @@ def confirm_silences(setup: Setup, q: Params, belief: Gaussian, silent: Any) -> 
     if not setup.has_pace_test:
         return ()
     each = []
-    for i in range(setup.model.p):
+    for i, edges in enumerate(_existing_edges(setup.sensor)):
         bounds = []
-        for edge in (RIGHT, LEFT):
+        for edge in edges.values():
             slack = q.gate[i] / q.slope[i]
             bounds.append(breakpoint_bound(setup, q, belief, i, edge, edge, 0.0, slack, 0.0))
         trust = edge_constraint(setup, q, belief, i, bounds).trust

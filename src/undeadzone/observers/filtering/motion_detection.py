@@ -47,6 +47,7 @@ BRANCH_OBSERVERS = (
 )
 # Of a play ahead of a dead zone; the latter two take no widths into account.
 BACKLASH_AHEAD_OBSERVERS = ("auto", "censored", "kalman", "full_state", "luenberger")
+ONE_EDGE_OBSERVERS = ("auto", "censored", "extended", "kalman")
 
 
 class Motion(NamedTuple):
@@ -241,15 +242,17 @@ def update_line(sensor: Zone, q: Motion, s: State, y: Any, regular: Any) -> tupl
 
 
 def require_branch_observer(options: Any, sensor: Zone) -> None:
-    """Raise InputError if the method does not support the sensor's backlash."""
+    """Raise InputError if the method does not support the sensor's backlash, or its one edge."""
     method = str(options.__struct_config__.tag)
-    if sensor.play is not None and method not in BACKLASH_AHEAD_OBSERVERS:
-        raise InputError(
-            f"observer.method: {method!r} knows no play ahead of a dead zone. Use one of "
-            f"{', '.join(BACKLASH_AHEAD_OBSERVERS)}, or leave out sensor.play"
-        )
-    if sensor.kind == "play" and method not in BRANCH_OBSERVERS:
-        raise InputError(
-            f"observer.method: {method!r} takes the reading for a function of z, which a play is "
-            f"not. Use one of {', '.join(BRANCH_OBSERVERS)}"
-        )
+    ahead = "knows no play ahead of a dead zone"
+    moved = "takes the reading for a function of z, which a play is not"
+    two = "needs two edges, and a width of inf takes one away"
+    rows = (
+        (sensor.play is not None, BACKLASH_AHEAD_OBSERVERS, ahead, ", or leave out sensor.play"),
+        (sensor.kind == "play", BRANCH_OBSERVERS, moved, ""),
+        (sensor.absent.any(), ONE_EDGE_OBSERVERS, two, ""),
+    )
+    for has_it, methods, why, instead in rows:
+        if has_it and method not in methods:
+            use = ", ".join(methods)
+            raise InputError(f"observer.method: {method!r} {why}. Use one of {use}{instead}")

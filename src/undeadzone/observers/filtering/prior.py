@@ -91,6 +91,7 @@ def build_prior(
     """Return the prior from the assumed ranges [lo, hi] of the widths.
 
     A width has the mean of its range, and the standard deviation of a uniform distribution over it.
+    An edge that does not exist has the other's, as an unknown that no reading concerns.
 
     Args:
         assumptions: options with right, left (None: those of right), noise (None: the sensor's, but
@@ -100,8 +101,7 @@ def build_prior(
             range implies that the width stays in it), as of `Assumptions`.
         model: the sampled model.
         sensor: the dead zone.
-        floor: least noise, as a share of the assumed range. A range of an edge that does not exist
-            is so wide that no share of it may be added to a declared noise.
+        floor: least noise, as a share of the assumed range.
         reach: standard deviation of x(0), in largest widths, if none is assumed.
         wear: drift, in extents of the range per 1 / sqrt(|pole|), if none is assumed.
         start: mean of x(0), one number or one per state.
@@ -116,6 +116,8 @@ def build_prior(
     Ts = require_sample_time(model)
     p = model.p
     ranges = read_width_ranges(assumptions.right, assumptions.left, p)
+    absent = sensor.absent.ravel()
+    ranges = np.where(absent[:, None], np.roll(ranges, p, axis=0), ranges)
     span = ranges[:, 1] - ranges[:, 0]
     largest = max(ranges[:, 1].max(), largest_gap(sensor.play))
     if assumptions.noise is None:
@@ -392,7 +394,7 @@ class Assumptions(OptionTable, frozen=True, kw_only=True):
 
     Attributes:
         right, left: ranges [lo, hi] of d_r and d_l, one or one per output [z] (left defaults to
-            that of right).
+            that of right; that of an edge that the sensor does not have, to the other's).
         centre: assumed range [lo, hi] of (d_r - d_l)/2, a number if it is known (0: a symmetric
             zone), or one range per output [z] (default: the range that follows from those of d_r
             and d_l).

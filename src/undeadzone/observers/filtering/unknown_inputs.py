@@ -90,30 +90,18 @@ class Setup(NamedTuple):
     careful: bool
 
 
-def build_colour(correlation: float, washout: float | None, Ts: float) -> Colour:
-    """Return first-order noise p_1' = -p_1 / correlation + white noise, sampled exactly.
-
-    With a washout, p_1 - p_2 with p_2' = (p_1 - p_2) / washout instead: it has no constant part.
+def build_colour(correlation: float, Ts: float) -> Colour:
+    """Return first-order noise p' = -p / correlation + white noise, sampled exactly.
 
     Args:
         correlation: correlation time [s].
-        washout: time constant of the washout [s] (None: there is none).
         Ts: sample time [s].
     """
     from scipy.linalg import solve_discrete_lyapunov
 
     a = 1 / correlation
-    if washout is None:
-        F = np.array([[-a]])
-        W = np.array([[2 * a]])
-        C = np.array([1.0])
-    else:
-        b = 1 / washout
-        F = np.array([[-a, 0.0], [b, -b]])
-        W = np.diag([2 * (a + b), 0.0])  # which makes the rms of p_1 - p_2 one
-        C = np.array([1.0, -1.0])
-    Fd, Q = discretise_noise(F, W, Ts)
-    return Colour(Fd, symmetric_part(Q), solve_discrete_lyapunov(Fd, Q), C)
+    Fd, Q = discretise_noise(np.array([[-a]]), np.array([[2 * a]]), Ts)
+    return Colour(Fd, symmetric_part(Q), solve_discrete_lyapunov(Fd, Q), np.array([1.0]))
 
 
 def read_time_span(key: str, value: Any, Ts: float) -> float:
