@@ -108,7 +108,7 @@ _TABLE: Final = tuple(
         ),
         (
             r"measured|\bactual\b|\bpresent\b|sensor|infrared|ultrasonic|sonar\b|\bcell\b|\badc|feedback|\bfb\b|reading|\bhx\b|response|\bist\b"
-            r"|\braw\b(?! d)|\bcode\b|observ|mesur|gemessen",
+            r"|\braw\b(?! d)|\bcode\b|\bацп\b|observ|mesur|gemessen",
             "",
             -12.0,
         ),
