@@ -51,6 +51,10 @@ class StepError(InputError):
     """A step or sample time too coarse for the dynamics."""
 
 
+class InformationError(InputError):
+    """A sound log from which nothing can be learnt: too short, or nothing in it moves."""
+
+
 class FileError(InputError):
     """A file that cannot be read or written, or whose contents are wrong."""
 

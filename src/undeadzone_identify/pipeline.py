@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
-from undeadzone.errors import InputError
+from undeadzone.errors import InformationError, InputError
 from undeadzone.nonlinearities.sensor import offset
 from undeadzone.util.answers import Answers
 from undeadzone.util.installed import use_one_blas_thread
@@ -128,7 +128,7 @@ from undeadzone_identify.selection.servo import (
 from undeadzone_identify.servo.gap import ServoGap
 
 Found = Identified | IdentifiedOutputs | IdentifiedMotion | IdentifiedAtRest | IdentifiedLoop
-TABLE = "rows of a table"
+TABLE = "rows of the log"
 INTEGRATES = (
     "a torque or current moves a position, by their names, and no plant that settles explains it:"
     " taken to integrate, as with --integrators 1"
@@ -341,7 +341,8 @@ def _identify_logs(
             return IdentifiedLoop(tuple(logs), swing)
         spoken = choose_account(one.account, seen, looks, lambda: knows_the_end(one.answer))
         return dataclasses.replace(one, spoken=spoken)
-    if seen is None and is_one and is_plain and not logs[0].has_clock:  # a table needs no plant
+    answers_no = isinstance(failure, InformationError) or not logs[0].has_clock  # a table
+    if seen is None and is_one and is_plain and answers_no:
         seen = Account(OPEN, {}, TABLE, (logs[0].input_unit, logs[0].output_units[0]))
     if seen is not None:
         return IdentifiedAtRest(logs[0], looks, seen.with_doubts(f"no plant was fitted: {failure}"))

@@ -475,11 +475,7 @@ def test_swapped_columns_give_no_widths() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda t, u, y: (t, 0 * u + 1, y), "input is constant"),
-        (lambda t, u, y: (t, u, 0 * y), "always silent"),
-        (lambda t, u, y: (t, u, 0 * y + 3), "never changes"),
         (lambda t, u, y: (t, u, y * np.nan), "every one is missing"),
-        (lambda t, u, y: (t[:60], u[:60], y[:60]), "too few"),
         (lambda t, u, y: (np.roll(t, 9), u, y), "does not increase"),
         (
             lambda t, u, y: (t, np.where(t == t[50], np.nan, u), y),
@@ -493,6 +489,23 @@ def test_what_cannot_be_used_is_refused(change, message: str) -> None:
     t, u, y = change(t, u, y)
     with pytest.raises(InputError, match=message):
         uz.identify(t=t, u=u, y=y)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda t, u, y: (t, 0 * u + 1, y), "input is constant"),
+        (lambda t, u, y: (t, u, 0 * y), "always silent"),
+        (lambda t, u, y: (t, u, 0 * y + 3), "never changes"),
+        (lambda t, u, y: (t[:60], u[:60], y[:60]), "too few"),
+    ],
+)
+def test_a_sound_log_that_shows_nothing_has_an_answer(change, message: str) -> None:
+    t, u, y, _ = record()
+    t, u, y = change(t, u, y)
+    account = uz.identify(t=t, u=u, y=y).account
+    assert not account.effects
+    assert message in account.doubts[0]
 
 
 def test_a_short_log_that_sticks_at_its_ends_counts_all_its_readings() -> None:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undeadzone.errors import InputError
+from undeadzone.errors import InformationError, InputError
 from undeadzone.logs.range_ends import RangeEnds, range_ends
 from undeadzone.util.arrays import Flags, Floats, Integers, bounds_of_runs
 from undeadzone_identify.logs.grid import RARE, SPIKE, Grid, find_spikes
@@ -322,7 +322,7 @@ def require_readings(count: int, remarks: str = "", order: int = 1) -> None:
     """
     needed = PER_NUMBER * (order + 1)
     if count < needed:
-        raise InputError(
+        raise InformationError(
             f"log: {count} readings are too few. Order {order} needs {needed}{remarks}"
         )
 
@@ -343,15 +343,15 @@ def _require_informative(grid: Grid, y: Floats, side: Integers) -> None:
             raise InputError(f"log: values of {size:.3g} vanish once squared. Use another unit")
     moves = grid.u.std(axis=0) > 1e-12 * np.abs(grid.u).max(axis=0, initial=0.0)
     if not moves.any():
-        raise InputError("log: the input is constant: nothing can be learnt about the plant")
+        raise InformationError("log: the input is constant: nothing can be learnt about the plant")
     if not moves.all():
         name = grid.inputs[np.argmin(moves)]
         raise InputError(f"log: input {name!r} is constant. Leave it out by --columns")
     if not side.any():
-        raise InputError("log: the sensor is always silent. Record with a larger input")
+        raise InformationError("log: the sensor is always silent. Record with a larger input")
     if np.ptp(y) <= 1e-12 * np.abs(y).max():
         stays = f"{grid.output!r} never changes ({y[0]:.4g}), while {grid.inputs[0]!r} moves by"
-        raise InputError(
+        raise InformationError(
             f"log: {stays} {np.ptp(grid.u[:, 0]):.3g}: nothing can be known from it. Is it the"
             " right column, and its sensor alive? Else record with a larger input"
         )
