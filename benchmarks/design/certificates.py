@@ -1,11 +1,10 @@
 """Attempts to break random certified designs.
 
-`python -m benchmarks.design.certificates --plants 200 --trajectories 100000 --seed 0`
+`python -m benchmarks certificates --plants 200 --trajectories 100000 --seed 0`
 """
 
 from __future__ import annotations
 
-import argparse
 import sys
 from typing import NamedTuple
 
@@ -17,7 +16,6 @@ from undeadzone.analysis.certificate.passivity import certify
 from undeadzone_design.convergence.falsify import falsify
 
 ORDERS = range(1, 9)
-OPTIONS = {"plants": 200, "trajectories": 100_000, "switches": 60, "seed": 0}
 COLUMNS = (
     "states",
     "designs",
@@ -80,10 +78,3 @@ def table(plants: int = 200, trajectories: int = 100_000, switches: int = 60, se
         rise = max(one.rise for one in own)
         lines.append(row(f"{n}", f"{len(own)}", f"{certified}", f"{broken}", f"{rise:.1e}"))
     return "\n".join(lines) + "\n"
-
-
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    for name, default in OPTIONS.items():
-        parser.add_argument(f"--{name}", type=int, default=default)
-    print(table(**vars(parser.parse_args())))

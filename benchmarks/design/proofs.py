@@ -1,11 +1,10 @@
 """Proofs down to the bits: written, checked, changed, and attacked through the exported C.
 
-`python -m benchmarks.design.proofs --designs 50 --sequences 1000000 --seed 0`
+`python -m benchmarks proofs --designs 50 --sequences 1000000 --seed 0`
 """
 
 from __future__ import annotations
 
-import argparse
 import copy
 import ctypes
 import itertools
@@ -38,7 +37,6 @@ from undeadzone_proof import FAULTS, state_theorem, to_numbers, verify_proof
 from undeadzone_proof.source import Refused
 from undeadzone_proof.theorem import hold_exactly
 
-OPTIONS = {"designs": 50, "sequences": 1_000_000, "seed": 0}
 MARGINS = (1e-3, 1e-2, 0.1, 0.5)
 SHORT, LONG = 200, 20000  # steps of a sequence; one in 200 is long
 HARNESS = Path(__file__).with_name("proof_attack.c")
@@ -263,10 +261,3 @@ def table(designs: int = 50, sequences: int = 1_000_000, seed: int = 0) -> str:
 def spread(ratios: list[float]) -> str:
     """Median and largest."""
     return f"{np.median(ratios):.3g}, {max(ratios):.3g}" if any(ratios) else "-"
-
-
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    for name, default in OPTIONS.items():
-        parser.add_argument(f"--{name}", type=int, default=default)
-    print(table(**vars(parser.parse_args())))

@@ -89,7 +89,3 @@ def driving(arm: System, options: Any) -> int:
     estimate = Estimate(x, none, none, none, none, none, w=none)
     _, u = controller.step(params, None, estimate, Target(r, x_ref, u_ff, plan))
     return _operations([x, x_ref, u_ff, r, plan, numbers], [u])
-
-
-if __name__ == "__main__":
-    print(table())

@@ -1,7 +1,6 @@
 """`undeadzone watch` fed without a pause: its rate, and its memory at tenths of the way.
 
-`python -m benchmarks long_watch`; with a number of lines:
-`python -m benchmarks.engine.long_watch 1e7`.
+`python -m benchmarks long_watch --lines 100000` is a short one.
 """
 
 from __future__ import annotations
@@ -73,7 +72,3 @@ def _resident(pid: int) -> float:
     status = Path(f"/proc/{pid}/status").read_text()
     (size,) = [line.split()[1] for line in status.splitlines() if line.startswith("VmRSS")]
     return int(size) / 1000
-
-
-if __name__ == "__main__":
-    print(table(int(float(sys.argv[1]))))

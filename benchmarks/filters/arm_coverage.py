@@ -219,7 +219,3 @@ def table(count: int = 400, seed: int = 0) -> str:
         lines.append(row(case.assumed, case.true, *shares, *ratios, f"{width:.2g}, {centre:.2g}"))
     note = f"{count} arms a row; {DURATION:g} s at {1 / STEP:g} Hz."
     return "\n".join([*lines, "", note, "", *closed_loop(), ""])
-
-
-if __name__ == "__main__":
-    print(table())

@@ -351,7 +351,3 @@ def _cells(verdict: Verdict) -> list[str]:
     nis = "-" if np.isnan(verdict.nis) else f"{verdict.nis:.3g}"
     error, std = np.median(np.abs(verdict.errors[:, 2])), np.median(verdict.stds[:, 2])
     return [*shares, f"{verdict.nees():.3g}", nis, f"{error:.2g}, {std:.2g}"]
-
-
-if __name__ == "__main__":
-    print(table())

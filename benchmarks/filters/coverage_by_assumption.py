@@ -1,14 +1,13 @@
 """Whether shown intervals hold the truth where the world is as declared, and where it is not.
 
-`python -m benchmarks.filters.coverage_by_assumption FOLDER` keeps every part in the folder
-and goes on where it stopped. With `--orders 3` that order alone is done; parts of all orders in one
+`python -m benchmarks coverage_by_assumption --folder FOLDER` keeps every part in the folder and
+goes on where it stopped. With `--orders 3` that order alone is done; parts of all orders in one
 folder join when all are asked for. `extended` is told the ranges alone, as `censored` is in its
 second row.
 """
 
 from __future__ import annotations
 
-import argparse
 import functools
 from collections.abc import Sequence
 from pathlib import Path
@@ -126,15 +125,3 @@ def _cells(pooled: Part) -> list[str]:
         noticed,
         f"{np.median(pooled.rms):.3g}",
     ]
-
-
-if __name__ == "__main__":
-    program = "python -m benchmarks.filters.coverage_by_assumption"
-    parser = argparse.ArgumentParser(prog=program, description=__doc__)
-    parser.add_argument("folder", nargs="?", type=Path, help="where parts are kept")
-    parser.add_argument("--orders", nargs="+", type=int, default=ORDERS, choices=ORDERS)
-    parser.add_argument("--count", type=int, default=100, help="problems of each order a row")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--filters", nargs="+", default=tuple(FILTERS), choices=tuple(FILTERS))
-    words = parser.parse_args()
-    print(table(words.count, words.seed, words.folder, words.orders, words.filters))

@@ -214,7 +214,3 @@ def table(count: int = 3, seed: int = 0) -> str:
         "times the claim, for the exact posterior too. Loud: noise of 5 to 12 % of a half width."
     )
     return "\n".join([*lines, "", note, ""])
-
-
-if __name__ == "__main__":
-    print(table())

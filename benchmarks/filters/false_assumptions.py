@@ -1,13 +1,12 @@
 """Whether a filter names the claim that is false, and is silent where all of them are true.
 
 Each row takes honest problems and makes one claim about sensor, noise or plant a little false.
-`python -m benchmarks.filters.false_assumptions --count 60` poses so many problems a row,
+`python -m benchmarks false_assumptions --count 60` poses so many problems a row,
 drawn evenly from the orders.
 """
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -327,15 +326,3 @@ def _cells(misses: Floats, suspects: Floats, right: tuple[str, ...]) -> list[str
     most = ", ".join(f"{name} {count}" for name, count in Counter(first).most_common(3))
     covered = 1 - misses.mean(axis=0).max()
     return [f"{covered:.2f}", f"{(suspects > 0).mean():.2f}", noticed, known, most]
-
-
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.filters.false_assumptions", description=__doc__
-    )
-    parser.add_argument("--count", type=int, default=200, help="problems a row")
-    parser.add_argument("--orders", nargs="+", type=int, default=ORDERS, choices=ORDERS)
-    parser.add_argument("--seed", type=int, default=SEED)
-    parser.add_argument("--only", default="", help="a word in the names of rows")
-    words = parser.parse_args()
-    print(table(words.count, words.seed, words.orders, words.only))

@@ -197,7 +197,3 @@ def _cells(outcome: Outcome, usual: Outcome) -> list[str]:
     ratio = outcome.rms / np.fmax(usual.rms, 1e-12)
     median, most = np.quantile(ratio, [0.5, 0.9])
     return [*shares, f"{1 - outcome.consistent.mean():.2f}", f"{median:.3g}", f"{most:.3g}"]
-
-
-if __name__ == "__main__":
-    print(table())

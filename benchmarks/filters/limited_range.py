@@ -210,7 +210,3 @@ def table(loops: int = 40, count: int = 200, seed: int = 0) -> str:
     )
     parts = ["## Readings that end\n", *loops_table(loops), "", about_loops]
     return "\n".join([*parts, *coverage_table(count, seed), "", about_coverage, ""])
-
-
-if __name__ == "__main__":
-    print(table())

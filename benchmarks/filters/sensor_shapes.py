@@ -2,12 +2,11 @@
 
 Every problem is solved by a filter that takes the sensor for exact and by the one that allows for
 a shape, as it does by default.
-`python -m benchmarks.filters.sensor_shapes --count 32 --orders 2` is a short one.
+`python -m benchmarks sensor_shapes --count 32 --orders 2` is a short one.
 """
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -49,16 +48,25 @@ Read = Callable[[np.random.Generator, Floats, Floats, Floats], Floats]
 """(generator, z (samples x K), d (K x 2), noise (K)) -> readings (samples x K)."""
 
 
-def louder(times: float) -> Read:
-    """The readings of an exact dead zone, with so many times the noise that is declared."""
+Sensor = Callable[[Floats, Floats], Floats]
+"""(z (samples x K), d (K x 2)) -> readings without noise."""
+
+
+def noisy(sensor: Sensor, times: float = 1.0) -> Read:
+    """The readings of a sensor, with so many times the noise that is declared."""
 
     def read(rng: np.random.Generator, z: Floats, d: Floats, noise: Floats) -> Floats:
-        return np.asarray(deadzone(z, *d.T) + times * noise * rng.normal(size=z.shape))
+        return np.asarray(sensor(z, d) + times * noise * rng.normal(size=z.shape))
 
     return read
 
 
-exact = louder(1.0)
+def sharp(z: Floats, d: Floats) -> Floats:
+    """An exact dead zone."""
+    return np.asarray(deadzone(z, *d.T))
+
+
+exact = noisy(sharp)
 
 
 def humming(rng: np.random.Generator, z: Floats, d: Floats, noise: Floats) -> Floats:
@@ -72,60 +80,33 @@ def jittering(rng: np.random.Generator, z: Floats, d: Floats, noise: Floats) -> 
     return exact(rng, z + 0.1 * d.mean(axis=1) * rng.normal(size=z.shape), d, noise)
 
 
-def rounded(share: float) -> Read:
+def rounded(share: float, z: Floats, d: Floats) -> Floats:
     """Edges rounded over a share of the mean half width."""
-
-    def read(rng: np.random.Generator, z: Floats, d: Floats, noise: Floats) -> Floats:
-        p = share * d.mean(axis=1)
-        right, left = (z - d[:, 0]) / p, (-z - d[:, 1]) / p
-        y = p * (np.logaddexp(0.0, right) - np.logaddexp(0.0, left))
-        return np.asarray(y + noise * rng.normal(size=z.shape))
-
-    return read
+    p = share * d.mean(axis=1)
+    right, left = (z - d[:, 0]) / p, (-z - d[:, 1]) / p
+    return np.asarray(p * (np.logaddexp(0.0, right) - np.logaddexp(0.0, left)))
 
 
-def steep(slope: float) -> Read:
-    """A slope that is not 1."""
-
-    def read(rng: np.random.Generator, z: Floats, d: Floats, noise: Floats) -> Floats:
-        return np.asarray(slope * deadzone(z, *d.T) + noise * rng.normal(size=z.shape))
-
-    return read
-
-
-def averaged(count: int) -> Read:
+def averaged(count: int, z: Floats, d: Floats) -> Floats:
     """The mean of the last readings."""
-
-    def read(rng: np.random.Generator, z: Floats, d: Floats, noise: Floats) -> Floats:
-        y = deadzone(z, *d.T)
-        first = np.repeat(y[:1], count - 1, axis=0)
-        sums = np.cumsum(np.vstack([np.zeros_like(y[:1]), first, y]), axis=0)
-        return np.asarray((sums[count:] - sums[:-count]) / count + noise * rng.normal(size=z.shape))
-
-    return read
+    y = sharp(z, d)
+    first = np.repeat(y[:1], count - 1, axis=0)
+    sums = np.cumsum(np.vstack([np.zeros_like(y[:1]), first, y]), axis=0)
+    return np.asarray((sums[count:] - sums[:-count]) / count)
 
 
-def lagging(samples: float) -> Read:
+def lagging(samples: float, z: Floats, d: Floats) -> Floats:
     """A filter of first order behind the zone."""
-
-    def read(rng: np.random.Generator, z: Floats, d: Floats, noise: Floats) -> Floats:
-        y, keep = deadzone(z, *d.T), np.exp(-1 / samples)
-        for k in range(1, len(y)):
-            y[k] = keep * y[k - 1] + (1 - keep) * y[k]
-        return np.asarray(y + noise * rng.normal(size=z.shape))
-
-    return read
+    y, keep = sharp(z, d), np.exp(-1 / samples)
+    for k in range(1, len(y)):
+        y[k] = keep * y[k - 1] + (1 - keep) * y[k]
+    return y
 
 
-def growing(share: float) -> Read:
+def growing(share: float, z: Floats, d: Floats) -> Floats:
     """Widths that grow by a share of themselves until the end."""
-
-    def read(rng: np.random.Generator, z: Floats, d: Floats, noise: Floats) -> Floats:
-        size = np.linspace(1 - share, 1.0, len(z))[:, None]
-        y = deadzone(z, d[:, 0] * size, d[:, 1] * size)
-        return np.asarray(y + noise * rng.normal(size=z.shape))
-
-    return read
+    size = np.linspace(1 - share, 1.0, len(z))[:, None]
+    return np.asarray(deadzone(z, d[:, 0] * size, d[:, 1] * size))
 
 
 def repeating(share: float) -> Read:
@@ -147,20 +128,20 @@ def stuck(rng: np.random.Generator, z: Floats, d: Floats, noise: Floats) -> Floa
 
 SENSORS: dict[str, Read] = {
     "honest": exact,
-    "edges rounded 0.1": rounded(0.1),
-    "slope 1.05": steep(1.05),
-    "slope 1.1": steep(1.1),
-    "mean of 3": averaged(3),
-    "mean of 8": averaged(8),
-    "lag of 3 samples": lagging(3.0),
+    "edges rounded 0.1": noisy(partial(rounded, 0.1)),
+    "slope 1.05": noisy(lambda z, d: 1.05 * sharp(z, d)),
+    "slope 1.1": noisy(lambda z, d: 1.1 * sharp(z, d)),
+    "mean of 3": noisy(partial(averaged, 3)),
+    "mean of 8": noisy(partial(averaged, 8)),
+    "lag of 3 samples": noisy(partial(lagging, 3.0)),
     "2 % repeat": repeating(0.02),
     "10 % repeat": repeating(0.1),
     "50 % repeat": repeating(0.5),
     "stuck for 100": stuck,
-    "widths grow 20 %": growing(0.2),
-    "edges rounded 0.3": rounded(0.3),
-    "noise x 3": louder(3.0),
-    "noise x 5": louder(5.0),
+    "widths grow 20 %": noisy(partial(growing, 0.2)),
+    "edges rounded 0.3": noisy(partial(rounded, 0.3)),
+    "noise x 3": noisy(sharp, 3.0),
+    "noise x 5": noisy(sharp, 5.0),
     "hum": humming,
     "edges jitter": jittering,
 }
@@ -229,7 +210,6 @@ def table(
     orders: Sequence[int] = ORDERS,
     assumptions: Sequence[str] = USUAL,
     sensors: Sequence[str] = tuple(SENSORS),
-    shape: dict[str, Any] | None = None,
 ) -> str:
     """The table, from `count` problems of each order a row."""
     kind, alike = KINDS["both edges"], (0.8, 1.25)
@@ -243,7 +223,7 @@ def table(
             read.append(one._replace(y=SENSORS[name](rng, one.z, one.d, one.noise)))
         for assumed in assumptions:
             sharp = _pool([solve(assumed, one, EXACT) for one in read], sizes)
-            wide = _pool([solve(assumed, one, shape or {}) for one in read], sizes)
+            wide = _pool([solve(assumed, one, {}) for one in read], sizes)
             told = _pool([solve(assumed, tell_rms(one), EXACT) for one in read], sizes)
             of_all = np.sqrt(np.mean(wide.rms**2) / np.mean(sharp.rms**2))
             lines.append(
@@ -270,16 +250,3 @@ def table(
         "the same filter told the rms of its readings outside the zone."
     )
     return "\n".join([*lines, "", note, ""])
-
-
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.filters.sensor_shapes", description=__doc__
-    )
-    parser.add_argument("--orders", nargs="+", type=int, default=ORDERS, choices=ORDERS)
-    parser.add_argument("--count", type=int, default=48, help="problems of each order a row")
-    parser.add_argument("--seed", type=int, default=7)
-    parser.add_argument("--claims", nargs="+", default=USUAL, choices=tuple(ASSUMPTIONS))
-    parser.add_argument("--sensors", nargs="+", default=tuple(SENSORS), choices=tuple(SENSORS))
-    words = parser.parse_args()
-    print(table(words.count, words.seed, words.orders, words.claims, words.sensors))

@@ -1,13 +1,12 @@
 """What the smoother gains over the filter, and whether its intervals hold, on random problems.
 
-`python -m benchmarks.filters.smoothing FOLDER` keeps every part in the folder and goes
-on where it stopped.
+`python -m benchmarks smoothing --folder FOLDER` keeps every part in the folder and goes on where it
+stopped.
 """
 
 from __future__ import annotations
 
 import functools
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -175,7 +174,3 @@ def exact(count: int) -> Floats:
         for known in ([mean for mean, _ in after], smoothed[::-1])
     ]
     return np.stack([np.sqrt(np.mean(one**2, axis=0)) for one in errors], axis=1)
-
-
-if __name__ == "__main__":
-    print(table(folder=Path(sys.argv[1]) if len(sys.argv) > 1 else None))

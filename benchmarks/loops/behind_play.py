@@ -106,7 +106,3 @@ def gap_error(log: Log, load_friction: Array) -> float:
     )
     found = estimate(scenario, t=log.t, y=log.y, u=log.u)
     return float(found.d_hat[-1].sum() / log.gap - 1)
-
-
-if __name__ == "__main__":
-    print(table())

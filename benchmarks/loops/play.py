@@ -1,13 +1,12 @@
 """Closed loops behind a play: gaps and hidden output, against known gaps and wrong models.
 
-`python -m benchmarks.loops.play --plants motor --readings "noise 1 %"` runs a part of the table.
+`python -m benchmarks play --plants motor --readings "noise 1 %"` runs a part of the table.
 """
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -251,25 +250,3 @@ def _of_gaps(ran: Loops) -> list[str]:
     if not ran.width_std.size:
         return [size, ""]
     return [size, f"{np.mean(np.abs(wrong) <= 1.96 * ran.width_std):.2f}, {ran.covered()}"]
-
-
-def main(name: str, about: str | None, table: Callable[..., str], loops: int, kinds: Any) -> None:
-    """Print a part of a table, as the command line says.
-
-    Args:
-        name: of the module.
-        about: what `--help` says of it.
-        table: of loops, plants and readings.
-        loops: of a row by default.
-        kinds: of readings that there are.
-    """
-    parser = argparse.ArgumentParser(prog=f"python -m benchmarks.loops.{name}", description=about)
-    parser.add_argument("--loops", type=int, default=loops)
-    parser.add_argument("--plants", nargs="+", default=list(WORLDS), choices=WORLDS)
-    parser.add_argument("--readings", nargs="+", default=list(kinds), choices=kinds)
-    words = parser.parse_args()
-    print(table(words.loops, words.plants, words.readings))
-
-
-if __name__ == "__main__":
-    main("play", __doc__, table, 100, READINGS)

@@ -1,6 +1,6 @@
 """Closed loops behind a play with a dead zone after it: both unknown, against known and mistaken.
 
-`python -m benchmarks.loops.play_and_zone --plants arm --loops 10` runs a part of the table.
+`python -m benchmarks play_and_zone --plants arm --loops 10` runs a part of the table.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from benchmarks.loops.play import (
     errors,
     kalman,
     loop,
-    main,
     naive,
     ranges_alone,
     rms_and_quantum,
@@ -161,7 +160,3 @@ def _shares(wrong: np.ndarray, true: np.ndarray) -> str:
     """Median and 90 % quantile of errors, in percent of the truth."""
     share = 100 * np.abs(wrong) / true
     return f"{np.median(share):.1f}, {np.quantile(share, 0.9):.1f}"
-
-
-if __name__ == "__main__":
-    main("play_and_zone", __doc__, table, 60, READINGS)

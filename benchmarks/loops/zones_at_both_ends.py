@@ -215,7 +215,3 @@ def _row(name: str, ran: Loops, best: Floats) -> str:
     estimates = "unknown" in name or "untold" in name
     covered = [ran.covered(), ran.actuator_covered()] if estimates else []
     return row(name, *cells, ", ".join(part for part in covered if part))
-
-
-if __name__ == "__main__":
-    print(table())
