@@ -82,7 +82,9 @@ def find_loops(source: Path) -> dict[str, list[Record]]:
                 name = path.relative_to(source).with_suffix("").as_posix()
                 files[DAY.sub("", name).strip("/") or path.stem].append(path)
     for tag, roles in _find_roles(files).items():
-        signals = [(name, path) for name in roles.values() for path in files[name]]
+        signals = list[tuple[str, Path]]()
+        for name in roles.values():
+            signals += zip(itertools.repeat(name), files[name], strict=False)
         with contextlib.suppress(FileError):  # files that cannot be read are refused one by one
             arrays = signals_of_columns(*columns_of_files(signals)) or {}
             loops[tag] += _records_of(arrays, str(source)).values()
@@ -108,7 +110,7 @@ def read_loops(path: Path) -> dict[str, Record]:
 
 
 def _read_readable(path: Path) -> dict[str, Record]:
-    """Return the loops of a table of a plant; one that cannot be read is refused as a record."""
+    """Return the loops of a plant's table, {} of an unreadable file: its record is refused."""
     with contextlib.suppress(FileError):
         return read_loops(path)
     return {}

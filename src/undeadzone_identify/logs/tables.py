@@ -199,7 +199,7 @@ def columns_of_lines(lines: Sequence[str]) -> Table:
 
 
 def columns_of_files(files: Iterable[tuple[str, Path]]) -> Table:
-    """Return the columns of a long table of files with a value in each line, perhaps a time.
+    """Return the columns of a long table of files of values, with times or without.
 
     Args:
         files: names of signals, and their files.

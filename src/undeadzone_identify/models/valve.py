@@ -651,7 +651,7 @@ def oscillation_of(e: Floats) -> tuple[float, float]:
 
 
 def find_line(e: Floats) -> tuple[float, float]:
-    """Return the share of a signal's variance that its largest sine has, and the sine's frequency.
+    """Return the share of the largest sine in the variance of a signal, and its frequency.
 
     A sine from outside keeps its phase throughout a record. A loop near its limit rings by
     whatever disturbs it, so that its line is as wide as its damping makes it.

@@ -113,12 +113,12 @@ class IdentifiedLoop(SpokenWithoutPlant):
 
     @property
     def about(self) -> str:
-        """Return what PV swings about: SP where PV meets it."""
+        """Return the name of the middle of the swing: SP where PV meets SP."""
         return "SP" if self.found.is_met else "mean PV"
 
     @property
     def share(self) -> float | None:
-        """Return the rms of the swing in units of what it is about; None of a PV about 0."""
+        """Return the rms of the swing over its middle, None of a PV about 0."""
         share = self.found.median("share")
         return share if share < 1 else None
 
@@ -215,7 +215,7 @@ class IdentifiedLoop(SpokenWithoutPlant):
 
 
 def cost_in_words(size: str, share: float | None, about: str) -> str:
-    """Return the rms of a swing with its share of what it is about, as the result has them."""
+    """Return the rms of a swing with its share of the middle, as the result has them."""
     beside = "PV is about 0" if share is None else f"{read_number(100 * share, 2)} % of {about}"
     return f"{size} ({beside})"
 

@@ -190,7 +190,7 @@ def find_loop_cause(logs: list[Log]) -> LoopFindings:
 
 
 def _is_met(grid: Grid) -> bool:
-    """Return whether PV is on both sides of SP; else their units differ, or no one follows SP."""
+    """Return whether PV is on both sides of SP; else units differ, or nothing follows SP."""
     away = (grid.y[:, None] - grid.r)[grid.ok]
     away = away[np.isfinite(away)]
     return bool(away.size and np.prod(np.quantile(away, BOTH)) <= 0)
