@@ -187,12 +187,14 @@ def least_deviations(machine: Machine, setup: Bench, u: Floats, seed: int) -> Fl
     information = each @ each.T + np.eye(len(each))
     gap = [*slopes].index("arm.half")
     variances = [np.linalg.inv(information)[gap, gap], 1 / information[gap, gap]]
-    return np.sqrt(variances) * spread["arm.half"] / machine.arm.half
+    std: Floats = np.sqrt(variances) * spread["arm.half"] / machine.arm.half
+    return std
 
 
 def share_near(std: Floats) -> Floats:
     """The share within 5 % of errors of such deviations over the gap, mean over the first axis."""
-    return np.mean(erf(0.05 / np.sqrt(2) / std), axis=0)
+    shares: Floats = np.mean(erf(0.05 / np.sqrt(2) / std), axis=0)
+    return shares
 
 
 def line(label: str, world: World, count: int, first: int) -> str:
