@@ -519,7 +519,6 @@ def _of_scenario(scenario: Scenario, path: Path) -> Lost:
     if zone.kind == "play":
         kind = "backlash"
     is_ahead = kind == "backlash" and not is_sensor
-    gone = [side for side in ("right", "left") if math.inf in _numbers(getattr(zone, side))]
     width = _triple([a + b for a, b in zip(right, left, strict=True)])
     point = scenario.operating_point or OperatingPoint()
     rest = max(_numbers(point.output if is_sensor else point.input), key=abs)
@@ -527,19 +526,7 @@ def _of_scenario(scenario: Scenario, path: Path) -> Lost:
     quantum, noise = (
         max(_numbers(one), default=0.0) for one in (scenario.sensor.quantum, scenario.sensor.noise)
     )
-    return Lost(
-        kind,
-        right,
-        left,
-        width,
-        unit,
-        path.name,
-        0.5 * quantum,
-        "".join(gone),
-        is_ahead,
-        rest,
-        noise,
-    )
+    return Lost(kind, right, left, width, unit, path.name, 0.5 * quantum, "", is_ahead, rest, noise)
 
 
 def _numbers(value: Any) -> list[float]:
@@ -548,10 +535,10 @@ def _numbers(value: Any) -> list[float]:
 
 
 def _single(values: list[float], path: Path) -> float:
-    """Return the only width of a side, 0 without an edge. Raises InputError for several."""
-    if len({*values}) > 1 or math.isnan(values[0]):
-        raise InputError(f"{path}: expected one width on each side, found {values}")
-    return values[0] if values[0] < math.inf else 0.0
+    """Return the only width of a side. Raises InputError if there are several, or none ends."""
+    if len({*values}) > 1 or not math.isfinite(values[0]):
+        raise InputError(f"{path}: expected one finite width on each side, found {values}")
+    return values[0]
 
 
 def _with_range(value: float, prior: Any) -> tuple[float, float, float]:

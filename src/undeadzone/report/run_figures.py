@@ -21,6 +21,7 @@ from undeadzone.report.style import (
 )
 from undeadzone.results.run import Run
 from undeadzone.util.arrays import Floats
+from undeadzone.util.files import read_table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -31,8 +32,6 @@ COLOURS = (ink.TRUTH, ink.ESTIMATE, ink.READING, ink.REFERENCE, ink.PRINTED, ink
 COLUMNS = 3  # joints in a row
 LEGEND: Any = {"frameon": False, "fontsize": 8.5}
 BEYOND = 0.25  # share of the truth's range by which a phase plane shows more
-PLANAR = [["x-y", "error"], ["x-y", "torque"]]
-SPATIAL = [["x-y"] * 3 + ["x-z"] * 3, ["error"] * 3 + ["torque"] * 3]
 PLANES = {"x-y": (0, 1), "x-z": (0, 2)}  # coordinates to the right and upwards
 
 
@@ -189,7 +188,8 @@ def plot_tip(run: Run, rival: Run | None = None) -> Figure:
     assert run.tip is not None
     spatial = run.tip.shape[1] == 3
     title = f"{run.info.title}: the tip"
-    figure, panels = create_panels(SPATIAL if spatial else PLANAR, title, height=3.2)
+    rows = read_table(__file__)["spatial" if spatial else "planar"]
+    figure, panels = create_panels(rows, title, height=3.2)
     for name, plane in PLANES.items():
         if name in panels:
             _draw_tip_plane(panels[name], run, rival, plane, f" in {name}" if spatial else "")

@@ -2,11 +2,30 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+import math
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import msgspec
 
 from undeadzone.scenario.schema import Units
+
+if TYPE_CHECKING:
+    Width = float
+else:
+    Width = float | None  # JSON has null for an infinite one, without an edge
+
+
+def restore_widths(info: msgspec.Struct, names: Iterable[str]) -> None:
+    """Put infinite widths where JSON had null.
+
+    Args:
+        info: facts as decoded.
+        names: of its lists of widths.
+    """
+    for name in names:
+        values = [math.inf if width is None else width for width in getattr(info, name)]
+        msgspec.structs.force_setattr(info, name, values)
 
 
 class IntegrationError(NamedTuple):
@@ -71,7 +90,7 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
     time: str
     step: float
     tracked: list[int]
-    widths: list[float]
+    widths: list[Width]
     threshold: list[float]
     certified: bool | None
     integration_error: float | None
@@ -99,6 +118,10 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
     options: list[str] = []
     output_level: list[float] = []
     input_level: list[float] = []
+
+    def __post_init__(self) -> None:
+        """Restore infinite widths."""
+        restore_widths(self, ("widths",))
 
 
 class LogInfo(msgspec.Struct, frozen=True, kw_only=True):
@@ -158,8 +181,8 @@ class LogInfo(msgspec.Struct, frozen=True, kw_only=True):
     right: list[int]
     left: list[int]
     silent: list[int]
-    d_right: list[float]
-    d_left: list[float]
+    d_right: list[Width]
+    d_left: list[Width]
     d_right_std: list[float] | None
     d_left_std: list[float] | None
     adapts: bool
@@ -183,6 +206,10 @@ class LogInfo(msgspec.Struct, frozen=True, kw_only=True):
     faults: dict[str, int] = {}
     options: list[str] = []
     output_level: list[float] = []
+
+    def __post_init__(self) -> None:
+        """Restore infinite widths, which only filters give: they give deviations too."""
+        restore_widths(self, () if self.d_left_std is None else ("d_right", "d_left"))
 
     def summary(self) -> dict[str, Any]:
         """Return the numbers, ready for JSON (lists for several outputs)."""

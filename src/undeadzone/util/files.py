@@ -10,7 +10,6 @@ import sys
 import tempfile
 import tomllib
 import zipfile
-import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -20,7 +19,7 @@ from undeadzone.errors import FileError
 from undeadzone.util.opening import open_descriptor, require_beneath
 
 # What NumPy and the zip file around arrays raise of a file that holds others, or none.
-NO_ARRAYS: Final = (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error)
+NO_ARRAYS: Final = (ValueError, KeyError, TypeError)  # of a file that holds something else
 Name: TypeAlias = str | os.PathLike[str]  # of a file, as a program gives it
 LARGEST_TEXT: Final = 10_000_000  # [bytes] of a scenario, a design, a URDF
 LARGEST_TABLE: Final = 64_000_000  # [bytes] of a CSV file of signals
@@ -237,14 +236,18 @@ def load_arrays(path: Path, largest: int) -> dict[str, Any]:
         largest: number of bytes that it may have, and unpack to.
 
     Raises:
-        OSError: with the `reason`, also if it is not a plain file, and NO_ARRAYS.
+        OSError: with the `reason`, also if it is not a plain file.
+        ValueError: it is damaged, or something else.
     """
     import numpy as np
 
     with open_plain(path, largest) as opened:
-        require_small_archive(opened, largest)
-        with np.load(opened, allow_pickle=False) as file:
-            return {name: file[name] for name in file.files}
+        try:
+            require_small_archive(opened, largest)
+            with np.load(opened, allow_pickle=False) as file:
+                return {name: file[name] for name in file.files}
+        except Exception as error:  # readers of zip archives and headers raise any kind
+            raise ValueError(error) from error
 
 
 def require_small_archive(file: BinaryIO, largest: int) -> None:

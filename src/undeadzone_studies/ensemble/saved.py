@@ -32,7 +32,6 @@ IN_OUTPUT_UNIT: Final = (
     *("rms_", "peak_", "d_", "sensor.right", "sensor.left", "sensor.noise", "reference.amplitude"),
 )
 Columns = dict[str, Floats]  # by name
-_DAMAGE: Final = (ValueError, KeyError, struct.error, zipfile.BadZipFile, msgspec.DecodeError)
 
 
 def require_ensemble_path(path: Name) -> Path:
@@ -254,7 +253,7 @@ def read_ensemble(path: Name) -> tuple[Columns, Columns, Info, Bands | None]:
         raise
     except OSError as error:
         raise FileError(f"{path}: cannot read: {failure_reason(error)}") from None
-    except _DAMAGE as error:
+    except Exception as error:  # readers of zip archives and headers raise any kind
         raise FileError(f"{path}: not an ensemble saved by undeadzone ({error})") from None
     metrics = {name: column for name, column in columns.items() if name not in varied}
     return varied, metrics, header.info, _extract_bands(attached)
