@@ -6,16 +6,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from benchmarks.identify.logs.strangers import zone as dead_zone  # noqa: F401
 from scipy.signal import lfilter
 
 import undeadzone as uz
 from undeadzone.util.arrays import Floats
 from undeadzone_identify.models.plant import RecordData
-
-
-def dead_zone(z: Floats, right: float, left: float) -> Floats:
-    """What a dead zone leaves of z."""
-    return np.asarray(np.maximum(z - right, 0.0) + np.minimum(z + left, 0.0))
 
 
 def steps(rng: np.random.Generator, size: int, hold: int = 12) -> Floats:

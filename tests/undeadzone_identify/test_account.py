@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from benchmarks.identify.logs.strangers import zone
 from scipy.signal import lfilter
 
 from commands import undeadzone
@@ -30,11 +31,6 @@ from undeadzone_identify.results.account import (
 QUICK = ("--order", "1", "--delay", "0")
 STEP = 0.05
 PAIR = ("V", "mm")
-
-
-def zone(u: Floats, right: float, left: float) -> Floats:
-    """A dead zone from -left to right."""
-    return np.maximum(u - right, 0) + np.minimum(u + left, 0)
 
 
 def driven(size: int) -> tuple[np.random.Generator, Floats, Floats]:
