@@ -24,7 +24,7 @@ def restore_widths(info: msgspec.Struct, names: Iterable[str]) -> None:
         names: of its lists of widths.
     """
     for name in names:
-        values = [math.inf if width is None else width for width in getattr(info, name)]
+        values = [{None: math.inf}.get(width, width) for width in getattr(info, name)]
         msgspec.structs.force_setattr(info, name, values)
 
 
