@@ -346,7 +346,7 @@ class _Header(NamedTuple):
         if self.is_open and self.values is not None:
             counts = np.isin(np.arange(ranks.size), self.may_count())
             counts &= np.array(list(map(increases_evenly, self.values.T)))
-            unnamed = [not title.name for title in self.titles]  # in a sheet, what is worked out
+            unnamed = np.array(self.titles)[:, 0] == ""  # in a sheet, what is worked out
             aside = (np.array(self.kinds) == "aside") | unnamed
             x = np.nan_to_num(self.values)
             for out in (~self.moves(), counts, aside):

@@ -27,8 +27,10 @@ REMARKS: Final = ("#", "%", "//")
 MARKS: Final = "#%/ \t"  # about the text of a remark
 # What stands in a cell whose number is missing; the last are errors of a sheet.
 MISSING: Final = frozenset(
-    ("", "nan", "na", "n/a", "null", "none", "-", "--", "inf", "-inf", "+inf", "infinity", "?")
-    + ("#div/0!", "#n/a", "#name?", "#null!", "#num!", "#ref!", "#value!")
+    (
+        *("", "nan", "na", "n/a", "null", "none", "-", "--", "inf", "-inf", "+inf", "infinity"),
+        *("?", "#div/0!", "#n/a", "#name?", "#null!", "#num!", "#ref!", "#value!"),
+    )
 )
 LARGEST: Final = 1e50  # beyond this no unit makes sense
 _BLANKS_BETWEEN: Final = re.compile(r"\d,\d+ +[-+]?\d")

@@ -113,7 +113,7 @@ def _animation_legend(arms: list[Arm], grid: float, spatial: bool) -> str:
     keys = []
     for name, colour in names:
         keys.append(f'<span style="color:{colour}">&#9632;</span> {format_html(name)}')
-    hint = "; drag to turn" if spatial else ""
+    hint = ", drag to turn" if spatial else ""
     return f'<p class="note">{"&ensp;".join(keys)}&ensp;grid {grid:g} m{hint}</p>'
 
 

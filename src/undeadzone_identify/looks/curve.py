@@ -82,9 +82,12 @@ def fit_curve(rows: Rows) -> Curve | None:
     bent = np.zeros((line.shape[0], best.c.size))
     bent[:, 2 : degree + 1] = levels[:, 2:] - line @ np.linalg.lstsq(line, levels[:, 2:])[0]
     widest = int(np.argmax(np.abs(bent @ best.c)))
+    distance = None
+    if has_ways:
+        distance = best.measure(np.eye(best.c.size)[-1]).scale_by(half)
     return Curve(
         best.measure(np.sign(bent[widest] @ best.c) * bent[widest]).scale_by(height),
-        best.measure(np.eye(best.c.size)[-1]).scale_by(half) if has_ways else None,
+        distance,
         x.size - best.c.size,
         1 - best.loss / float(np.var(v)),
     )

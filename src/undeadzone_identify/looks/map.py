@@ -111,7 +111,7 @@ class RestMap(NamedTuple):
         bound: the largest dead band that the map could hide beside its flat parts [u].
         fold: command beyond which a reading stands for two commands; None for a monotone map.
         nodes: commands and readings of the map as a line (2 x m).
-        curve: of a map without a flat part; None of a sweep with times.
+        curve: without a flat part; a sweep with times lacks it.
     """
 
     rows: Rows
@@ -147,8 +147,10 @@ def map_at_rest(t: Floats | None, u: Floats, y: Floats) -> RestMap | None:
         y: readings, some may be missing (N).
     """
     rows = rows_at_rest(t, u, y)
-    seen = None if rows is None else read_map(rows)
-    if seen is None or t is None or seen.rows.how in ("table", "holds"):
+    if rows is None:
+        return None
+    seen = read_map(rows)
+    if seen is None or t is None or rows.how in ("table", "holds"):
         return seen
     return seen._replace(curve=None)  # readings of a sweep may be late
 

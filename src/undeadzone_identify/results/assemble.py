@@ -369,7 +369,9 @@ def _add_edges(answer: Answer) -> Answer:
     remarks = [*_delay_remarks(answer), *_edge_remarks(answer, intervals, has_residual)]
     _widen_rare_edges(answer, intervals)
     remarks += _widen_by_drift(answer, intervals)
-    edges = {*SIDES} - {*answer.case.unreached} if intervals.get("width") is None else ()
+    edges = {*SIDES} - {*answer.case.unreached}  # of which one alone has no width beside it
+    if intervals.get("width") is not None:
+        edges.clear()
     doubt = _doubt_of_zero(intervals, *edges) or _doubt_of_unmoved(answer, intervals)
     if doubt:
         return _with_doubt(answer, doubt)
@@ -380,9 +382,10 @@ def _add_edges(answer: Answer) -> Answer:
 def _find_unreached(answer: Answer) -> tuple[str, ...]:
     """Return the sides beyond whose edges no sample lies, by the readings or by the fit."""
     case = answer.case
-    beyond = dict(zip(SIDES, answer.excitation.samples, strict=True))
-    free = [name for name in SIDES if len({*case.options.parse_bounds(name)}) > 1]
-    never = tuple(name for name in free if beyond[name] == 0)
+    sides = zip(SIDES, answer.excitation.samples, strict=True)
+    never = tuple(
+        name for name, count in sides if not count and len({*case.options.parse_bounds(name)}) > 1
+    )
     return never if case.jump_edges is None and len(never) < len(SIDES) else case.unreached
 
 

@@ -94,7 +94,7 @@ def _account_of_map(seen: RestMap, by: str, units: tuple[str, str]) -> Account:
         return Account(BOUNDED, {}, by, units, limits=limits)
     is_known = seen.rows.how == "table" and curve.free >= ENOUGH
     first, last = seen.end_slopes
-    by = f"{by}; slope {first:.4g} in the first fifth of the commands, {last:.4g} in the last"
+    by = f"{by}, slope {first:.4g} in the first fifth of the commands, {last:.4g} in the last"
     return Account(MEASURED if is_known else INDICATED, effects, by, units, limits=limits)
 
 

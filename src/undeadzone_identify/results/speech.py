@@ -84,9 +84,8 @@ def account_of_answer(answer: Answer) -> Account:
         effects["output loss"] = {"width": element.zone}
     limits = {} if effects else _find_limits(answer)
     buys = _buys_of_word(answer) if answer.servo is None else None
-    there = {} if element is None else element.widths
-    never = [name for name in SIDES if (one := there.get(name)) and math.isinf(one.high)]
-    unmet = answer.case.unreached or tuple(never)
+    never = () if element is None else tuple(filter(element.lacks_edge, SIDES))
+    unmet = answer.case.unreached or never
     alike = _find_alike_at_input(answer)
     doubts = [NO_BETTER] * (buys is not None and not buys.is_worth) + [OTHER_END] * bool(alike)
     if doubts:
@@ -140,7 +139,7 @@ def _find_alike_at_input(answer: Answer) -> list[Compared]:
     return [
         other
         for word in ("input_zone", "friction")
-        if (other := _compare(answer, word, named)) is not None
+        if (other := _compare(answer, word, named.error.size)) is not None
         and other.rms < CLOSE * named.rms
         and named.deviations_before(other) < APART
     ]
@@ -213,15 +212,14 @@ class Compared(NamedTuple):
         return all(sides) and all(sizes)
 
 
-def _compare(answer: Answer, word: str, beside: Compared | None = None) -> Compared | None:
+def _compare(answer: Answer, word: str, readings: int | None = None) -> Compared | None:
     """Return a class's model on held-out data; None without a fit of it to the same readings.
 
     Args:
         answer: with the fits.
         word: of the class.
-        beside: another model, whose readings it has; None: it has any.
+        readings: number of samples that the fit has; None: any.
     """
-    readings = None if beside is None else beside.error.size
     fit = fit_of(answer.case, answer.found, ODDS_OF.get(word, word), readings)
     if fit is None:
         return None
@@ -272,8 +270,10 @@ def _buys_of_word(answer: Answer) -> Buys | None:
     if answer.verdict in ("none", "saturation"):
         return None
     named = _compare(answer, answer.verdict)
-    line = None if named is None else _compare(answer, "none", named)
-    if named is None or line is None:
+    if named is None:
+        return None
+    line = _compare(answer, "none", named.error.size)
+    if line is None:
         return None
     return named.compare_to(line, answer.scale)
 

@@ -156,6 +156,11 @@ class Element(NamedTuple):
         """Return the servo behind a play; None if the element is not a servo."""
         return self.fit if isinstance(self.fit, ServoGap) else None
 
+    def lacks_edge(self, side: str) -> bool:
+        """Return whether the log never passes the edge of a side, which has a bound alone."""
+        edge = self.widths.get(side)
+        return edge is not None and math.isinf(edge.high)
+
     @property
     def is_at_rest(self) -> bool:
         """Return whether only white noise shows of the disturbance of such a model."""
@@ -657,7 +662,7 @@ def fit_of(
     there = [fits.get(word) for fits in tables]
     fits: Iterable[FittedModel[Any]] = filter(None, there)
     if readings is not None:
-        fits = [one for one in fits if one.squares.data.y.size == readings]
+        fits = filter(lambda one: one.squares.data.y.size == readings, fits)
     return min(fits, key=lambda one: one.density.bic / one.density.value.size, default=None)
 
 
