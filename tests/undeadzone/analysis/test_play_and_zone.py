@@ -353,6 +353,15 @@ def test_an_integrator_hides_the_sum_of_the_centres_too() -> None:
     assert any("sum of both centres" in reason for reason in verdict["reasons"])
 
 
+def test_a_constant_disturbance_hides_where_the_zone_lies() -> None:
+    """It moves the centre. A width is a difference of both edges, and is known."""
+    step = {"kind": "step", "amplitude": 0.3}
+    run = simulate(both({"noise": 0.02}, KALMAN, model=RANGES, disturbance=step))
+    (verdict,) = run.info.identifiable
+    assert verdict["width"]
+    assert not verdict["right"]
+
+
 def test_one_direction_alone_does_not_tell_the_gap() -> None:
     """A slow rise through the zone: beyond the edges the output moves right alone."""
     scenario = both(
