@@ -8,11 +8,10 @@ estimated from the operations. The shares an operation were measured with gcc 12
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+from undeadzone.util.files import read_table
 from undeadzone_export.compiler import object_bytes
 
 SPARED: Final = 0.75  # share of a board that an observer may take
@@ -45,7 +44,7 @@ class Board(NamedTuple):
     compiler: str = "unknown"
 
 
-_TABLES: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+_TABLES: Final = read_table(__file__)
 BOARDS: Final = [Board(**entry) for entry in _TABLES["boards"]]
 
 

@@ -7,9 +7,9 @@ The paper's claims about them stand in `claims.toml`, and only there.
 
 from __future__ import annotations
 
-import tomllib
-from importlib.resources import files
 from typing import Any, Final, Literal, NamedTuple
+
+from undeadzone.util.files import read_table
 
 Status = Literal["as printed", "corrected", "not used"]
 
@@ -54,7 +54,7 @@ class Letter(NamedTuple):
 
 def read_words(name: str) -> dict[str, Any]:
     """Read a file of words that lies beside this one."""
-    return tomllib.loads(files("undeadzone_paper").joinpath(name).read_text(encoding="utf-8"))
+    return read_table(__file__, name)
 
 
 def _by_number(words: dict[str, str]) -> dict[int, str]:

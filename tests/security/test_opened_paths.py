@@ -109,13 +109,12 @@ OPENERS = {
     "undeadzone/cli/init.py": 3,
     "undeadzone/compile/cache.py": 1,
     "undeadzone/compile/cache_folder.py": 7,
-    "undeadzone/compile/coefficients.py": 1,
     "undeadzone/report/animation.py": 1,
     "undeadzone/report/html.py": 2,
     "undeadzone/results/files.py": 3,
     "undeadzone/scenario/urdf_start.py": 1,
     "undeadzone/simulation/saved_state.py": 1,
-    "undeadzone/util/files.py": 1,
+    "undeadzone/util/files.py": 2,
     "undeadzone/util/opening.py": 3,
     "undeadzone_export/compiler.py": 2,
     "undeadzone_export/fmu/package.py": 1,
@@ -123,7 +122,6 @@ OPENERS = {
     "undeadzone_identify/chain.py": 1,  # the snippet that it wrote itself
     "undeadzone_identify/command.py": 1,
     "undeadzone_identify/results/to_scenario.py": 1,
-    "undeadzone_identify/selection/loop.py": 1,  # its own weights
     "undeadzone_studies/ensemble/saved.py": 1,
 }
 

@@ -12,7 +12,8 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from benchmarks.identify.fit import CASES, Case, colour, cut
+from benchmarks.identify.fit import CASES, Case, colour
+from benchmarks.identify.logs.strangers import zone
 from scipy.linalg import toeplitz
 from scipy.signal import dlsim
 from scipy.stats import multivariate_normal
@@ -94,8 +95,8 @@ def make_log(
     u = sum(np.sin(2 * np.pi * f * t + rng.uniform(0, 6)) for f in (0.11, 0.37, 0.9))
     w = colour(rng, count, STEP, scenario.disturbance)
     matrices = (*build_model(scenario).params, 0.0, STEP)
-    z = dlsim(matrices, cut(u, start, 0.0) + w)[1][:, 0]
-    return {"t": t, "u": u, "y": cut(z, right, left) + 0.01 * rng.standard_normal(count)}
+    z = dlsim(matrices, zone(u, start, 0.0) + w)[1][:, 0]
+    return {"t": t, "u": u, "y": zone(z, right, left) + 0.01 * rng.standard_normal(count)}
 
 
 def pose(text: str, free: dict[str, Any], log: Any = None, x0: Any = "free") -> FitProblem:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import itertools
 import operator
-import tomllib
 from collections import Counter
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Final
+
+from undeadzone.util.files import read_table
 
 # How often: never, once a call, once a step for all lanes, once a call in every lane, once a step
 # in every lane.
@@ -19,9 +19,7 @@ SHARED: Final = 2
 STILL: Final = 3
 LANES: Final = 4
 
-LANGUAGES: Final[dict[str, dict[str, Any]]] = tomllib.loads(
-    Path(__file__).with_name("operations.toml").read_text(encoding="utf-8")
-)
+LANGUAGES: Final[dict[str, dict[str, Any]]] = read_table(__file__, "operations.toml")
 """Tables of each target language by kind of operands: what it calls an instruction, or a type."""
 
 

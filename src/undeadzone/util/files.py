@@ -110,9 +110,15 @@ def open_plain(path: Name, largest: int | None = None) -> Iterator[BinaryIO]:
         yield file
 
 
-def read_table(module: str) -> dict[str, Any]:
-    """Return the tables in the TOML file beside a module, by its `__file__`."""
-    return tomllib.loads(Path(module).with_suffix(".toml").read_text(encoding="utf-8"))
+def read_table(module: str, name: str = "") -> dict[str, Any]:
+    """Return the tables in a TOML file beside a module.
+
+    Args:
+        module: its `__file__`.
+        name: of the file; "": that of the module.
+    """
+    beside = Path(module).with_suffix(".toml")
+    return tomllib.loads((beside.parent / (name or beside.name)).read_text(encoding="utf-8"))
 
 
 def read_text(path: Name, largest: int = LARGEST_TEXT) -> str:

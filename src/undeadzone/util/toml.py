@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Iterable
-from pathlib import Path
 from typing import Any, Final
 
 import msgspec
@@ -13,6 +11,7 @@ import numpy as np
 import tomli_w
 
 from undeadzone.errors import InputError
+from undeadzone.util.files import read_table
 from undeadzone.util.text import suggest_name
 
 MOST_PARTS: Final = 64  # of a dotted key; tomllib takes time with the square of them
@@ -48,7 +47,7 @@ def advise_on_name(name: str, known: Iterable[str], otherwise: str) -> str:
     names = sorted(known)
     plain = dict(zip(map(_flatten, names), names, strict=True))
     flat = _flatten(name)
-    words = tomllib.loads(Path(__file__).with_name("foreign_words.toml").read_text("utf-8"))
+    words = read_table(__file__, "foreign_words.toml")
     meant = plain.get(words["methods"].get(flat, flat))
     if meant:
         return f"Did you mean {meant!r}?"

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Callable, Iterable, Mapping
-from importlib.resources import files
 from typing import Any, Final, NamedTuple
 
 import msgspec
@@ -15,6 +13,7 @@ from undeadzone.analysis.certificate.passivity import certify, passive_gain
 from undeadzone.errors import InputError
 from undeadzone.registry import COMPENSATORS, CONTROLLERS, OBSERVERS
 from undeadzone.scenario.schema import Scenario
+from undeadzone.util.files import read_table
 from undeadzone.util.text import suggest_name
 from undeadzone_arena.contest.prior_knowledge import UNITS, PriorKnowledge
 
@@ -120,9 +119,7 @@ PARTS: Final = {"observer": OBSERVERS, "controller": CONTROLLERS, "compensator":
 
 def _read_methods() -> dict[str, Method]:
     """Read the methods of `methods.toml`, in its order."""
-    tables = tomllib.loads(
-        files("undeadzone_arena.contest").joinpath("methods.toml").read_text("utf-8")
-    )
+    tables = read_table(__file__)
     groups = tables.pop("knobs")
     methods = {}
     for name, entry in tables.items():

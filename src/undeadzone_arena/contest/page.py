@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping, Sequence
-from importlib.resources import files
 from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -23,6 +21,7 @@ from undeadzone.report.html import (
     pick_pictures,
     write_page,
 )
+from undeadzone.util.files import read_table
 from undeadzone.util.text import count_noun
 from undeadzone_arena.contest.contest import Contest
 from undeadzone_arena.contest.figures import (
@@ -56,9 +55,7 @@ RULES: Final = (
     "too.",
     "Numbers were tuned on other scenarios, with the same budget for all.",
 )
-_WORDS: Final = tomllib.loads(
-    files("undeadzone_arena.contest").joinpath("page.toml").read_text("utf-8")
-)
+_WORDS: Final = read_table(__file__)
 
 
 def write_arena(

@@ -18,6 +18,7 @@ from undeadzone_identify.looks.edges import price
 from undeadzone_identify.looks.rows import LEVELS, Rows
 from undeadzone_identify.models.estimates import Interval, student_quantile
 
+TINY = 1e-9
 DEGREES = range(1, 7)  # of the polynomials that may be the curve
 
 
@@ -27,12 +28,14 @@ class Curve(NamedTuple):
     Attributes:
         departure: the largest from the line through all levels [y]; 0 where a line is the curve.
         distance: of the way up beyond the way down [u]; None where the command came from one side.
+        hides: the widest dead band that is not excluded at 95 % [u].
         free: rows more than numbers of the fit.
         share: of the variance that the curve explains.
     """
 
     departure: Interval
     distance: Interval | None
+    hides: float
     free: int
     share: float
 
@@ -88,9 +91,27 @@ def fit_curve(rows: Rows) -> Curve | None:
     return Curve(
         best.measure(np.sign(bent[widest] @ best.c) * bent[widest]).scale_by(height),
         distance,
+        half * _widest_hidden(best, x, v, degree),
         x.size - best.c.size,
         1 - best.loss / float(np.var(v)),
     )
+
+
+def _widest_hidden(best: _Fit, x: Floats, v: Floats, degree: int) -> float:
+    """Return the widest dead band between two levels that the rows do not exclude (scaled).
+
+    A band shifts all that lies beyond it by its width times the slope. The shift is one more number
+    of the fit.
+    """
+    edges = np.unique(x)[:-1]
+    shifts = 1.0 * (x[:, None] > edges)
+    q = np.linalg.qr(best.design).Q
+    apart = shifts - q @ (q.T @ shifts)
+    power = np.maximum(np.sum(apart**2, axis=0), TINY)
+    shift = apart.T @ v / power
+    error = student_quantile(x.size - best.c.size) * np.sqrt(best.loss / power)
+    slope = np.abs(Legendre(best.c[: degree + 1]).deriv()(edges))
+    return float(np.max((np.abs(shift) + error) / np.maximum(slope, TINY)))
 
 
 def _fit(design: Floats, inverse: Floats, v: Floats) -> _Fit:

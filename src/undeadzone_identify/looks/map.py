@@ -176,15 +176,19 @@ def read_map(rows: Rows) -> RestMap | None:
     is_late = fold is not None and rows.how == "sweep" and not _folds_on_way_out(u, y, nodes, fold)
     if is_late or (fold is not None and rows.how in ("ways", "holds")):
         return None  # what comes back need not be a fold
+    curve = None if parts else fit_curve(rows)
+    bound = _bound(nodes, unit, noise) * height[0]
+    if curve is not None and curve.share > EXPLAINED:
+        bound = min(bound, curve.hides)
     return RestMap(
         rows=rows,
         x=x,
         y=v,
         flats=tuple(part.place(base, height) for part in parts),
-        bound=_bound(nodes, unit, noise) * height[0],
+        bound=bound,
         fold=None if fold is None else base[0] + height[0] * fold,
         nodes=base[:, None] + height[:, None] * nodes,
-        curve=None if parts else fit_curve(rows),
+        curve=curve,
     )
 
 

@@ -7,9 +7,7 @@ fits the weights to loops of known cause and writes `loop.toml`.
 from __future__ import annotations
 
 import math
-import tomllib
 from functools import cache
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,6 +16,7 @@ from scipy.special import log_softmax
 from undeadzone.errors import InputError
 from undeadzone.logs.kinds import kind_of
 from undeadzone.util.arrays import Flags, Floats
+from undeadzone.util.files import read_table
 from undeadzone_identify.logs.grid import Grid, find_sample_time, to_grid
 from undeadzone_identify.logs.log import Log
 from undeadzone_identify.models.estimates import Interval
@@ -244,7 +243,7 @@ def combine_odds(features: Floats, table: dict[str, Any] | None = None) -> dict[
 @cache
 def load_weights() -> dict[str, Any]:
     """Return the fitted weights with the number of valves that they rest on."""
-    return tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+    return read_table(__file__)
 
 
 def _samples_of_hold(log: Log) -> int:
