@@ -438,15 +438,23 @@ def test_a_row_of_the_robots_bench_counts_known_gaps_alone() -> None:
     assert cells[7:] == ["2.2 (3.0)", "0.8 (0.8)"]
 
 
-@pytest.mark.parametrize(("std", "known"), [(0.0034, True), (0.0035, False), (0.015, False)])
-def test_a_gap_that_strikes_left_uncertain_is_narrowed(std: float, known: bool) -> None:
-    """Half of it is declared as [0, 0.03]: a deviation of the whole gap of 0.0173."""
+@pytest.mark.parametrize(
+    ("std", "known", "found"),
+    [(0.0034, True, 0.02), (0.0035, False, 0.02), (0.0035, False, 0.029), (0.015, False, 0.02)],
+)
+def test_a_gap_that_strikes_left_uncertain_is_narrowed(
+    std: float, known: bool, found: float
+) -> None:
+    """Half of it is declared as [0, 0.03]: a deviation of the whole gap of 0.0173.
+
+    A belief at the end of that range contradicts it.
+    """
     traits = SimpleNamespace(halves=np.array([[0.0, 0.03], [0.0, 0.0]]))
     problem: Any = SimpleNamespace(
         plant=SimpleNamespace(gears=SimpleNamespace(joint_count=1)),
         observer=SimpleNamespace(traits=traits),
     )
-    half = np.array([[0.015, 0.0], [0.02, 0.0]])
+    half = np.array([[0.015, 0.0], [found, 0.0]])
     deviation = np.array([[0.0173, 0.0], [std, 0.0]])
     signals = {"right": half, "left": half, "right_std": deviation, "left_std": deviation}
     signals |= {"width_std": deviation, "x_std": np.zeros((2, 4))}
@@ -455,11 +463,11 @@ def test_a_gap_that_strikes_left_uncertain_is_narrowed(std: float, known: bool) 
     gap, encoder = withdraw_vague_gaps(problem, [yes, yes], estimate)
     assert gap.width == known
     assert known or f"uncertain by {std:.2g}, of 0.017 as it was declared" in gap.reasons[0]
-    assert gap.narrowed == (std == 0.0035)
+    assert gap.narrowed == ((std, found) == (0.0035, 0.02))
     shown = withhold_gaps(problem, [gap, encoder], estimate)
-    factor = 1.0 if known else WIDENED
-    assert shown.width_std[-1, 0] == pytest.approx(min(factor * std, 0.0173))
-    assert shown.right[-1, 0] == (0.02 if known or gap.narrowed else 0.015)
+    wide = WIDENED * std if gap.narrowed else 0.0173
+    assert shown.width_std[-1, 0] == pytest.approx(std if known else wide)
+    assert shown.right[-1, 0] == (found if known or gap.narrowed else 0.015)
     assert (shown.x_std[-1, 1] > 0) == (not known)
     assert gap.crossings == 4
     assert encoder == gap
