@@ -101,7 +101,9 @@ def test_many_positions_are_regressed_as_each_is_alone(stride: int, missing: flo
     widths = np.geomspace(0.02, 0.4, 2 * CHUNK + 1)
     positions = valve_positions(log.u, np.outer(widths, [1.0, 0.4]), KANO)
     regression = log.regress(3, 40, stride)
-    squares = np.mean(regression.prediction_errors_of_each(positions, range(2, 7)) ** 2, axis=1)
+    squares = regression.mean_squares_of_each(positions, range(2, 7))
+    errors = regression.prediction_errors_of_each(positions, range(2, 7))
+    assert squares == pytest.approx(np.mean(errors**2, axis=1), rel=1e-9)
     none = np.empty((SIZE, 0))
     alone = [regression.mean_square_beside(v, range(2, 7), none) for v in positions]
     assert squares == pytest.approx(alone, rel=1e-6)

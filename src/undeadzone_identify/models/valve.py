@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -82,6 +82,12 @@ def valve_positions(u: Floats, valves: Floats, account: str) -> Floats:
     begin = u[0] * np.append(ACCOUNTS[account][1], np.ones(len(MEMORY)))
     moves = np.column_stack([u, np.append(u[0], u[:-1])])
     return lanes.run_lanes(kernel, begin, moves, np.zeros(2), lane_params=valves, threads=1)[0]
+
+
+def split_valves(u: Floats, valves: Floats, account: str) -> Iterator[Floats]:
+    """Yield the positions of `CHUNK` valves at a time. Arguments of `valve_positions`."""
+    for begin in range(0, len(valves), CHUNK):
+        yield valve_positions(u, valves[begin : begin + CHUNK], account)
 
 
 def average(x: Floats) -> Floats:
@@ -226,29 +232,46 @@ class Regression:
         errors = regression_residual(self.regressors(v, lags, others), self.y)
         return float(np.mean(errors**2))
 
+    def mean_squares_of_each(self, v: Floats, lags: range) -> Floats:
+        """Return the mean squared one-step prediction error for each of several positions (K).
+
+        Arguments of `prediction_errors_of_each`.
+        """
+        return self._regress_on_each(v, lags)[-1]
+
     def prediction_errors_of_each(self, v: Floats, lags: range) -> Floats:
         """Return the one-step prediction errors for each of several positions (K x n).
-
-        The positions without the part that the past explains are regressed on the readings
-        without it (Frisch, Waugh and Lovell), from products with the positions as they are.
 
         Args:
             v: positions before their averages (K x N x A).
             lags: lags of the positions [samples].
         """
+        each, along, weights, _ = self._regress_on_each(v, lags)
+        return self._target - (weights @ each - weights @ along @ self._basis)[:, 0]
+
+    def _regress_on_each(self, v: Floats, lags: range) -> tuple[Floats, Floats, Floats, Floats]:
+        """Return lagged positions, their products with the past, weights and mean squared errors.
+
+        The positions without the part that the past explains are regressed on the readings
+        without it (Frisch, Waugh and Lovell), from products with the positions as they are.
+        Arguments of `prediction_errors_of_each`.
+        """
         each = self.lagged(v, lags)
         along = each @ self._basis.T
         # Normal equations of all positions at once, with a ridge against collinear columns.
         gram = each @ each.transpose(0, 2, 1) - along @ along.transpose(0, 2, 1)
-        trace = np.trace(gram, axis1=1, axis2=2)[:, None, None]
-        gram += 1e-10 * (trace + 1e-12) * np.eye(gram.shape[1])
-        weights = np.linalg.solve(gram, each @ self._target[:, None]).transpose(0, 2, 1)
-        return self._target - (weights @ each - weights @ along @ self._basis)[:, 0]
+        ridge = 1e-10 * (np.trace(gram, axis1=1, axis2=2) + 1e-12)
+        products = each @ self._target[:, None]
+        regularized = gram + ridge[:, None, None] * np.eye(gram.shape[1])
+        weights = np.linalg.solve(regularized, products).transpose(0, 2, 1)
+        explained = (weights @ products)[:, 0, 0] + ridge * np.sum(weights**2, axis=(1, 2))
+        squares = np.maximum(self._target @ self._target - explained, 0.0) / self._target.size
+        return each, along, weights, squares
 
-    def prediction_errors_by_valves(
+    def rank_valves(
         self, u: Floats, pairs: Floats, account: str, lags: range
-    ) -> Floats:
-        """Return the one-step prediction errors for each of several valves (K x n).
+    ) -> list[tuple[float, float, float]]:
+        """Return mean squared errors with pairs of S and J, the least error first (K).
 
         Args:
             u: output of the controller (N).
@@ -256,20 +279,9 @@ class Regression:
             account: model of the valves.
             lags: lags of their positions [samples].
         """
-        chunks = np.split(pairs, range(CHUNK, len(pairs), CHUNK))
-        return np.vstack([
-            self.prediction_errors_of_each(valve_positions(u, chunk, account), lags)
-            for chunk in chunks
+        squares = np.concatenate([
+            self.mean_squares_of_each(valves, lags) for valves in split_valves(u, pairs, account)
         ])  # fmt: skip
-
-    def rank_valves(
-        self, u: Floats, pairs: Floats, account: str, lags: range
-    ) -> list[tuple[float, float, float]]:
-        """Return mean squared errors with pairs of S and J, the least error first (K).
-
-        Arguments of `prediction_errors_by_valves`.
-        """
-        squares = np.mean(self.prediction_errors_by_valves(u, pairs, account, lags) ** 2, axis=1)
         return sorted(zip(squares.tolist(), *pairs.T.tolist(), strict=True))
 
     def regressors(self, v: Floats, lags: range, others: Floats) -> Floats:
@@ -389,8 +401,7 @@ class LoopLog:
         low_order = self.regress(LOW, first, stride)
         valve_numbers = 4 * (np.arange(len(positions)) > 0)
         every = [
-            np.mean(low_order.prediction_errors_of_each(positions, range(k, k + 3)) ** 2, axis=1)
-            for k in range(1, latest)
+            low_order.mean_squares_of_each(positions, range(k, k + 3)) for k in range(1, latest)
         ]
         bic = _bic(every, low_order.rows.size, valve_numbers)
         before, best = np.unravel_index(np.argmin(bic), bic.shape)  # samples less than the delay
@@ -513,16 +524,16 @@ class LoopFits(NamedTuple):
         stick, ratio = np.array(list(pairs)).T
         valves, (regression, lags, _) = np.column_stack([stick, stick * ratio]), self.structure
         errors = np.vstack([
-            regression.prediction_errors_by_valves(
-                self.log.u, valves, account, lags
-            )
+            regression.prediction_errors_of_each(positions, lags)
             for account in (KANO, HE)
-        ]).T  # fmt: skip
-        squares = errors**2
-        variance = np.maximum(squares.mean(axis=0), 1e-20)
+            for positions in split_valves(self.log.u, valves, account)
+        ])  # fmt: skip
+        starts = np.arange(0, errors.shape[1], self.log.coarse_stride)
+        squares = np.add.reduceat(errors**2, starts, axis=1).T
+        variance = np.maximum(squares.sum(axis=0) / errors.shape[1], 1e-20)
         # The log likelihoods are drawn with the covariance that their long-run variance estimates
         # (BayesBag), so that a single log does not overrule close rivals.
-        values = -0.5 * (squares / variance + np.log(variance))
+        values = -0.5 * (squares / variance + errors.shape[1] / starts.size * np.log(variance))
         weights = softmax(draw_sums(values - values[:, :1], DRAWS, SCATTER), axis=1).mean(axis=0)
         gain = self.bic["none"] - min(self.bic["input_play"], self.bic["stiction"])
         seen = (1 - ASIDE) * float(expit(gain / 2))
