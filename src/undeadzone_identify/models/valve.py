@@ -386,18 +386,18 @@ class LoopLog:
         """Return the stride by which a regression predicts enough readings for a coarse grid."""
         return max(1, self.y.size // COARSELY)
 
-    def find_structure(self, valves: Floats, stride: int = 1) -> Structure:
+    def find_structure(self, valves: Floats) -> Structure:
         """Find order and delay by BIC, for u itself and for several valves.
 
         Args:
             valves: positions of the valves before their averages (K x N x A) [range of u].
-            stride: every how many samples are predicted.
         """
         longest, orders = min(LATEST, self.y.size // 20), find_orders(self.ok)
         # In an oscillation a delay cannot be distinguished from one that is a period longer.
         latest = int(min(longest, max(self.period / 2, 4) + 1))
         first = longest + MORE + max(orders) + 6
         positions = np.vstack([self.ideal[None], valves])
+        stride = self.coarse_stride
         low_order = self.regress(LOW, first, stride)
         valve_numbers = 4 * (np.arange(len(positions)) > 0)
         every = [
@@ -434,13 +434,11 @@ class LoopLog:
         squares = [regression.mean_square_beside(self.ideal, lags, one) for one in waves]
         return waves[np.argmin(_bic(squares, regression.rows.size, 2 * np.array(HARMONICS)))]
 
-    def fit_all(self, structure: Structure, thinned: int = 1, rounds: int = ROUNDS) -> LoopFits:
+    def fit_all(self, structure: Structure) -> LoopFits:
         """Fit the loop with an ideal valve, with an external oscillation, and with faulty valves.
 
         Args:
             structure: order and delay of the regression.
-            thinned: stride of the grid of S and J / S.
-            rounds: number of refinements of the grid.
         """
         regression, lags, waves = structure
         coarse = self.regress(regression.order, regression.first, self.coarse_stride)
@@ -451,19 +449,16 @@ class LoopLog:
             square = regression.mean_square_beside(self.ideal, lags, others)
             bic[word] = _bic(square, size, numbers + others.shape[1] + (others.size > 0))
         widths = np.geomspace(max(FINEST, self.step), 1.0, TRIED)
-        few, positions = RATIOS[::thinned], []
         for word, account, ratios in (
             ("input_play", KANO, [0.0]),
-            ("stiction", KANO, few),
-            ("stiction", HE, few),
+            ("stiction", KANO, RATIOS),
+            ("stiction", HE, RATIOS),
         ):
-            each = itertools.product(widths[:: thinned if any(ratios) else 1], ratios)
-            pairs = np.cumprod(list(each), axis=1)
-            square, *pair = self._refine_grid(regression, coarse, lags, account, pairs, rounds)
+            pairs = np.cumprod(list(itertools.product(widths, ratios)), axis=1)
+            square = self._refine_grid(regression, coarse, lags, account, pairs)
             cost = _bic(square, size, numbers + BREAKS + 1 + (word == "stiction"))
             bic[word] = min(cost, bic.get(word, cost))
-            positions.append(valve_positions(self.u, np.array([pair]), account))
-        return LoopFits(self, structure, bic, np.vstack(positions))
+        return LoopFits(self, structure, bic)
 
     def _refine_grid(
         self,
@@ -472,29 +467,27 @@ class LoopLog:
         lags: range,
         account: str,
         pairs: Floats,
-        rounds: int,
-    ) -> tuple[float, float, float]:
-        """Return the least mean squared prediction error with its S and J, by a refined grid.
+    ) -> float:
+        """Return the least mean squared prediction error, by a refined grid.
 
         Args:
             regression, coarse: of all readings, and of those that rank a grid.
             lags: lags of the position [samples].
             account: model of the valve.
             pairs: grid of S and J (K x 2) [range of u].
-            rounds: number of refinements about the best pairs, by all readings.
         """
         most = LARGEST * pairs[:, 1].any()  # 0 of a play
         tops = coarse.rank_valves(self.u, pairs, account, lags)[:TOPS]
         best = regression.rank_valves(self.u, np.array(tops)[:, 1:], account, lags)
         a, b = np.meshgrid(np.linspace(-1, 1, 7), np.linspace(-2, 2, 5 if most else 1))
-        for k in range(rounds):
+        for k in range(ROUNDS):
             width = 0.09 / 2.5**k
             stick, jump = np.array(best).T[1:, :, None]
             moved = jump + stick * width * b.ravel()
             jumps = np.clip(moved, min(0.02, most) * stick, most * stick)
             pairs = np.stack([stick * (1 + width * a.ravel()), jumps], axis=-1).reshape(-1, 2)
             best = sorted(best + regression.rank_valves(self.u, pairs, account, lags))[:3]
-        return best[0]
+        return best[0][0]
 
 
 class LoopFits(NamedTuple):
@@ -505,13 +498,11 @@ class LoopFits(NamedTuple):
         structure: order and delay of the regression.
         bic: least of each class: none, external (that of none without an oscillation),
             input_play, stiction.
-        positions: of the likeliest faulty valves (3 x N x A) [range of u].
     """
 
     log: LoopLog
     structure: Structure
     bic: dict[str, float]
-    positions: Floats
 
     def weigh_sizes(self) -> Sizes:
         """Return pairs of S and J with their weights by the readings [range of u].
@@ -615,7 +606,7 @@ def _quantiles(values: Floats, weights: Floats) -> Floats:
 
 
 def fit_loop(log: LoopLog) -> LoopFits:
-    """Fit all models of a loop, in two rounds: a coarse grid of valves, then the best of them.
+    """Fit all models of a loop, with the structure that a coarse grid of valves tells.
 
     Args:
         log: log of the loop.
@@ -623,8 +614,7 @@ def fit_loop(log: LoopLog) -> LoopFits:
     coarse = itertools.product(np.geomspace(0.02, 1.0, 18), (0.0, 0.4, 1.0))
     pairs = np.cumprod(list(coarse), axis=1)
     valves = valve_positions(log.u, pairs, KANO)
-    first = log.fit_all(log.find_structure(valves, log.coarse_stride), 3, 0)
-    return log.fit_all(log.find_structure(first.positions))
+    return log.fit_all(log.find_structure(valves))
 
 
 def find_orders(ok: Flags) -> list[int]:
