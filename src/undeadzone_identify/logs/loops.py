@@ -14,6 +14,7 @@ from typing import Any
 from undeadzone.errors import FileError, InputError
 from undeadzone.logs.kinds import split_unit
 from undeadzone.logs.names import parse_columns
+from undeadzone.logs.samples import FIRST
 from undeadzone.logs.text import PREAMBLE, lines_ahead
 from undeadzone.logs.whole import samples_of
 from undeadzone_identify.logs.log import Log, log_from_samples, read_log
@@ -23,6 +24,7 @@ from undeadzone_identify.logs.tables import (
     columns_of_lines,
     names_times,
     numbers_of_columns,
+    part_columns,
     read_lines,
     read_parquet,
     signals_of_columns,
@@ -191,8 +193,13 @@ def _read_arrays(path: Path) -> Arrays:
     lines = read_lines(path)
     if not lines:
         raise FileError(f"{path}: no line with content")
-    titles, columns = columns_of_lines(lines[lines_ahead(lines[:PREAMBLE]) or 0 :])
-    if sum(bool(TAGGED.fullmatch(split_unit(one).name)) for one in titles) < 2:
+    lines = lines[lines_ahead(lines[:PREAMBLE]) or 0 :]
+    few = columns_of_lines([*lines[:FIRST], *lines[-FIRST:]])
+    is_tagged = sum(bool(TAGGED.fullmatch(split_unit(one).name)) for one in few[0]) > 1
+    if not is_tagged and not part_columns(*few).names:
+        return {}
+    titles, columns = columns_of_lines(lines)
+    if not is_tagged:
         return signals_of_columns(titles, columns) or {}
     numbers, times = numbers_of_columns(titles, columns)
     arrays = dict(zip(titles, numbers, strict=False))

@@ -9,7 +9,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -105,10 +105,7 @@ def signals_of_columns(titles: Sequence[str], columns: Sequence[Sequence[str]]) 
         titles: of its columns.
         columns: their cells.
     """
-    numbers, times = numbers_of_columns(titles, columns)
-    full = [bool(np.isfinite(x).mean() > MOST_NUMBERS) for x in numbers]
-    values = [k for k, one in enumerate(full) if one and k not in times]
-    names = [k for k, one in enumerate(full) if not one and k not in times]
+    numbers, times, values, names = part_columns(titles, columns)
     values, names = (  # a quality or a remark stands beside
         [k for k in each if title.search(titles[k])] or each
         for each, title in ((values, OF_VALUES), (names, OF_NAMES))
@@ -132,6 +129,31 @@ def signals_of_columns(titles: Sequence[str], columns: Sequence[Sequence[str]]) 
         before = np.searchsorted(own, late) - 1
         arrays[str(different[k])] = np.where(before < 0, np.nan, x[of == k][order][before])
     return arrays
+
+
+class Parted(NamedTuple):
+    """Columns of a table by what they hold.
+
+    Attributes:
+        numbers: of all columns, NaN where a cell is none.
+        times: columns of times, the best first.
+        values: other columns of numbers.
+        names: the rest.
+    """
+
+    numbers: list[Floats]
+    times: list[int]
+    values: list[int]
+    names: list[int]
+
+
+def part_columns(titles: Sequence[str], columns: Sequence[Sequence[str]]) -> Parted:
+    """Part the columns of a table by what they hold. Arguments of `signals_of_columns`."""
+    numbers, times = numbers_of_columns(titles, columns)
+    full = [bool(np.isfinite(x).mean() > MOST_NUMBERS) for x in numbers]
+    others = [k for k in range(len(full)) if k not in times]
+    values = list(filter(full.__getitem__, others))
+    return Parted(numbers, times, values, [k for k in others if not full[k]])
 
 
 def numbers_of_columns(
