@@ -25,7 +25,6 @@ from undeadzone_identify.models.valve import (
     LoopLog,
     combine_sizes,
     find_line,
-    fit_loop,
     oscillation_of,
     valve_positions,
 )
@@ -84,8 +83,8 @@ def test_a_missing_reading_is_left_out_of_the_regression() -> None:
     loop = make(1, "stiction", SIZE)
     ok = np.random.default_rng(0).uniform(size=SIZE) > 0.02
     pv = np.where(ok, loop.pv, 1e6)  # never looked at
-    fits = fit_loop(LoopLog(loop.op, pv, ok, loop.sp))
-    assert not set(fits.structure.regression.rows) & set(np.flatnonzero(~ok))
+    fits = LoopLog(loop.op, pv, ok, loop.sp).fit_all()
+    assert not set(fits.regression.rows) & set(np.flatnonzero(~ok))
     assert fits.bic["stiction"] < fits.bic["none"]
     stick = combine_sizes([fits.weigh_sizes()], 0.3)[0].scale_by(float(np.ptp(loop.op)))
     assert holds(stick, loop.stick)
@@ -101,7 +100,7 @@ def test_many_positions_are_regressed_as_each_is_alone(stride: int, missing: flo
     widths = np.geomspace(0.02, 0.4, 2 * CHUNK + 1)
     positions = valve_positions(log.u, np.outer(widths, [1.0, 0.4]), KANO)
     regression = log.regress(3, 40, stride)
-    squares = regression.mean_squares_of_each(positions, range(2, 7))
+    squares = regression.regress_on_each(positions, range(2, 7))[-1]
     errors = regression.prediction_errors_of_each(positions, range(2, 7))
     assert squares == pytest.approx(np.mean(errors**2, axis=1), rel=1e-9)
     none = np.empty((SIZE, 0))

@@ -77,7 +77,9 @@ def find_loops(source: Path) -> dict[str, list[Record]]:
     files: dict[str, list[Path]] = defaultdict(list)
     for path in sorted(source.rglob("*")):
         if path.suffix.lower() in ENDINGS:
-            several = _read_readable(path)
+            several: dict[str, Record] = {}
+            with contextlib.suppress(FileError):  # its record is refused
+                several = read_loops(path)
             for tag, one in several.items():
                 loops[tag].append(one)
             if not several:
@@ -109,13 +111,6 @@ def read_loops(path: Path) -> dict[str, Record]:
         FileError: it cannot be read.
     """
     return _records_of(_read_arrays(path), str(path))
-
-
-def _read_readable(path: Path) -> dict[str, Record]:
-    """Return the loops of a plant's table, {} of an unreadable file: its record is refused."""
-    with contextlib.suppress(FileError):
-        return read_loops(path)
-    return {}
 
 
 def _records_of(arrays: Arrays, source: str) -> dict[str, Record]:

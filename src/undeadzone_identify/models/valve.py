@@ -232,13 +232,6 @@ class Regression:
         errors = regression_residual(self.regressors(v, lags, others), self.y)
         return float(np.mean(errors**2))
 
-    def mean_squares_of_each(self, v: Floats, lags: range) -> Floats:
-        """Return the mean squared one-step prediction error for each of several positions (K).
-
-        Arguments of `prediction_errors_of_each`.
-        """
-        return self._regress_on_each(v, lags)[-1]
-
     def prediction_errors_of_each(self, v: Floats, lags: range) -> Floats:
         """Return the one-step prediction errors for each of several positions (K x n).
 
@@ -246,10 +239,10 @@ class Regression:
             v: positions before their averages (K x N x A).
             lags: lags of the positions [samples].
         """
-        each, along, weights, _ = self._regress_on_each(v, lags)
+        each, along, weights, _ = self.regress_on_each(v, lags)
         return self._target - (weights @ each - weights @ along @ self._basis)[:, 0]
 
-    def _regress_on_each(self, v: Floats, lags: range) -> tuple[Floats, Floats, Floats, Floats]:
+    def regress_on_each(self, v: Floats, lags: range) -> tuple[Floats, Floats, Floats, Floats]:
         """Return lagged positions, their products with the past, weights and mean squared errors.
 
         The positions without the part that the past explains are regressed on the readings
@@ -280,7 +273,7 @@ class Regression:
             lags: lags of their positions [samples].
         """
         squares = np.concatenate([
-            self.mean_squares_of_each(valves, lags) for valves in split_valves(u, pairs, account)
+            self.regress_on_each(valves, lags)[-1] for valves in split_valves(u, pairs, account)
         ])  # fmt: skip
         return sorted(zip(squares.tolist(), *pairs.T.tolist(), strict=True))
 
@@ -314,20 +307,6 @@ class Regression:
         through = np.hstack([z ** np.array(lags), z ** lags[0] * averaged])
         own, acting = np.split(coefficients[: past.shape[1] + through.shape[1]], [past.shape[1]])
         return through @ acting / (1 - past @ own)
-
-
-class Structure(NamedTuple):
-    """Order and delay of the regression, with the external oscillation that suits the log.
-
-    Attributes:
-        regression: regression of all readings.
-        lags: lags of the position [samples].
-        oscillation: sines and cosines of its harmonics (N x 2 K).
-    """
-
-    regression: Regression
-    lags: range
-    oscillation: Floats
 
 
 def _bic(squares: Any, size: int, numbers: Any) -> Any:
@@ -386,22 +365,25 @@ class LoopLog:
         """Return the stride by which a regression predicts enough readings for a coarse grid."""
         return max(1, self.y.size // COARSELY)
 
-    def find_structure(self, valves: Floats) -> Structure:
-        """Find order and delay by BIC, for u itself and for several valves.
+    def _find_structure(self) -> tuple[Regression, range, Floats]:
+        """Find order and delay by BIC, for u itself and for valves of a coarse grid.
 
-        Args:
-            valves: positions of the valves before their averages (K x N x A) [range of u].
+        Returns:
+            Regression of all readings, lags of the position [samples], and the external
+            oscillation that suits the log.
         """
         longest, orders = min(LATEST, self.y.size // 20), find_orders(self.ok)
         # In an oscillation a delay cannot be distinguished from one that is a period longer.
         latest = int(min(longest, max(self.period / 2, 4) + 1))
         first = longest + MORE + max(orders) + 6
+        coarse = itertools.product(np.geomspace(0.02, 1.0, 18), (0.0, 0.4, 1.0))
+        valves = valve_positions(self.u, np.cumprod(list(coarse), axis=1), KANO)
         positions = np.vstack([self.ideal[None], valves])
         stride = self.coarse_stride
         low_order = self.regress(LOW, first, stride)
         valve_numbers = 4 * (np.arange(len(positions)) > 0)
         every = [
-            low_order.mean_squares_of_each(positions, range(k, k + 3)) for k in range(1, latest)
+            low_order.regress_on_each(positions, range(k, k + 3))[-1] for k in range(1, latest)
         ]
         bic = _bic(every, low_order.rows.size, valve_numbers)
         before, best = np.unravel_index(np.argmin(bic), bic.shape)  # samples less than the delay
@@ -417,7 +399,7 @@ class LoopLog:
                 numbers = 2 * order + others.shape[1] + (others.size > 0)
                 costs.append((_bic(square, regression.rows.size, numbers), order))
         order = min(costs)[1]
-        return Structure(self.regress(order, first), range(lag, lag + order + MORE), waves)
+        return self.regress(order, first), range(lag, lag + order + MORE), waves
 
     def _find_oscillation(self, regression: Regression, lags: range) -> Floats:
         """Return the external oscillation of least BIC, a sine of the error with its harmonics.
@@ -434,13 +416,12 @@ class LoopLog:
         squares = [regression.mean_square_beside(self.ideal, lags, one) for one in waves]
         return waves[np.argmin(_bic(squares, regression.rows.size, 2 * np.array(HARMONICS)))]
 
-    def fit_all(self, structure: Structure) -> LoopFits:
+    def fit_all(self) -> LoopFits:
         """Fit the loop with an ideal valve, with an external oscillation, and with faulty valves.
 
-        Args:
-            structure: order and delay of the regression.
+        Order and delay are those that a coarse grid of valves tells.
         """
-        regression, lags, waves = structure
+        regression, lags, waves = structure = self._find_structure()
         coarse = self.regress(regression.order, regression.first, self.coarse_stride)
         size = regression.rows.size
         numbers = 2 + regression.order + len(lags) + 2 * len(MEMORY)
@@ -458,7 +439,7 @@ class LoopLog:
             square = self._refine_grid(regression, coarse, lags, account, pairs)
             cost = _bic(square, size, numbers + BREAKS + 1 + (word == "stiction"))
             bic[word] = min(cost, bic.get(word, cost))
-        return LoopFits(self, structure, bic)
+        return LoopFits(self, *structure, bic)
 
     def _refine_grid(
         self,
@@ -495,13 +476,17 @@ class LoopFits(NamedTuple):
 
     Attributes:
         log: log of the loop.
-        structure: order and delay of the regression.
+        regression: regression of all readings.
+        lags: lags of the position [samples].
+        oscillation: sines and cosines of its harmonics (N x 2 K).
         bic: least of each class: none, external (that of none without an oscillation),
             input_play, stiction.
     """
 
     log: LoopLog
-    structure: Structure
+    regression: Regression
+    lags: range
+    oscillation: Floats
     bic: dict[str, float]
 
     def weigh_sizes(self) -> Sizes:
@@ -513,9 +498,9 @@ class LoopFits(NamedTuple):
         least = max(FINEST, 0.5 * self.log.step)
         pairs = itertools.product(np.geomspace(least, max(WIDEST, 2 * least), SIZES), SLIPS)
         stick, ratio = np.array(list(pairs)).T
-        valves, (regression, lags, _) = np.column_stack([stick, stick * ratio]), self.structure
+        valves = np.column_stack([stick, stick * ratio])
         errors = np.vstack([
-            regression.prediction_errors_of_each(positions, lags)
+            self.regression.prediction_errors_of_each(positions, self.lags)
             for account in (KANO, HE)
             for positions in split_valves(self.log.u, valves, account)
         ])  # fmt: skip
@@ -547,8 +532,8 @@ class LoopFits(NamedTuple):
         c = np.linalg.lstsq(moves, u[t] - u[t - 1], rcond=None)[0]
         angles = 2 * np.pi / self.log.period * np.linspace(0.85, 1.15, 13)
         controller = freqz(c[:3], np.convolve([1.0, -1.0], [1.0, -c[3]]), angles)[1]
-        regression, lags, waves = self.structure
-        plants = regression.responses(self.log.ideal, lags, np.exp(-1j * angles), waves)
+        z = np.exp(-1j * angles)
+        plants = self.regression.responses(self.log.ideal, self.lags, z, self.oscillation)
         return float(1 / max(np.abs(1 - controller * plants).min(), 1e-9))
 
 
@@ -603,18 +588,6 @@ def _quantiles(values: Floats, weights: Floats) -> Floats:
     ascending = np.argsort(values, kind="stable")
     cumulative = np.cumsum(weights[ascending])
     return np.interp((0.5, 0.025, 0.975), cumulative, values[ascending])
-
-
-def fit_loop(log: LoopLog) -> LoopFits:
-    """Fit all models of a loop, with the structure that a coarse grid of valves tells.
-
-    Args:
-        log: log of the loop.
-    """
-    coarse = itertools.product(np.geomspace(0.02, 1.0, 18), (0.0, 0.4, 1.0))
-    pairs = np.cumprod(list(coarse), axis=1)
-    valves = valve_positions(log.u, pairs, KANO)
-    return log.fit_all(log.find_structure(valves))
 
 
 def find_orders(ok: Flags) -> list[int]:

@@ -81,7 +81,6 @@ class IdentifiedLoop(SpokenWithoutPlant):
         doubts = found.remarks[-1:] if found.is_thinned else ("no cause has odds of 90 %",)
         likely = WORDS.get(next(iter(found.odds)), ("", "stick"))
         name, effect = WORDS.get(found.word, ("", likely[1]))
-        limits = {"stick": found.stick.high}
         numbers = {
             "stick": sizes,
             "input reversal": {"gap": found.stick},
@@ -90,17 +89,13 @@ class IdentifiedLoop(SpokenWithoutPlant):
                 sensitivity=math.exp(found.median("sensitivity")), **{"divide by": self.divisor}
             ),
         }.get(effect, {})
-        if found.word == "undecided":
-            others = {} if effect == "stick" else {"stick": sizes}
-            grade, there = (INDICATED, {effect: sizes if others == {} else numbers})
-            if not effect:
-                grade, there = BOUNDED, {}
-            return Account(grade, there, BY, units, None, others, doubts, limits=limits)
-        if not effect:
-            return Account(BOUNDED, {}, BY, units, limits=limits, name=name)
-        rest = {} if found.word in VALVE else limits
-        grade = NAMED if numbers else OPEN
-        return Account(grade, {effect: numbers}, BY, units, limits=rest, name=name)
+        is_open = found.word == "undecided"
+        grade = BOUNDED if not effect else INDICATED if is_open else NAMED if numbers else OPEN
+        there = {effect: numbers} if effect else {}
+        others = {"stick": sizes} if is_open and effect != "stick" else {}
+        limits = {} if found.word in VALVE else {"stick": found.stick.high}
+        unsure = doubts if is_open else ()
+        return Account(grade, there, BY, units, None, others, unsure, limits=limits, name=name)
 
     @property
     def divisor(self) -> float:

@@ -27,7 +27,6 @@ from undeadzone_identify.models.valve import (
     Sizes,
     combine_sizes,
     find_orders,
-    fit_loop,
 )
 
 NAMED = 0.9  # odds from which a cause is named
@@ -286,7 +285,7 @@ def _measure_swing(grid: Grid, part: slice) -> Swing:
     middle = float(np.mean(y[ok]))
     goal = np.nan_to_num(grid.r[part, 0], nan=middle) if grid.r.size else np.full(y.size, middle)
     log = LoopLog(u, y, ok, goal)
-    fits = fit_loop(log)
+    fits = log.fit_all()
     none, outside, *faults = (
         fits.bic[word] for word in ("none", "external", "stiction", "input_play")
     )
