@@ -189,11 +189,9 @@ def test_the_sensitivity_of_a_loop_is_that_of_its_controller_and_plant() -> None
     u = lfilter(numerator, np.convolve([1.0, -1.0], [1.0, -filtered]), e)
     loop: Any = SimpleNamespace(
         log=SimpleNamespace(period=20.0, error=e, u=u, ideal=None),
-        structure=(
-            SimpleNamespace(responses=lambda v, lags, at, others: [-0.4] * len(at)),
-            range(1),
-            None,
-        ),
+        regression=SimpleNamespace(responses=lambda v, lags, at, others: [-0.4] * len(at)),
+        lags=range(1),
+        oscillation=None,
     )
     at = 2 * np.pi / 20.0 * np.linspace(0.85, 1.15, 13)
     controller = freqz(numerator, np.convolve([1.0, -1.0], [1.0, -filtered]), at)[1]

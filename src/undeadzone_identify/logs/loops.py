@@ -191,7 +191,7 @@ def _read_arrays(path: Path) -> Arrays:
     lines = lines[lines_ahead(lines[:PREAMBLE]) or 0 :]
     few = columns_of_lines([*lines[:FIRST], *lines[-FIRST:]])
     is_tagged = sum(bool(TAGGED.fullmatch(split_unit(one).name)) for one in few[0]) > 1
-    if not is_tagged and not part_columns(*few).names:
+    if not is_tagged and not part_columns(*few)[-1]:
         return {}
     titles, columns = columns_of_lines(lines)
     if not is_tagged:

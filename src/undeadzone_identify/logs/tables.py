@@ -9,7 +9,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -131,29 +131,18 @@ def signals_of_columns(titles: Sequence[str], columns: Sequence[Sequence[str]]) 
     return arrays
 
 
-class Parted(NamedTuple):
-    """Columns of a table by what they hold.
+def part_columns(
+    titles: Sequence[str], columns: Sequence[Sequence[str]]
+) -> tuple[list[Floats], list[int], list[int], list[int]]:
+    """Return the numbers of columns, and the columns of times, of values and of names.
 
-    Attributes:
-        numbers: of all columns, NaN where a cell is none.
-        times: columns of times, the best first.
-        values: other columns of numbers.
-        names: the rest.
+    Arguments and times are those of `numbers_of_columns`.
     """
-
-    numbers: list[Floats]
-    times: list[int]
-    values: list[int]
-    names: list[int]
-
-
-def part_columns(titles: Sequence[str], columns: Sequence[Sequence[str]]) -> Parted:
-    """Part the columns of a table by what they hold. Arguments of `signals_of_columns`."""
     numbers, times = numbers_of_columns(titles, columns)
     full = [bool(np.isfinite(x).mean() > MOST_NUMBERS) for x in numbers]
     others = [k for k in range(len(full)) if k not in times]
     values = list(filter(full.__getitem__, others))
-    return Parted(numbers, times, values, [k for k in others if not full[k]])
+    return numbers, times, values, [k for k in others if not full[k]]
 
 
 def numbers_of_columns(

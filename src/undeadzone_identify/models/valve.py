@@ -84,9 +84,12 @@ def valve_positions(u: Floats, valves: Floats, account: str) -> Floats:
     return lanes.run_lanes(kernel, begin, moves, np.zeros(2), lane_params=valves, threads=1)[0]
 
 
-def split_valves(u: Floats, valves: Floats, account: str) -> Iterator[Floats]:
-    """Yield the positions of `CHUNK` valves at a time. Arguments of `valve_positions`."""
-    for begin in range(0, len(valves), CHUNK):
+def split_valves(u: Floats, valves: Floats, *accounts: str) -> Iterator[Floats]:
+    """Yield the positions of `CHUNK` valves at a time, by each model in turn.
+
+    Arguments of `valve_positions`.
+    """
+    for account, begin in itertools.product(accounts, range(0, len(valves), CHUNK)):
         yield valve_positions(u, valves[begin : begin + CHUNK], account)
 
 
@@ -258,8 +261,7 @@ class Regression:
         regularized = gram + ridge[:, None, None] * np.eye(gram.shape[1])
         weights = np.linalg.solve(regularized, products).transpose(0, 2, 1)
         explained = (weights @ products)[:, 0, 0] + ridge * np.sum(weights**2, axis=(1, 2))
-        squares = np.maximum(self._target @ self._target - explained, 0.0) / self._target.size
-        return each, along, weights, squares
+        return each, along, weights, (self._target @ self._target - explained) / self.rows.size
 
     def rank_valves(
         self, u: Floats, pairs: Floats, account: str, lags: range
@@ -377,8 +379,8 @@ class LoopLog:
         latest = int(min(longest, max(self.period / 2, 4) + 1))
         first = longest + MORE + max(orders) + 6
         coarse = itertools.product(np.geomspace(0.02, 1.0, 18), (0.0, 0.4, 1.0))
-        valves = valve_positions(self.u, np.cumprod(list(coarse), axis=1), KANO)
-        positions = np.vstack([self.ideal[None], valves])
+        pairs = np.cumprod([(0.0, 0.0), *coarse], axis=1)  # the ideal valve first
+        positions = valve_positions(self.u, pairs, KANO)
         stride = self.coarse_stride
         low_order = self.regress(LOW, first, stride)
         valve_numbers = 4 * (np.arange(len(positions)) > 0)
@@ -496,13 +498,12 @@ class LoopFits(NamedTuple):
         compensate each other. All pairs have the same weight where no valve foretells the readings.
         """
         least = max(FINEST, 0.5 * self.log.step)
-        pairs = itertools.product(np.geomspace(least, max(WIDEST, 2 * least), SIZES), SLIPS)
-        stick, ratio = np.array(list(pairs)).T
-        valves = np.column_stack([stick, stick * ratio])
+        grid = itertools.product(np.geomspace(least, max(WIDEST, 2 * least), SIZES), SLIPS)
+        pairs = np.array(list(grid))
+        stick, ratio = pairs.T
         errors = np.vstack([
             self.regression.prediction_errors_of_each(positions, self.lags)
-            for account in (KANO, HE)
-            for positions in split_valves(self.log.u, valves, account)
+            for positions in split_valves(self.log.u, np.cumprod(pairs, axis=1), KANO, HE)
         ])  # fmt: skip
         starts = np.arange(0, errors.shape[1], self.log.coarse_stride)
         squares = np.add.reduceat(errors**2, starts, axis=1).T
@@ -510,7 +511,7 @@ class LoopFits(NamedTuple):
         # The log likelihoods are drawn with the covariance that their long-run variance estimates
         # (BayesBag), so that a single log does not overrule close rivals.
         values = -0.5 * (squares / variance + errors.shape[1] / starts.size * np.log(variance))
-        weights = softmax(draw_sums(values - values[:, :1], DRAWS, SCATTER), axis=1).mean(axis=0)
+        weights = softmax(draw_sums(values, DRAWS, SCATTER), axis=1).mean(axis=0)
         gain = self.bic["none"] - min(self.bic["input_play"], self.bic["stiction"])
         seen = (1 - ASIDE) * float(expit(gain / 2))
         weights = weights.reshape(2, -1).sum(axis=0)

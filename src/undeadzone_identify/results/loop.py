@@ -90,12 +90,17 @@ class IdentifiedLoop(SpokenWithoutPlant):
             ),
         }.get(effect, {})
         is_open = found.word == "undecided"
-        grade = BOUNDED if not effect else INDICATED if is_open else NAMED if numbers else OPEN
+        grade = NAMED if numbers else OPEN
+        if is_open:
+            grade = INDICATED
+        if not effect:
+            grade = BOUNDED
         there = {effect: numbers} if effect else {}
         others = {"stick": sizes} if is_open and effect != "stick" else {}
         limits = {} if found.word in VALVE else {"stick": found.stick.high}
-        unsure = doubts if is_open else ()
-        return Account(grade, there, BY, units, None, others, unsure, limits=limits, name=name)
+        return Account(
+            grade, there, BY, units, None, others, doubts * is_open, limits=limits, name=name
+        )
 
     @property
     def divisor(self) -> float:
