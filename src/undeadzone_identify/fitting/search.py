@@ -178,8 +178,9 @@ def search_maximum(
     def seek_start(point: Floats) -> Floats:
         """Return a point with the x(0) that the first readings show."""
         for count, share in _PLAN["first"]:
-            few = problem.keep_first(count)
-            point, _ = climb(few, point, np.array(share) * hot, 25, ~started, tick)
+            point, _ = climb(
+                problem.keep_first(count), point, np.array(share) * hot, 25, ~started, tick
+            )
         return point
 
     points[:, noises | started] = seek_start(problem.start)[noises | started]
@@ -193,7 +194,7 @@ def search_maximum(
             found = []
             points = peaks.keep_best(count).points
             if place == len(_PLAN["stages"]):  # x(0) by the numbers found
-                points = map(seek_start, points)
+                points = np.array([*map(seek_start, points)])
             for point in points:
                 top, value = climb(problem, point, share * hot, most, frozen, tick)
                 found.append([top.tolist(), value])
