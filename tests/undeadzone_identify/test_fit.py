@@ -26,6 +26,7 @@ from undeadzone.scenario.reader import parse, read
 from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
 from undeadzone_identify.fitting import search
+from undeadzone_identify.fitting.checks import check_scores
 from undeadzone_identify.fitting.estimates import prepare_fit, read_logs
 from undeadzone_identify.fitting.free import complete_tables
 from undeadzone_identify.fitting.joint import put_gears, read_place, write_arm
@@ -200,6 +201,14 @@ def test_a_wrong_model_is_contradicted() -> None:
     assert "contradicts" in found.agreement
 
 
+def test_a_reading_of_one_sign_tests_its_shape_once() -> None:
+    """|z| is -z then: odd scores at the start are no shape."""
+    u, z, scores = np.random.default_rng(0).normal(0.0, 1.0, (3, 2000, 1))
+    scores[1:3] = -7.0
+    assert check_scores(u, z - 9.0, scores)["shape"] > 0.01
+    assert check_scores(u, z - 9.0, scores + 0.2 * z)["shape"] < 1e-6
+
+
 def test_silence_alone_bounds_a_width_from_below() -> None:
     log = make_log() | {"y": np.zeros(600)}
     text = TEXT.replace("left = 0.2", "left = 6.0")
@@ -272,7 +281,7 @@ def test_a_user_follows_what_is_printed(tmp_path: Path, monkeypatch: pytest.Monk
     (tmp_path / "mine.toml").write_text(TEXT)
     line = "undeadzone fit mine.toml log.csv --free sensor.right=0..1"
     climbs: Any = itertools.chain(
-        [climb] * 9, itertools.repeat(Mock(side_effect=KeyboardInterrupt))
+        [climb] * 15, itertools.repeat(Mock(side_effect=KeyboardInterrupt))
     )
     with monkeypatch.context() as patched:
         patched.setattr(search, "climb", lambda *given: next(climbs)(*given))

@@ -11,6 +11,7 @@ from typing import Final
 
 import numpy as np
 from scipy import stats
+from scipy.linalg import orth
 from scipy.special import ndtr, ndtri
 
 from undeadzone.util.arrays import Floats
@@ -42,23 +43,33 @@ def score_readings(problem: FitProblem, point: Floats) -> Floats:
     return np.where(np.isfinite(y), scores, np.nan)
 
 
-def check_scores(problem: FitProblem, point: Floats, scores: Floats) -> dict[str, float]:
+def check_scores(u: Floats, z: Floats, scores: Floats) -> dict[str, float]:
     """Return the probability of each test under a true model, by name.
 
     The tests: size of the scores, their mean, whether they are white, and whether their mean
     depends on input or output (shape).
+
+    Args:
+        u: inputs (N x m).
+        z: predictions of the readings (N x p).
+        scores: normal scores of the readings (N x p), NaN if one is missing.
     """
     v = np.nan_to_num(scores)
     seen = np.isfinite(scores)
     count = seen.sum()
     square = np.sum(v**2)
     off = seen * (v - v.sum(axis=0) / seen.sum(axis=0))
-    lags = [lag for lag in LAGS if lag < len(v)]
-    sums = np.array([(off[lag:] * off[:-lag]).sum(axis=0) / np.sqrt(len(v) - lag) for lag in lags])
-    z = problem.record_lanes(point[None]).prediction[0]
-    both = np.hstack([problem.whole.u, z])
+    sums = np.array(
+        [
+            (off[lag:] * off[:-lag]).sum(axis=0) / np.sqrt(len(v) - lag)
+            for lag in LAGS
+            if lag < len(v)
+        ]
+    )
+    both = np.hstack([u, z])
     columns = np.hstack([both, both**2, np.abs(both)])
-    q, _ = np.linalg.qr(columns - columns.mean(axis=0))
+    columns -= columns.mean(axis=0)
+    q = orth(columns / (columns.std(axis=0) + 1e-300))  # |z| may be z or -z
     return {
         "size": float(2 * min(stats.chi2.cdf(square, count), stats.chi2.sf(square, count))),
         "mean": float(2 * stats.norm.sf(abs(v.sum()) / np.sqrt(count))),

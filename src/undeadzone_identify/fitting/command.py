@@ -108,16 +108,14 @@ def fit(
         from undeadzone_identify.fitting.page import write_fit
 
         written += write_fit(result, folder, build_origin(scenario, seed))
-    further = []
+    steps = []
     if place is not None and folder is not None:
-        further.append(write_arm(result, place, folder, force))
-    last = files_line(written + further)
-    if further:
-        last |= next_line(shell_command("undeadzone", "run", further[0]))
+        written.append(write_arm(result, place, folder, force))
+        steps.append(shell_command("undeadzone", "run", written[-1]))
     elif written:
-        steps = [shell_command("undeadzone", "estimate", written[0], logs[0], columns=columns)]
+        steps.append(shell_command("undeadzone", "estimate", written[0], logs[0], columns=columns))
         if any(each.name.startswith(GEARS) for each in result.numbers):
             steps.append("with --arm ARM.toml --joint NAME these gears become a joint's")
-        last |= next_line(*steps)
-    output.print_result(result.summary, result.blocks, written + further, last)
+    last = files_line(written) | next_line(*steps)
+    output.print_result(result.summary, result.blocks, written, last)
     return 0 if result.consistent and any(each.shown for each in result.numbers) else 1

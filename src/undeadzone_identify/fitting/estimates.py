@@ -289,15 +289,15 @@ def build_answer(
     tick(1)
     values = problem.decode_points(point[None])[0]
     scores = score_readings(problem, point)
-    checks = check_scores(problem, point, scores)
+    prediction = problem.record_lanes(point[None]).prediction[0]
+    t, y, u, _ = problem.whole[1:]
+    checks = check_scores(u, prediction, scores)
     ends = zip(values.tolist(), intervals.low.tolist(), intervals.high.tolist(), strict=True)
     numbers = []
     for i, (number, end) in enumerate(zip(problem.free, ends, strict=True)):
         reach = number[1:4]
         note = _note_number(problem, intervals, values, i)
         numbers.append(FittedNumber(number.name, *end, *reach, bool(intervals.shown[i]), note))
-    prediction = problem.record_lanes(point[None]).prediction[0]
-    t, y, *_ = problem.whole[1:]
     return Fitted(
         scenario=_write_numbers(problem, values, delay),
         numbers=tuple(numbers),

@@ -174,12 +174,16 @@ def search_maximum(
     noises = np.array([each.is_noise for each in problem.free])
     hot = HOT * np.array([np.nanstd(problem.whole.y), np.nanstd(problem.whole.u)])
     started = np.array([each.is_start for each in problem.free])
-    point = problem.start
-    for count, share in _PLAN["first"] if started.any() else ():
-        point, _ = climb(
-            problem.keep_first(count), point, np.array(share) * hot, 25, ~started, tick
-        )
-    points[:, noises | started] = point[noises | started]
+
+    def seek_start(point: Floats) -> Floats:
+        """Return a point with the x(0) that the first readings show."""
+        for count, share in _PLAN["first"]:
+            point, _ = climb(
+                problem.keep_first(count), point, np.array(share) * hot, 25, ~started, tick
+            )
+        return point
+
+    points[:, noises | started] = seek_start(problem.start)[noises | started]
 
     def run_stage(place: int, peaks: Peaks, share: float, count: int, most: int) -> Peaks:
         """Return the peaks of a stage, known or computed."""
@@ -188,7 +192,10 @@ def search_maximum(
             """Yield the peaks of the stage."""
             frozen = noises & (share > 0)
             found = []
-            for point in peaks.keep_best(count).points:
+            points = peaks.keep_best(count).points
+            if place == len(_PLAN["stages"]):  # x(0) by the numbers found
+                points = np.array([*map(seek_start, points)])
+            for point in points:
                 top, value = climb(problem, point, share * hot, most, frozen, tick)
                 found.append([top.tolist(), value])
             yield 0, found
