@@ -97,10 +97,10 @@ EFFECTS = {
         INPUT,
     ),
     "low end": Effect(
-        "below an edge of the command the reading stays at its least value", KEEP, INPUT
+        "at one end of the commands the reading stays at its least value", KEEP, INPUT
     ),
     "high end": Effect(
-        "above an edge of the command the reading stays at its largest value", KEEP, INPUT
+        "at one end of the commands the reading stays at its largest value", KEEP, INPUT
     ),
     "curve": Effect(
         "the reading follows a curve of the command",
