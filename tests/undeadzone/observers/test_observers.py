@@ -262,7 +262,7 @@ def test_default_gain_is_certified_in_either_time() -> None:
 
 def test_a_list_of_gains_needs_one_output() -> None:
     with pytest.raises(
-        ShapeError, match=r"observer.L: expected 2 x 2 \(states x outputs\), found a list of 2"
+        ShapeError, match=r"observer.L: expected a 2 x 2 matrix .*, found a list of 2"
     ):
         Certified(L=L).build(linear([[0.0, 1.0], [-1.0, -2.0]], [[0.0], [1.0]], np.eye(2)), zone(2))
 

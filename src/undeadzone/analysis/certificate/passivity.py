@@ -159,9 +159,7 @@ def passive_gain(linear: Matrices, Ts: float | None) -> Floats:
     """
     A, _, C = delta_form(linear, Ts)
     if largest_growth_rate(A, Ts) >= 0:
-        raise StructureError(
-            "the model is not stable: no gain is passive"
-        )
+        raise StructureError("the model is not stable: no gain is passive")
     q = 2 * float(np.linalg.norm(A, 2))
     P = storage_of(linear.A, q * np.eye(A.shape[0]), Ts)
     if Ts is None:
@@ -201,7 +199,8 @@ def instability_reason(errors: Dynamics) -> str:
         return (
             f"the model is unstable{where}, growth rate {fastest:.4g} 1/s: "
             "while the sensor is silent nothing holds the error, so no common V exists"
-            + "; no gamma > 0 learns a width (an odd number of unstable poles)" * holds_no_width(A)
+            + "; no gamma > 0 learns a width (an odd number of unstable poles)"
+            * holds_no_width(A)
         )
     if fastest < -1e-12 * size:
         return ""
