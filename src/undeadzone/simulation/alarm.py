@@ -14,8 +14,10 @@ from typing import Final
 import numpy as np
 
 FALSE_ALARMS: Final = 30 * 86400.0  # time between two false alarms [s]
-PEAK: Final = 5.5  # mean excess of a peak over a high level [quarter periods]
-APART: Final = 150.0  # time between two peaks, extrapolated to 0, likewise (bench `alarm`)
+PEAK: Final = (
+    5.0  # mean excess of a peak over a high level [quarter periods] (`python -m benchmarks alarm`)
+)
+APART: Final = 40.0  # time between two peaks, extrapolated to a level of 0, likewise
 
 
 class Alarm:
