@@ -10,7 +10,7 @@ import undeadzone as uz
 from benchmarks.markdown import head, row
 from undeadzone.plants.build import system
 from undeadzone.plants.system import time_scale
-from undeadzone.simulation.alarm import PEAK, Alarm
+from undeadzone.simulation.consistency import PEAK, Alarm
 from undeadzone.util.arrays import Floats
 
 PLANTS = {

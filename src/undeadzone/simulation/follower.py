@@ -25,8 +25,7 @@ from undeadzone.scenario.problem import (
     with_units,
 )
 from undeadzone.scenario.schema import Scenario, Units
-from undeadzone.simulation.alarm import Alarm
-from undeadzone.simulation.consistency import Consistency, Own, verdict_of
+from undeadzone.simulation.consistency import Alarm, Consistency, Own, verdict_of
 from undeadzone.simulation.online import Online, build_observer
 from undeadzone.simulation.sample_by_sample import numeric_along
 from undeadzone.util.arrays import Floats, require_number

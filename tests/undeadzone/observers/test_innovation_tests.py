@@ -30,8 +30,7 @@ from undeadzone.observers.filtering.innovation_tests import (
     start_scores,
     update_scores,
 )
-from undeadzone.simulation.alarm import Alarm
-from undeadzone.simulation.consistency import Own
+from undeadzone.simulation.consistency import Alarm, Own
 
 TS, RATE, N = 0.01, 2.0, 2500
 RIGHT, LEFT, NOISE = 1.0, 0.7, 0.02
