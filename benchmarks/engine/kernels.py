@@ -42,6 +42,12 @@ Forms are lanes, streams, slots and registers ({FIXED}).
 """
 
 
+def setting_text(form: Form) -> str:
+    """Return a form as `FIXED` contains it, for example 8,2,0,20. `piece` has no text."""
+    numbers = form[: 5 if form.branches else 4]
+    return ",".join(str(int(number)) for number in numbers)
+
+
 class Loop(NamedTuple):
     """A loop to compare.
 
@@ -105,15 +111,15 @@ def _forms(loops: Sequence[Loop], forms: Sequence[Form], rounds: int) -> list[st
     for loop in loops:
         work, options = _work_of(loop)
         own = assumed(work, **options)
-        titles.append(f"{loop.name} ({own.kernel.form.setting_text})")
+        titles.append(f"{loop.name} ({setting_text(own.kernel.form)})")
         programs = {"assumed": alone(own, work)}
         for form in forms:
             if form.streams * loop.options.get("n", 2) <= LONGEST:
-                programs[form.setting_text] = alone(formed(form, work, **options), work)
+                programs[setting_text(form)] = alone(formed(form, work, **options), work)
         seconds = least(programs, rounds, time.process_time)
         whole = seconds["assumed"]
         columns.append({name: f"{value / whole:.2f}" for name, value in seconds.items()})
-    names = [form.setting_text for form in forms]
+    names = [setting_text(form) for form in forms]
     code = f"Code for {machine.host_machine().processor} on {host_machine().processor}"
     lines = [f"{code}: time of a kernel in other forms over that in the assumed one.\n"]
     lines += head("form", *titles)
@@ -129,7 +135,7 @@ def _work_of(loop: Loop) -> tuple[Work, dict[str, Any]]:
 
 def formed(form: Form, work: Work, **options: Any) -> lanes_engine.Program:
     """The program in a form."""
-    with patch.dict(os.environ, {FIXED: form.setting_text}):
+    with patch.dict(os.environ, {FIXED: setting_text(form)}):
         return lanes_engine.build_program(work, **options)
 
 

@@ -227,7 +227,10 @@ def _estimate_stream(log: LiveLog, follower: Follower, store: SavedWatch, as_jso
                     for begins, samples in log.pieces(data, last):
                         if begins:
                             follower.restart()
+                        before = follower.alarm.count
                         estimate, sides, _ = follower.follow(samples)
+                        if follower.alarm.count > before:
+                            print_line(f"alarm: readings do not fit, t = {samples.t[-1]}", err=True)
                         if header:
                             lines.append(_csv_header(estimate, sides))
                             header = False

@@ -58,14 +58,6 @@ class Form(NamedTuple):
     branches: int = 0
     piece: int = 5000
 
-    @property
-    def setting_text(self) -> str:
-        """Return the form as `FIXED` contains it, for example 8,2,0,20. `piece` has no
-        text.
-        """
-        numbers = self[: 5 if self.branches else 4]
-        return ",".join(str(int(number)) for number in numbers)
-
     def is_cut(self, instructions: int) -> bool:
         """Return whether a step of the given number of instructions is split into
         functions.

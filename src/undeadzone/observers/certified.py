@@ -31,8 +31,10 @@ class Certified(Options, frozen=True, kw_only=True, tag="certified"):
 
     Attributes:
         L: gains (n x p) [1/s x state/output], default along P^-1 C', so strong that a lasting error
-            of the model moves z^ by five sixths of it (always certified, for stable plants only).
-        gamma: adaptation gain, one or one per output [1/s] (default three mean poles of the plant).
+            of the model moves z^ by half of it (always certified). For integrators, undamped and
+            unstable poles, which no certificate covers: poles of A - L C of half the mean pole.
+        gamma: adaptation gain, one or one per output [1/s] (default three mean poles of the plant,
+            0 where no gain learns a width: an odd number of unstable poles, no integrator).
         design: a file saved by `Design.save`, in place of L and gamma. Its proof is checked again
             for the model.
         start: x^(0), one number or one per state.

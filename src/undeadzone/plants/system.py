@@ -293,12 +293,10 @@ UNSTABLE = 2.0  # poles of the loop around an unstable pole, at least, in that p
 STILL = 1e-6  # of |A|, balanced: a pole this close to 0 is an integrator's
 
 
-def moving_pole_sizes(A: Floats) -> Floats:
-    """Return |pole| of x' = A x [1/s] for each pole that is not an integrator's.
-
-    Empty for a chain of integrators.
-    """
-    return np.abs(_find_moving_poles(A))
+def holds_no_width(A: Floats) -> bool:
+    """Return whether x' = A x has an odd number of unstable poles and no integrator."""
+    poles = _find_moving_poles(A)
+    return len(poles) == len(A) and bool((poles.real > 0).sum() % 2)
 
 
 def _find_moving_poles(A: Floats) -> np.ndarray:
@@ -314,7 +312,7 @@ def moving_poles(model: System) -> Floats:
 
     One rate of 1 for a chain of integrators.
     """
-    moving = moving_pole_sizes(model.continuous.A)
+    moving = np.abs(_find_moving_poles(model.continuous.A))
     return moving if moving.size else np.ones(1)
 
 

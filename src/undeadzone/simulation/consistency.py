@@ -16,7 +16,6 @@ import numpy as np
 
 from undeadzone.compile import interpret
 from undeadzone.interfaces import (
-    ASSUMPTION_CHECKS,
     MOST_SQUARE,
     Estimate,
     describe_rejected_assumptions,
@@ -30,7 +29,11 @@ MOST_REFUSED: Final = (
     0.05  # share of readings, or censored samples, that may contradict the assumptions
 )
 FEWEST: Final = 30  # readings that a test needs
-MOST_OF_THE_TIME: Final = 0.5  # share of the record during which the assumptions may not hold
+FALSE_ALARMS: Final = 30 * 86400.0  # time between two false alarms [s]
+PEAK: Final = (
+    5.0  # mean excess of a peak over a high level [quarter periods] (`python -m benchmarks alarm`)
+)
+APART: Final = 40.0  # time between two peaks, extrapolated to a level of 0, likewise
 ROUNDING: Final = 1e-6  # of the size of z, by which z^ may be off without any noise
 
 
@@ -62,6 +65,49 @@ class Verdict(NamedTuple):
     claims: list[str]
 
 
+class Alarm:
+    """Alarm by a flag that may be wrong for a while, with a declared rate of false alarms.
+
+    `consistent` is 0 for some per cent of the time although all assumptions hold: tests look at
+    the latest quarter periods again and again. The alarm adds these times up, less those in which
+    the readings fit: a cumulative sum (Page 1954, doi:10.1093/biomet/41.1-2.100), whose peaks in
+    true logs are exponential. Its limit is the peak that they reach once in `FALSE_ALARMS`.
+
+    Args:
+        step: between two samples [s].
+        quarter: quarter period of the plant [s].
+
+    Attributes:
+        limit: samples without fit, less those with, that raise an alarm.
+        count: how many alarms there were.
+    """
+
+    SAVED: Final = ("count", "_excess", "_samples", "_change")
+
+    def __init__(self, step: float, quarter: float) -> None:
+        chances = max(FALSE_ALARMS / (APART * quarter), math.e)
+        self.limit = math.ceil(PEAK * quarter / step * math.log(chances))
+        self.count = 0
+        self._excess = 0
+        self._samples = 0
+        self._change = 0
+
+    def add(self, fits: np.ndarray) -> None:
+        """Add the next samples: whether the readings fit (N). An alarm begins the sum again."""
+        self._samples += len(fits)
+        for change in (1 - 2 * fits).tolist():
+            self._excess = max(self._excess + change, 0) % self.limit
+            self.count += change > self._excess
+            self._change = change
+
+    @property
+    def is_due(self) -> bool:
+        """Return whether the record as a whole does not fit: after an alarm. In a record too short
+        for one the end decides.
+        """
+        return self.count > 0 or self._samples < self.limit * self._change
+
+
 class Consistency:
     """The tests of one output, block after block.
 
@@ -70,10 +116,7 @@ class Consistency:
         quarter_period: of the plant [s].
     """
 
-    SAVED: Final = (
-        *("B", "used", "refused", "silent", "outside"),
-        *("_sums", "_squares", "_samples", "_exceeded"),
-    )
+    SAVED: Final = ("B", "used", "refused", "silent", "outside", "_sums", "_squares")
 
     def __init__(self, step: float, quarter_period: float) -> None:
         self.used = 0
@@ -83,8 +126,6 @@ class Consistency:
         self._graph = _graph()
         self._rates = np.exp(-step / quarter_period / np.array([SPAN, HISTORY]))
         self._squares = 0.0
-        self._samples = 0
-        self._exceeded = 0  # samples at which B was beyond its limit
         self.restart()
 
     def restart(self) -> None:
@@ -113,8 +154,6 @@ class Consistency:
         rows = np.column_stack([nu, counted])
         along, self._sums = interpret.run_interpreted(self._graph, self._sums, rows, self._rates)
         self.B = float(along[-1, 0])
-        self._samples += nu.size
-        self._exceeded += int((along[:, 0] > CHANCE).sum())
         return along[:, 0]
 
     def add_silences(self, estimate: Estimate, i: int, silent: Floats, band: float) -> None:
@@ -151,31 +190,20 @@ class Consistency:
         count = max(self.used - self.refused, 1)
         return max(MOST_SQUARE, 1 + 5 * math.sqrt(2 / count))
 
-    @property
-    def share_beyond_limit(self) -> float:
-        """Return the share of the samples at which B was beyond its limit."""
-        return self._exceeded / max(1, self._samples)
-
 
 class Own:
     """Results of a filter's own tests of its assumptions, block after block.
 
     Attributes:
         refused: readings that it took for wrong, so far.
+        last: bits of the assumptions that it rejected last, and the most suspect one (2).
     """
 
-    SAVED: Final = ("refused", "_last", "_samples", "_unfit", "_before", "_suspected")
+    SAVED: Final = ("refused", "last", "_before")
 
     def __init__(self) -> None:
-        self._last = np.zeros(
-            2
-        )  # bits of assumptions, and the most suspect one, at the last sample
-        self._suspected = np.zeros(
-            len(ASSUMPTION_CHECKS), int
-        )  # samples at which each was the likeliest
+        self.last = np.zeros(2)  # bits of assumptions, and the most suspect one, when last rejected
         self.refused = 0
-        self._samples = 0
-        self._unfit = 0
         self._before = 0  # refused before the filter began anew
 
     def restart(self) -> None:
@@ -185,28 +213,10 @@ class Own:
     def add(self, estimate: Estimate) -> None:
         """The next estimates, of a filter that judges itself."""
         fits = estimate.consistent[:, 0] > 0.5
-        self._samples += fits.size
-        self._unfit += int((~fits).sum())
-        suspects = estimate.suspect[~fits, 0].astype(int) - 1
-        self._suspected += np.bincount(suspects, minlength=len(ASSUMPTION_CHECKS))
+        for k in np.flatnonzero(~fits)[-1:]:
+            self.last = np.array([estimate.claims[k, 0], estimate.suspect[k, 0]])
         if fits.size:
-            self._last = np.array([estimate.claims[-1, 0], estimate.suspect[-1, 0]])
             self.refused = self._before + int(estimate.refused[-1].sum())
-
-    @property
-    def rejected_assumptions(self) -> list[str]:
-        """Return the assumptions rejected at the end, else the most suspect one if they seldom
-        held.
-        """
-        last = list_rejected_assumptions(*self._last)
-        if last or self.unfit <= MOST_OF_THE_TIME:
-            return last
-        return [list(ASSUMPTION_CHECKS)[int(self._suspected.argmax())]]
-
-    @property
-    def unfit(self) -> float:
-        """Return the share of the samples at which the assumptions were rejected."""
-        return self._unfit / max(1, self._samples)
 
 
 def _graph() -> ca.Function:
@@ -223,6 +233,7 @@ def _graph() -> ca.Function:
 def verdict_of(
     tests: list[Consistency],
     own: Own | None,
+    doubted: bool,
     widths: Floats,
     stds: Floats | None,
     diverged: bool,
@@ -233,6 +244,7 @@ def verdict_of(
     Args:
         tests: one for each output (none if the observer gives no innovation_std).
         own: results of the filter's own tests (None without them).
+        doubted: whether the readings do not fit for longer than chance explains (`Alarm.is_due`).
         widths: the final widths (2p) [z].
         stds: their standard deviations (2p) [z] (None if the observer gives none).
         diverged: whether an estimate left all bounds.
@@ -248,11 +260,11 @@ def verdict_of(
         refused = max(refused, own.refused)
     if refused > MOST_REFUSED * used and refused > 1:
         reasons.append(f"{_share(refused, max(used, refused))} of the readings cannot be right")
-    if own is None:
-        for test in tests:
-            reasons += _describe_large_sums(test)
-    else:
-        reasons += describe_rejected_assumptions(own.rejected_assumptions, options)
+    claims = list_rejected_assumptions(*own.last) if own is not None and doubted else []
+    B = max((test.B for test in tests), default=None)
+    if own is None and doubted:
+        reasons.append(f"the innovations' means are too large for long: B = {B:.3g} > {CHANCE:g}")
+    reasons += describe_rejected_assumptions(claims, options)
     for test in tests:
         reasons += _describe_contradictions(test)
     consistent: bool | None = not reasons
@@ -265,33 +277,19 @@ def verdict_of(
     squares = [test.square for test in tests if test.square is not None]
     return Verdict(
         consistent,
-        max((test.B for test in tests), default=None),
+        B,
         max(squares, default=None),
         used,
         refused,
         sum(test.outside for test in tests),
         list(dict.fromkeys(reasons)),
-        [] if own is None else own.rejected_assumptions,
+        claims,
     )
 
 
 def _share(count: int, of: int) -> str:
     """Return a share in percent."""
     return f"{100 * count / max(of, 1):.0f} %"
-
-
-def _describe_large_sums(test: Consistency) -> list[str]:
-    """Describe why the sums of innovations contradict the assumptions; empty if they do not.
-
-    Args:
-        test: test of one output. Its B is the mean square of the normalised sums of innovations,
-            1 on average if the assumptions hold.
-    """
-    if test.B > CHANCE:
-        return [f"the innovations' means are too large: B = {test.B:.3g} > {CHANCE:g}"]
-    if test.share_beyond_limit > MOST_OF_THE_TIME:
-        return [f"B exceeded {CHANCE:g} during {100 * test.share_beyond_limit:.0f} % of the record"]
-    return []
 
 
 def _describe_contradictions(test: Consistency) -> list[str]:

@@ -13,6 +13,7 @@ from undeadzone.logs.clock import Clock, Piece
 from undeadzone.logs.names import Layout
 from undeadzone.logs.range_ends import RunningEnds
 from undeadzone.logs.samples import MOST_UNREADABLE, Faults, LogReader, Placed, Regular
+from undeadzone.observers.filtering.prior import CHANCE
 from undeadzone.plants.system import state_units, time_scale
 from undeadzone.results.info import LogInfo
 from undeadzone.results.signals import last_values, signals_from_estimate
@@ -24,7 +25,7 @@ from undeadzone.scenario.problem import (
     with_units,
 )
 from undeadzone.scenario.schema import Scenario, Units
-from undeadzone.simulation.consistency import Consistency, Own, verdict_of
+from undeadzone.simulation.consistency import Alarm, Consistency, Own, verdict_of
 from undeadzone.simulation.online import Online, build_observer
 from undeadzone.simulation.sample_by_sample import numeric_along
 from undeadzone.util.arrays import Floats, require_number
@@ -58,6 +59,7 @@ class Follower:
         "_online",
         "_tests",
         "_own",
+        "alarm",
         "_counts",
         "_missing",
         "_repeats",
@@ -88,6 +90,8 @@ class Follower:
         self.samples = 0
         self._tests: list[Consistency] | None = None
         self._own: Own | None = None
+        self._times = self._scenario.simulation.step, time_scale(self.model.continuous)
+        self.alarm = Alarm(*self._times)
         # Of sides: right, left, silent, at a limit of the range.
         self._counts = np.zeros((4, self.model.p), int)
         self._missing = 0
@@ -192,14 +196,14 @@ class Follower:
             along[:, i] = test.add(estimate.innovation[:, i], estimate.innovation_std[:, i])
             if self.zone.kind == "deadzone" and self.zone.play is None:
                 test.add_silences(estimate, i, silent[:, i], float(band[i]))
+        fits = along <= CHANCE if self._own is None else estimate.consistent > 0.5
+        self.alarm.add(np.all(fits, axis=1))
         return along
 
     def _make_tests(self, estimate: Estimate) -> None:
         """The tests that estimates like this one allow."""
-        quarter = time_scale(self.model.continuous)
-        step = self._scenario.simulation.step
         outputs = estimate.innovation_std.shape[-1]
-        self._tests = [Consistency(step, quarter) for _ in range(outputs)]
+        self._tests = [Consistency(*self._times) for _ in range(outputs)]
         self._own = Own() if estimate.claims.shape[-1] else None
 
     def info(
@@ -232,7 +236,9 @@ class Follower:
         widths = np.concatenate([last.right, last.left])
         options = list(scenario.observer.__struct_fields__)
         tests = self._tests or []
-        verdict = verdict_of(tests, self._own, widths, stds, self._diverged, options)
+        verdict = verdict_of(
+            tests, self._own, self.alarm.is_due, widths, stds, self._diverged, options
+        )
         if unreadable > MOST_UNREADABLE * (self.samples - grid.gaps + unreadable):
             reason = "most of its lines cannot be read"
             verdict = verdict._replace(consistent=False, reasons=[*verdict.reasons, reason])

@@ -15,6 +15,7 @@ from typing import Any, cast
 import casadi as ca
 import numpy as np
 import pytest
+from benchmarks.engine.kernels import setting_text
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_engines import (
@@ -371,7 +372,7 @@ def test_a_form_tells_itself_as_the_environment_does(
     for instructions in (100, 3_000, 100_000):
         form = machine.choose_form(instructions, 64)
         for each in (form, *machine.alternative_forms(form)):
-            monkeypatch.setenv(FIXED, each.setting_text)
+            monkeypatch.setenv(FIXED, setting_text(each))
             assert environment_form() == each
 
 

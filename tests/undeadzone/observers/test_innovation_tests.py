@@ -30,7 +30,7 @@ from undeadzone.observers.filtering.innovation_tests import (
     start_scores,
     update_scores,
 )
-from undeadzone.simulation.consistency import Own
+from undeadzone.simulation.consistency import Alarm, Own
 
 TS, RATE, N = 0.01, 2.0, 2500
 RIGHT, LEFT, NOISE = 1.0, 0.7, 0.02
@@ -84,7 +84,7 @@ def test_what_is_no_number_is_not_consistent() -> None:
     assert list_rejected_assumptions(float(found["claims"]), float(found["suspect"])) == ["gust"]
     own, column = Own(), {name: np.array([[float(value)]]) for name, value in found.items()}
     own.add(Estimate(*[np.zeros((1, 1))] * len(Estimate._fields))._replace(**column))
-    assert own.rejected_assumptions == ["gust"]
+    assert list_rejected_assumptions(*own.last) == ["gust"]
 
 
 def followed(regress: Callable[[Any], Any], count: int = 400) -> dict[str, list[float]]:
@@ -244,16 +244,16 @@ def test_glued_logs_are_named_and_covered(assumptions: str, least: float) -> Non
     assert 1 - found.misses.mean(axis=0).max() >= least
 
 
-def test_a_log_that_seldom_fitted_names_what_was_likeliest() -> None:
-    own = Own()
-    parts: dict[str, Any] = {
-        "consistent": np.array([[0.0], [0.0], [0.0], [1.0]]),
-        "claims": np.array([[2.0], [2.0], [4.0], [0.0]]),
-        "suspect": np.array([[2.0], [2.0], [3.0], [0.0]]),
-        "refused": np.zeros((4, 1)),
-    }
-    own.add(Estimate(*[np.zeros((4, 0))] * len(Estimate._fields))._replace(**parts))
-    assert own.rejected_assumptions == [list(ASSUMPTION_CHECKS)[1]]
+@pytest.mark.parametrize("length", [3, 7])
+def test_an_alarm_takes_its_delay_in_blocks_of_any_length(length: int) -> None:
+    alarm = Alarm(1.0, 1.0)
+    assert Alarm(300.0, 300.0).limit < alarm.limit  # slow plants have fewer chances a month
+    for unfit, alarms in ((0, 0), (alarm.limit - 1, 0), (0, 0), (alarm.limit, 1), (9, 1)):
+        fits = np.arange(unfit + alarm.limit) >= unfit
+        for k in range(0, len(fits), length):
+            alarm.add(fits[k : k + length])
+            assert alarm.is_due == (alarm.count > 0)
+        assert alarm.count == alarms
 
 
 def of_scores(y: float, last: float, slope: float, refused: float = 0.0, **sums: Any) -> Any:

@@ -15,11 +15,13 @@ from scipy.linalg import solve_continuous_are
 
 from scenes import PAPER_PLANT, OnNumbers, linear, random_plant, scene, seeds, tables_of
 from undeadzone.analysis.certificate.passivity import certify
-from undeadzone.errors import InputError, ShapeError, StructureError
+from undeadzone.errors import InputError, ShapeError
 from undeadzone.nonlinearities import sensor
 from undeadzone.nonlinearities.sensor import Sensor, Zone, resolve
 from undeadzone.observers import Certified, Luenberger, Oracle
 from undeadzone.plants.system import System, sample_plant
+from undeadzone.scenario.problem import resolve_scenario
+from undeadzone.simulation.collect import certificate as certify_run
 from undeadzone.simulation.simulate import simulate
 from undeadzone.util.arrays import Floats
 from undeadzone_paper.observer import Printed
@@ -258,16 +260,44 @@ def test_default_gain_is_certified_in_either_time() -> None:
         assert run.largest_rise_of_V < 1e-9
 
 
-def test_a_list_of_gains_needs_one_output_and_a_default_needs_stability() -> None:
+def test_a_list_of_gains_needs_one_output() -> None:
     with pytest.raises(
-        ShapeError, match=r"observer.L: expected 2 x 2 \(states x outputs\), found 2 numbers"
+        ShapeError, match=r"observer.L: expected a 2 x 2 matrix .*, found a list of 2"
     ):
         Certified(L=L).build(linear([[0.0, 1.0], [-1.0, -2.0]], [[0.0], [1.0]], np.eye(2)), zone(2))
-    for build in (Certified, Oracle):
-        with pytest.raises(
-            StructureError, match=r"observer.L: missing. There is a default only for a stable model"
-        ):
-            build().build(linear([[0.0, 1.0], [1.0, 0.0]], [[0.0], [1.0]], [[1.0, 0.0]]), ZONE)
+
+
+@pytest.mark.parametrize("time", ["continuous", "sampled"])
+@pytest.mark.parametrize(
+    ("A", "reason", "bound", "widths"),
+    [
+        ([[0.0, 1.0], [0.0, -2.0]], "marginally stable", 0.1, None),
+        ([[0.0, 1.0], [0.0, 0.0]], "chain of integrators", 0.12, None),
+        ([[0.0, 1.0], [-4.0, 0.0]], "undamped mode", 0.01, [0.8, 0.6]),
+        ([[0.0, 1.0], [-1.0, 0.6]], "growth rate 0.3", 0.01, [0.8, 0.6]),
+        ([[0.0, 1.0], [1.0, -1.0]], "no gamma > 0 learns a width", 1.0, [0.3, 0.3]),
+    ],
+)
+def test_a_model_that_is_not_stable_has_default_gains_and_a_reason_without_proof(
+    time: str, A: list[list[float]], reason: str, bound: float, widths: list[float] | None
+) -> None:
+    """With an integrator alone the sum of the widths is found, with an odd number of unstable
+    poles none: they stay where they begin.
+    """
+    scenario = scene(
+        plant={"A": A, "B": [[0.0], [1.0]], "C": [[1.0, 0.0]]},
+        sensor={"right": 0.8, "left": 0.6},
+        observer={"method": "certified", "widths0": 0.3},
+        controller={"method": "state_feedback", "poles": [-2.0, -2.5]},
+        simulation={"time": time, "step": 0.02, "duration": 120.0},
+    )
+    run = simulate(scenario, check_step=False)
+    assert not run.info.certified
+    proof = certify_run(resolve_scenario(scenario))
+    assert proof is not None
+    assert reason in proof.reason
+    assert np.abs(run.z - run.z_hat)[-1000:].max() < bound
+    assert run.d_hat[-1].sum() == pytest.approx(1.4 if widths is None else sum(widths), abs=0.01)
 
 
 # --- Luenberger ---

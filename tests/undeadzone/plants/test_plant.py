@@ -33,7 +33,6 @@ from undeadzone.plants.system import (
     System,
     fastest_pole,
     linearise_plant,
-    moving_pole_sizes,
     moving_poles,
     sample_plant,
     time_scale,
@@ -272,7 +271,6 @@ def test_integrators_are_no_moving_poles() -> None:
     """Poles 0, 0, -2, -8: a quarter period of each that moves, and their geometric mean."""
     A = np.diag([0.0, 0.0, -2.0, -8.0])
     plant = system(Plant(A=A, B=np.ones((4, 1)), C=np.ones((1, 4))))
-    assert sorted(moving_pole_sizes(A)) == pytest.approx([2.0, 8.0])
     assert sorted(moving_poles(plant)) == pytest.approx([2.0, 8.0])
     assert fastest_pole(plant) == pytest.approx(8.0)
     assert time_scale(plant.linear) == pytest.approx(np.pi / 2 / 4.0)
@@ -282,7 +280,6 @@ def test_integrators_are_no_moving_poles() -> None:
 
 def test_a_chain_of_integrators_has_a_rate_and_a_time_of_1() -> None:
     plant = system(Plant(integrators=3))
-    assert moving_pole_sizes(plant.linear.A).size == 0
     assert moving_poles(plant).tolist() == [1.0]
     assert time_scale(plant.linear) == 1.0
 

@@ -31,7 +31,7 @@ from undeadzone.analysis.error_dynamics import (
 from undeadzone.errors import StructureError
 from undeadzone.linalg.matrices import Matrices, change_state_units, delta_form, symmetric_part
 from undeadzone.linalg.riccati import storage_of
-from undeadzone.plants.system import state_units
+from undeadzone.plants.system import holds_no_width, state_units
 from undeadzone.util.arrays import Floats
 
 
@@ -159,9 +159,7 @@ def passive_gain(linear: Matrices, Ts: float | None) -> Floats:
     """
     A, _, C = delta_form(linear, Ts)
     if largest_growth_rate(A, Ts) >= 0:
-        raise StructureError(
-            "observer.L: missing. There is a default only for a stable model, give L"
-        )
+        raise StructureError("the model is not stable: no gain is passive")
     q = 2 * float(np.linalg.norm(A, 2))
     P = storage_of(linear.A, q * np.eye(A.shape[0]), Ts)
     if Ts is None:
@@ -201,6 +199,8 @@ def instability_reason(errors: Dynamics) -> str:
         return (
             f"the model is unstable{where}, growth rate {fastest:.4g} 1/s: "
             "while the sensor is silent nothing holds the error, so no common V exists"
+            + "; no gamma > 0 learns a width (an odd number of unstable poles)"
+            * holds_no_width(A)
         )
     if fastest < -1e-12 * size:
         return ""
