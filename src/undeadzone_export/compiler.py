@@ -9,7 +9,6 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 from undeadzone.errors import InputError
@@ -39,7 +38,7 @@ def require_compiler() -> str:
     return command
 
 
-def write_sources(files: dict[str, str], folder: Path) -> list[Path]:
+def write_sources(files: dict[str, str], folder: Path) -> list[str]:
     """Write files into a folder and return the paths of the C files.
 
     Args:
@@ -48,10 +47,10 @@ def write_sources(files: dict[str, str], folder: Path) -> list[Path]:
     """
     for name, text in files.items():
         (folder / name).write_text(text, encoding="utf-8")
-    return [folder / name for name in files if name.endswith(".c")]
+    return [str(folder / name) for name in files if name.endswith(".c")]
 
 
-def compile_library(sources: list[Path], out: Path, options: tuple[str, ...] = ("-O1",)) -> Path:
+def compile_library(sources: list[str], out: Path, options: tuple[str, ...] = ("-O1",)) -> Path:
     """Compile C into a shared library.
 
     Args:
@@ -63,12 +62,10 @@ def compile_library(sources: list[Path], out: Path, options: tuple[str, ...] = (
         InputError: there is no compiler, or it refuses.
     """
     command = require_compiler()
-    folder = sources[0].parent
-    files = [path.name for path in sources]
     every = [*FLAGS, *options, "-fPIC", "-shared", "-o", str(out.absolute())]
     for extra in (["-fstack-usage"], []):  # a compiler that does not know the first gets none
-        line = [command, *extra, *every, *files, "-lm"]
-        finish = _run_compiler(line, folder)
+        line = [command, *extra, *every, *sources, "-lm"]
+        finish = _run_compiler(line, out.parent)
         if finish.returncode == 0:
             break
     if finish.returncode or not out.exists():
@@ -77,7 +74,7 @@ def compile_library(sources: list[Path], out: Path, options: tuple[str, ...] = (
     return out
 
 
-def _run_compiler(line: Sequence[str | Path], folder: Path) -> subprocess.CompletedProcess[str]:
+def _run_compiler(line: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
     """Run a compiler in a folder. Raises InputError if it cannot be run.
 
     Whatever stops this process ends the compiler with all processes that it has started, and takes
@@ -85,7 +82,7 @@ def _run_compiler(line: Sequence[str | Path], folder: Path) -> subprocess.Comple
     """
     with open_scratch() as scratch:
         try:
-            process: subprocess.Popen[str] = subprocess.Popen(
+            process = subprocess.Popen(
                 line,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
@@ -174,5 +171,5 @@ def run_selftest(files: dict[str, str]) -> tuple[bool, str]:
         built = _run_compiler(make, folder)
         if built.returncode:
             return False, built.stderr.strip()[:500]
-        done = subprocess.run([str(folder / "tested")], capture_output=True, text=True)
+        done = subprocess.run([folder / "tested"], capture_output=True, text=True)
     return done.returncode == 0, done.stdout.strip()

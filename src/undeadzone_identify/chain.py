@@ -166,7 +166,7 @@ def run_snippet_chain(lost: Lost, signal: Floats, folder: Path) -> FirmwareChain
         called = f"float call(float x);\nfloat call(float x) {{ return {name}(x); }}\n"
         snippet = (folder / "snippet" / "snippet.h").read_text(encoding="utf-8")
         write_text(snippet + called, main)
-        call = ctypes.CDLL(str(compile_library([main], scratch / "axis.so"))).call
+        call = ctypes.CDLL(str(compile_library([str(main)], scratch / "axis.so"))).call
         call.restype = ctypes.c_float
         call.argtypes = [ctypes.c_float]
         compiled = np.array(list(map(call, signal.tolist())))

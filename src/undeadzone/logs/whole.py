@@ -186,14 +186,15 @@ def to_numbers(title: str, values: Any) -> Floats:
     if values.dtype.kind == "M":
         values = values - np.fmin.reduce(values, axis=None)
     if values.dtype.kind == "m":
-        values = values / np.timedelta64(1, "ns") * 1e-9
+        values = values / np.timedelta64(1, "s")
     if values.dtype.kind in "OSU":
-        texts = [str(value) for value in values.astype(object).ravel()]
+        texts = list(map(str, values.ravel().tolist()))
         found = numbers_of_texts(texts, lambda text: parse_cell(text, "."))
         values = found.reshape(values.shape) if np.isfinite(found).any() else np.empty(0)
     if values.dtype.kind not in "iufb":
-        found = f"{title}: expected numbers or times, found {values.dtype}"
-        raise FileError(f"{found}. Convert the column, or leave it out")
+        raise FileError(
+            f"{title}: expected numbers or times, found {values.dtype}. Convert it, or leave it out"
+        )
     return values.astype(float)
 
 

@@ -56,16 +56,16 @@ def load(path: Path, parts: Mapping[str, Any], digest: str) -> None:
         FileError: it cannot be read, has another content, or belongs to another object.
     """
     cure = ". Name another file, or delete this one to begin anew"
-    saved = "no state saved by undeadzone, or a damaged one"
-    with convert_read_errors(path, saved, cure):
+    with convert_read_errors(path, "no state saved by undeadzone, or a damaged one", cure):
         arrays = load_arrays(path, LARGEST_TABLE)
         is_of_these = str(arrays[DIGEST]) == _whole(digest)
         if is_of_these:
             for owner, name, key in _stored_arrays(parts):
                 setattr(owner, name, _like(getattr(owner, name), arrays[key], key))
     if not is_of_these:
-        other = "the state of another observer (model, sensor, options, step or version)"
-        raise FileError(f"{path}: {other}{cure}")
+        raise FileError(
+            f"{path}: the state of another observer (model, sensor, options, step or version){cure}"
+        )
 
 
 def _whole(digest: str) -> str:

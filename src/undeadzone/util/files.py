@@ -94,8 +94,9 @@ def open_scratch() -> Iterator[Path]:
         with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as name:
             yield Path(name)
     except OSError as error:
-        reason = failure_reason(error)
-        raise FileError(f"temporary files: {reason}. Make room there, or set TMPDIR") from None
+        raise FileError(
+            f"temporary files: {failure_reason(error)}. Make room there, or set TMPDIR"
+        ) from None
 
 
 def to_path(name: Any) -> Path:
