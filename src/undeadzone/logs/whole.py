@@ -174,7 +174,7 @@ def _columns_of_titles(titled: Iterable[tuple[str, Any]]) -> Columns:
 
 
 def to_numbers(title: str, values: Any) -> Floats:
-    """Return an array as numbers: none of words; times become seconds since the first.
+    """Return an array as numbers: times in seconds since the first, no entry of words.
 
     Args:
         title: of the column, for messages.
@@ -188,9 +188,12 @@ def to_numbers(title: str, values: Any) -> Floats:
     if values.dtype.kind == "m":
         values = values / np.timedelta64(1, "s")
     if values.dtype.kind in "OSU":
-        texts = list(map(str, values.ravel().tolist()))
-        found = numbers_of_texts(texts, lambda text: parse_cell(text, "."))
-        values = found.reshape(values.shape) if np.isfinite(found).any() else np.empty(0)
+        found = numbers_of_texts(
+            list(map(str, values.ravel().tolist())), lambda text: parse_cell(text, ".")
+        )
+        if not np.isfinite(found).any():
+            return np.empty(0)
+        values = found.reshape(values.shape)
     if values.dtype.kind not in "iufb":
         raise FileError(
             f"{title}: expected numbers or times, found {values.dtype}. Convert it, or leave it out"
