@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import math
-import tempfile
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,6 +13,7 @@ import numpy as np
 from undeadzone.compile import interpret
 from undeadzone.compile.scalar_step import CompiledStepper
 from undeadzone.util.arrays import Floats, to_json_value
+from undeadzone.util.files import open_scratch
 from undeadzone_export.code import Code
 from undeadzone_export.compiler import compile_library, stack_bytes, write_sources
 from undeadzone_export.exported_step import Field, field_slices, total_size
@@ -116,8 +116,8 @@ def measure_accuracy(printed: Code, text: Source, rows: Floats) -> Accuracy:
     Raises:
         InputError: there is no C compiler.
     """
-    with tempfile.TemporaryDirectory() as name:
-        compiled = CompiledStep(printed, Path(name), text=text)
+    with open_scratch() as scratch:
+        compiled = CompiledStep(printed, scratch, text=text)
         if printed.single:
             return _compare_precisions(compiled, printed, rows)
         error = _machine_error(printed, compiled, rows[:MACHINE_STEPS])

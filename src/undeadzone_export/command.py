@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shlex
 import sys
-import tempfile
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,6 +22,7 @@ from undeadzone.cli.common import (
     shell_command,
     value_option,
 )
+from undeadzone.util.files import open_scratch
 from undeadzone.util.progress import terminal_progress as progress
 from undeadzone.util.text import count_noun
 
@@ -106,9 +106,9 @@ def export(
 
     problem = read(scenario, confine)
     usual = "live.html" if to == "page" else "firmware"
-    with tempfile.TemporaryDirectory() as scratch:
+    with open_scratch() as scratch:
         destination = out or (None if check else Path(usual))
-        folder = destination or Path(scratch) / "firmware"
+        folder = destination or scratch / "firmware"
         with progress("exporting", None, of=problem.observer):
             notify = partial(print_line, err=True)
             result = run(

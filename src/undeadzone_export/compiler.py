@@ -9,11 +9,10 @@ import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 from pathlib import Path
 
 from undeadzone.errors import InputError
-from undeadzone.util.files import failure_reason
+from undeadzone.util.files import failure_reason, open_scratch
 
 FLAGS = ("-std=c99", "-ffp-contract=off", "-fno-math-errno")
 SMALL = ("-Os", "-ffunction-sections", "-c")
@@ -39,7 +38,7 @@ def require_compiler() -> str:
     return command
 
 
-def write_sources(files: dict[str, str], folder: Path) -> list[Path]:
+def write_sources(files: dict[str, str], folder: Path) -> list[str]:
     """Write files into a folder and return the paths of the C files.
 
     Args:
@@ -48,10 +47,10 @@ def write_sources(files: dict[str, str], folder: Path) -> list[Path]:
     """
     for name, text in files.items():
         (folder / name).write_text(text, encoding="utf-8")
-    return [folder / name for name in files if name.endswith(".c")]
+    return [str(folder / name) for name in files if name.endswith(".c")]
 
 
-def compile_library(sources: list[Path], out: Path, options: tuple[str, ...] = ("-O1",)) -> Path:
+def compile_library(sources: list[str], out: Path, options: tuple[str, ...] = ("-O1",)) -> Path:
     """Compile C into a shared library.
 
     Args:
@@ -63,16 +62,15 @@ def compile_library(sources: list[Path], out: Path, options: tuple[str, ...] = (
         InputError: there is no compiler, or it refuses.
     """
     command = require_compiler()
-    folder = sources[0].parent
-    files = [path.name for path in sources]
     every = [*FLAGS, *options, "-fPIC", "-shared", "-o", str(out.absolute())]
     for extra in (["-fstack-usage"], []):  # a compiler that does not know the first gets none
-        line = [command, *extra, *every, *files, "-lm"]
-        finish = _run_compiler(line, folder)
+        line = [command, *extra, *every, *sources, "-lm"]
+        finish = _run_compiler(line, out.parent)
         if finish.returncode == 0:
             break
-    if finish.returncode:
-        raise InputError(f"{command} refuses the exported code: {finish.stderr.strip()[:500]}")
+    if finish.returncode or not out.exists():
+        why = finish.stderr.strip()[:500] or "nothing is compiled"
+        raise InputError(f"{command} refuses the exported code: {why}")
     return out
 
 
@@ -82,7 +80,7 @@ def _run_compiler(line: list[str], folder: Path) -> subprocess.CompletedProcess[
     Whatever stops this process ends the compiler with all processes that it has started, and takes
     its temporary files along.
     """
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as scratch:
+    with open_scratch() as scratch:
         try:
             process = subprocess.Popen(
                 line,
@@ -90,7 +88,7 @@ def _run_compiler(line: list[str], folder: Path) -> subprocess.CompletedProcess[
                 stderr=subprocess.PIPE,
                 text=True,
                 cwd=folder,
-                env=os.environ | {"TMPDIR": scratch},
+                env=os.environ | {"TMPDIR": str(scratch)},
                 start_new_session=sys.platform != "win32",
             )
         except OSError as error:
@@ -120,9 +118,8 @@ def object_bytes(command: str, files: tuple[tuple[str, str], ...]) -> int | None
     name, *options = command.split()
     if shutil.which(name) is None:
         return None
-    with tempfile.TemporaryDirectory() as scratch:
-        folder = Path(scratch)
-        sources = [path.name for path in write_sources(dict(files), folder)]
+    with open_scratch() as folder:
+        sources = write_sources(dict(files), folder)
         _run_compiler([name, *options, *FLAGS, *SMALL, "-o", "flash.o", *sources], folder)
         listed = _run_compiler([name.removesuffix("gcc") + "size", "flash.o"], folder).stdout
     sizes = re.findall(r"\d+", listed)
@@ -169,11 +166,10 @@ def run_selftest(files: dict[str, str]) -> tuple[bool, str]:
         InputError: there is no compiler.
     """
     command = require_compiler()
-    with tempfile.TemporaryDirectory() as name:
-        sources = [path.name for path in write_sources(files, Path(name))]
-        make = [command, *FLAGS, "-O2", "-o", "tested", *sources, "-lm"]
-        built = _run_compiler(make, Path(name))
+    with open_scratch() as folder:
+        make = [command, *FLAGS, "-O2", "-o", "tested", *write_sources(files, folder), "-lm"]
+        built = _run_compiler(make, folder)
         if built.returncode:
             return False, built.stderr.strip()[:500]
-        done = subprocess.run([str(Path(name, "tested"))], capture_output=True, text=True)
+        done = subprocess.run([folder / "tested"], capture_output=True, text=True)
     return done.returncode == 0, done.stdout.strip()

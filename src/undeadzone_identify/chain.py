@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -12,7 +11,7 @@ import numpy as np
 
 from undeadzone.errors import InputError
 from undeadzone.util.arrays import Floats, to_json_value
-from undeadzone.util.files import write_text
+from undeadzone.util.files import open_scratch, write_text
 from undeadzone.util.text import append_unit
 
 if TYPE_CHECKING:
@@ -162,12 +161,12 @@ def run_snippet_chain(lost: Lost, signal: Floats, folder: Path) -> FirmwareChain
 
     report = write_lost(lost, folder / "snippet", None, False)
     name = NAMES[lost.kind]
-    with tempfile.TemporaryDirectory() as scratch:
-        main = Path(scratch) / "axis.c"
+    with open_scratch() as scratch:
+        main = scratch / "axis.c"
         called = f"float call(float x);\nfloat call(float x) {{ return {name}(x); }}\n"
         snippet = (folder / "snippet" / "snippet.h").read_text(encoding="utf-8")
         write_text(snippet + called, main)
-        call = ctypes.CDLL(str(compile_library([main], Path(scratch) / "axis.so"))).call
+        call = ctypes.CDLL(str(compile_library([str(main)], scratch / "axis.so"))).call
         call.restype = ctypes.c_float
         call.argtypes = [ctypes.c_float]
         compiled = np.array(list(map(call, signal.tolist())))
@@ -199,8 +198,8 @@ def firmware_errors(scenario: Scenario, found: Estimation, code: Code) -> tuple[
     from undeadzone_export.exported_step import field_slices
 
     z = found.z_hat if found.z_smooth is None else found.z_smooth
-    with tempfile.TemporaryDirectory() as scratch:
-        outputs = CompiledStep(code, Path(scratch))(np.hstack([found.y, found.u]))
+    with open_scratch() as scratch:
+        outputs = CompiledStep(code, scratch)(np.hstack([found.y, found.u]))
     estimated = outputs[:, field_slices(code.step.outputs)["z"]]
     return _rms_ignoring_nan(found.y / np.asarray(scenario.sensor.slope) - z), _rms_ignoring_nan(
         estimated - z

@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from glob import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,6 +35,7 @@ from undeadzone.cli.common import (
 from undeadzone.cli.ending import defer_signals
 from undeadzone.cli.output import next_line
 from undeadzone.errors import FileError, Terminated
+from undeadzone.util.files import lock_file
 from undeadzone.util.progress import terminal_progress as progress
 
 if TYPE_CHECKING:
@@ -135,6 +137,8 @@ def watch(
 class SavedWatch:
     """State of the watch, saved in a file. Read at the start if the file exists.
 
+    A lock beside it refuses a second watch, and lets what a killed one left be removed.
+
     Args:
         path: of the file (None: nothing is saved).
         every: time between two savings [s].
@@ -148,11 +152,16 @@ class SavedWatch:
         self._digest = follower.digest
         self._saved = time.monotonic()
         self._failures = 0
-        if path is not None and path.exists():
-            from undeadzone.simulation.saved_state import load
+        if path is None:
+            return
+        from undeadzone.simulation import saved_state
 
-            load(path, self._parts, self._digest)
-            follower.go_on()
+        with lock_file(path.with_name(f".{path.name}.lock"), "a+") as self._lock:
+            for left in path.parent.glob(f".{escape(path.stem)}-????????{path.suffix}"):
+                left.unlink(missing_ok=True)  # of a watch that was killed
+            if path.exists():
+                saved_state.load(path, self._parts, self._digest)
+                follower.go_on()
 
     def save_state(self, when_due: bool = False) -> None:
         """Replace the file.
@@ -166,11 +175,11 @@ class SavedWatch:
         """
         if self._path is None or (when_due and time.monotonic() - self._saved < self._every):
             return
-        from undeadzone.simulation.saved_state import save
+        from undeadzone.simulation import saved_state
 
         self._saved = time.monotonic()
         try:
-            save(self._path, self._parts, self._digest)
+            saved_state.save(self._path, self._parts, self._digest)
         except FileError as error:
             if not when_due:
                 raise
@@ -237,7 +246,7 @@ def _estimate_stream(log: LiveLog, follower: Follower, store: SavedWatch, as_jso
                         lines.append(text(samples.t, estimate, sides))
             finally:
                 while lines:
-                    _write_stdout(lines.pop(0))
+                    click.echo(lines.pop(0), nl=False)
         store.save_state()
     except (KeyboardInterrupt, Terminated):
         store.save_state()
@@ -264,11 +273,6 @@ def _print_log_summary(info: LogInfo, as_json: bool) -> None:
         )
 
 
-def _write_stdout(text: bytes) -> None:
-    """Write bytes to stdout immediately."""
-    click.echo(text, nl=False)
-
-
 def _estimate_columns(estimate: uz.Estimate, sides: Floats) -> dict[str, Floats]:
     """Return the parts of estimates, and the measured branches, by the names of their columns."""
     from undeadzone.interfaces import COLUMNS
@@ -278,10 +282,9 @@ def _estimate_columns(estimate: uz.Estimate, sides: Floats) -> dict[str, Floats]
 
 def _csv_header(estimate: uz.Estimate, sides: Floats) -> bytes:
     """Return the names of the columns of a CSV file: t, x_hat[0], ..."""
-    names = ["t"]
-    for name, part in _estimate_columns(estimate, sides).items():
-        names += [f"{name}[{i}]" for i in range(part.shape[1])]
-    return ",".join(names).encode() + b"\n"
+    parts = _estimate_columns(estimate, sides).items()
+    names = [f",{name}[{i}]" for name, part in parts for i in range(part.shape[1])]
+    return f"t{''.join(names)}\n".encode()
 
 
 def _to_csv_lines(t: Floats, estimate: uz.Estimate, sides: Floats) -> bytes:

@@ -21,6 +21,7 @@ import numpy as np
 from undeadzone.logs.samples import (
     JITTER,
     LONGEST,
+    REPEATED,
     TOLERANCE,
     Fault,
     Faults,
@@ -95,8 +96,11 @@ class Clock:
 
     @property
     def measured(self) -> float | None:
-        """Return the usual time between two of the first lines [s]; None without times."""
+        """Return the usual time between two of the first lines [s]; None without times, or where
+        they go to and fro."""
         intervals = np.diff(self._first)
+        if np.count_nonzero(intervals < 0) > REPEATED * intervals.size:
+            return None
         return usual_step(intervals[intervals > 0])
 
     def place_samples(

@@ -291,6 +291,7 @@ def parse_cell(cell: str, mark: str) -> float | None:
         cell: its text.
         mark: the decimal mark, `.` or `,`; "" for either.
     """
+    cell = cell.replace("\N{MINUS SIGN}", "-")
     if cell.lower() in MISSING:
         return math.nan
     other = OTHER.get(mark, "")

@@ -5,13 +5,12 @@ Nothing in a file is ever executed.
 
 from __future__ import annotations
 
-import contextlib
 import io
 import itertools
 import json
 import math
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple
 
@@ -36,9 +35,9 @@ from undeadzone.util.arrays import Floats
 from undeadzone.util.files import (
     LARGEST_RUN,
     LARGEST_TABLE,
+    convert_read_errors,
     load_arrays,
     read_bytes,
-    unreadable_file,
 )
 
 JSON_LINES: Final = (".jsonl", ".ndjson")  # endings of files of JSON objects, one a line
@@ -165,33 +164,46 @@ def of_frame(frame: Any) -> Columns:
     index = np.asarray(frame.index)
     unnamed = "time" if index.dtype.kind in "mM" else ""
     titled.insert(0, (str(frame.index.name or unnamed), index))
-    columns = []
-    for title, values in titled:
-        if values.dtype.kind == "M":
-            values = values - values[0]
-        if values.dtype.kind == "m":
-            values = values / np.timedelta64(1, "ns") * 1e-9
-        if values.dtype.kind in "iufb":
-            columns.append((split_unit(title), values.astype(float)))
-    return columns
+    return _columns_of_titles(titled)
 
 
-@contextlib.contextmanager
-def _naming(path: Path) -> Iterator[None]:
-    """Name the file in the errors of its decoders, of any type for a damaged file."""
-    try:
-        yield
-    except InputError:
-        raise
-    except (OSError, ValueError) as error:
-        raise unreadable_file(path, error) from None
-    except Exception as error:
-        raise FileError(f"{path}: cannot read: {type(error).__name__}") from None
+def _columns_of_titles(titled: Iterable[tuple[str, Any]]) -> Columns:
+    """Return those of titled arrays that hold numbers."""
+    columns = [(split_unit(title), to_numbers(title, values)) for title, values in titled]
+    return [(title, column) for title, column in columns if column.size]
+
+
+def to_numbers(title: str, values: Any) -> Floats:
+    """Return an array as numbers: times in seconds since the first, no entry of words.
+
+    Args:
+        title: of the column, for messages.
+        values: of one type, of any shape; texts are read as the cells of a table.
+
+    Raises:
+        FileError: the type is another one, such as complex.
+    """
+    if values.dtype.kind == "M":
+        values = values - np.fmin.reduce(values, axis=None)
+    if values.dtype.kind == "m":
+        values = values / np.timedelta64(1, "s")
+    if values.dtype.kind in "OSU":
+        found = numbers_of_texts(
+            list(map(str, values.ravel().tolist())), lambda text: parse_cell(text, ".")
+        )
+        if not np.isfinite(found).any():
+            return np.empty(0)
+        values = found.reshape(values.shape)
+    if values.dtype.kind not in "iufb":
+        raise FileError(
+            f"{title}: expected numbers or times, found {values.dtype}. Convert it, or leave it out"
+        )
+    return values.astype(float)
 
 
 def of_npz(path: Path) -> Columns:
     """Return the arrays of an .npz file as columns. Raises FileError."""
-    with _naming(path):
+    with convert_read_errors(path):
         arrays = load_arrays(path, LARGEST_RUN)
         arrays.pop("info", None)
     return _columns_of(arrays, path)
@@ -203,7 +215,7 @@ def of_json_lines(path: Path) -> Columns:
     Args:
         path: the file. A key that an object lacks is a missing number.
     """
-    with _naming(path):
+    with convert_read_errors(path):
         lines = read_bytes(path, LARGEST_TABLE).decode().splitlines()
     rows = []
     for k, line in enumerate(lines, 1):
@@ -214,20 +226,17 @@ def of_json_lines(path: Path) -> Columns:
         if not isinstance(row, dict):
             raise FileError(f"{path}: line {k}: expected a JSON object, found {line[:40]!r}")
         rows += [row] * bool(row)
-    columns = []
-    for name in dict.fromkeys(itertools.chain.from_iterable(rows)):
-        texts = [str(row.get(name)) for row in rows]
-        column = numbers_of_texts(texts, lambda text: parse_cell(text, "."))
-        if np.isfinite(column).any():
-            columns.append((split_unit(name), column))
-    return columns
+    names = dict.fromkeys(itertools.chain.from_iterable(rows))
+    return _columns_of_titles(
+        (name, np.array([row.get(name) for row in rows], "U")) for name in names
+    )
 
 
 def of_mat(path: Path) -> Columns:
     """Return the variables of a .mat file as columns. Raises FileError."""
     from scipy.io import loadmat, whosmat
 
-    with _naming(path):
+    with convert_read_errors(path):
         content = read_bytes(path, LARGEST_TABLE)
         if is_matlab_73(content):
             return _columns_of(load_matlab_73(content, LARGEST_MATRICES), path)
@@ -267,9 +276,9 @@ def _columns_of(arrays: dict[str, Any], path: Path | str) -> Columns:
     Raises FileError.
     """
     usable = {
-        name: np.atleast_2d(array)
+        name: np.atleast_2d(to_numbers(name, array))
         for name, array in arrays.items()
-        if isinstance(array, np.ndarray) and array.dtype.kind in "iuf" and array.ndim in (1, 2)
+        if isinstance(array, np.ndarray) and array.ndim in (1, 2)
     }
     longest = max((max(array.shape) for array in usable.values()), default=0)
     columns: Columns = []
@@ -277,9 +286,7 @@ def _columns_of(arrays: dict[str, Any], path: Path | str) -> Columns:
         rows = array if len(array) == longest else array.T
         names = [name] if rows.shape[1] == 1 else [f"{name}[{k}]" for k in range(rows.shape[1])]
         if len(rows) == longest:
-            columns += [
-                (Title(one, ""), x) for one, x in zip(names, rows.T.astype(float), strict=True)
-            ]
+            columns += [(Title(one, ""), x) for one, x in zip(names, rows.T, strict=True)]
     if not columns:
         raise FileError(f"{path}: holds no arrays of numbers. It should hold t, y and u")
     return columns

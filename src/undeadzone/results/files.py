@@ -15,19 +15,16 @@ from typing import Any, BinaryIO, ClassVar, Final
 import msgspec
 import numpy as np
 
-from undeadzone.errors import FileError, InputError
+from undeadzone.errors import InputError
 from undeadzone.results.signals import Layout, Signals, signal_unit, signals_from_columns
 from undeadzone.util import files, shown
 from undeadzone.util.arrays import Floats
-from undeadzone.util.files import LARGEST_RUN, Name, replace_file, to_path, unreadable_file
+from undeadzone.util.files import LARGEST_RUN, Name, replace_file, to_path
 from undeadzone.util.text import escape_controls, escape_json_controls
 
 CHECKSUM: Final = '"sha256":"'  # the last key of the info in a `.csv`
 DIGITS: Final = 20  # bytes of a number in a `.csv`, about
 NO_SUM: Final = 64 * "0"
-
-# Exceptions of NumPy, msgspec and the zip file around them for a file that is not a run.
-NOT_A_RUN: Final = (*files.NO_ARRAYS, StopIteration, msgspec.DecodeError)
 
 
 @dataclasses.dataclass(frozen=True, eq=False, init=False, repr=False)
@@ -140,7 +137,7 @@ def read_result(path: Name, layout: Layout, kind: type[msgspec.Struct]) -> tuple
         kind: of the info.
     """
     path = to_path(path)
-    try:
+    with files.convert_read_errors(path, "not a run saved by undeadzone"):
         if path.suffix == ".csv":
             info, table = _read_csv(path, kind)
             return info, Signals(layout, signals_from_columns(table, layout))
@@ -148,10 +145,6 @@ def read_result(path: Name, layout: Layout, kind: type[msgspec.Struct]) -> tuple
         info = msgspec.json.decode(arrays["info"].tobytes(), type=kind)
         signals = {name: arrays[name] for name in layout.names if name in arrays}
         return info, Signals(layout, signals)
-    except OSError as error:
-        raise unreadable_file(path, error) from None
-    except NOT_A_RUN as error:
-        raise FileError(f"{path}: not a run saved by undeadzone ({error})") from None
 
 
 def _write_npz(path: Path, info: Any, signals: Mapping[str, Floats]) -> None:

@@ -16,10 +16,9 @@ import undeadzone
 from undeadzone.errors import FileError
 from undeadzone.util.files import (
     LARGEST_TABLE,
-    NO_ARRAYS,
+    convert_read_errors,
     load_arrays,
     replace_file,
-    unreadable_file,
 )
 
 DIGEST: Final = "digest"
@@ -56,23 +55,16 @@ def load(path: Path, parts: Mapping[str, Any], digest: str) -> None:
     Raises:
         FileError: it cannot be read, has another content, or belongs to another object.
     """
-    try:
+    cure = ". Name another file, or delete this one to begin anew"
+    with convert_read_errors(path, "no state saved by undeadzone, or a damaged one", cure):
         arrays = load_arrays(path, LARGEST_TABLE)
         is_of_these = str(arrays[DIGEST]) == _whole(digest)
         if is_of_these:
             for owner, name, key in _stored_arrays(parts):
                 setattr(owner, name, _like(getattr(owner, name), arrays[key], key))
-    except OSError as error:
-        raise unreadable_file(path, error) from None
-    except NO_ARRAYS as error:
-        raise FileError(
-            f"{path}: no state saved by undeadzone, or a damaged one ({error}). Name another file, "
-            "or delete this one to begin anew"
-        ) from None
     if not is_of_these:
         raise FileError(
-            f"{path}: the state of another observer (model, sensor, options, step or version). "
-            "Name another file, or delete this one to begin anew"
+            f"{path}: the state of another observer (model, sensor, options, step or version){cure}"
         )
 
 

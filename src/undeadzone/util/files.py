@@ -15,15 +15,34 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO, Final, TypeAlias
 
-from undeadzone.errors import FileError
+from undeadzone.errors import FileError, InputError
 from undeadzone.util.opening import open_descriptor, require_beneath
 
-# What NumPy and the zip file around arrays raise of a file that holds others, or none.
-NO_ARRAYS: Final = (ValueError, KeyError, TypeError)  # of a file that holds something else
 Name: TypeAlias = str | os.PathLike[str]  # of a file, as a program gives it
 LARGEST_TEXT: Final = 10_000_000  # [bytes] of a scenario, a design, a URDF
 LARGEST_TABLE: Final = 64_000_000  # [bytes] of a CSV file of signals
 LARGEST_RUN: Final = 4_000_000_000  # [bytes] of the signals of one run
+
+
+@contextmanager
+def convert_read_errors(
+    path: Path, otherwise: str = "cannot read", cure: str = ""
+) -> Iterator[None]:
+    """Provide a block that reads a file, whose failures of any kind become FileError.
+
+    Args:
+        path: of the file.
+        otherwise: what to say of a content that its decoders refuse.
+        cure: sentence that follows.
+    """
+    try:
+        yield
+    except InputError:
+        raise
+    except OSError as error:
+        raise unreadable_file(path, error) from None
+    except Exception as error:  # readers of zip archives and headers raise any kind
+        raise FileError(f"{path}: {otherwise} ({error}){cure}") from None
 
 
 @contextmanager
@@ -62,6 +81,22 @@ def replace_file(path: Path) -> Iterator[Path]:
         raise FileError(f"{path}: cannot write: {failure_reason(error)}") from None
     finally:
         Path(name).unlink(missing_ok=True)
+
+
+@contextmanager
+def open_scratch() -> Iterator[Path]:
+    """Provide a temporary folder, removed at the end.
+
+    Raises:
+        FileError: the system refuses a file there (a full disk, a limit, no such folder).
+    """
+    try:
+        with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as name:
+            yield Path(name)
+    except OSError as error:
+        raise FileError(
+            f"temporary files: {failure_reason(error)}. Make room there, or set TMPDIR"
+        ) from None
 
 
 def to_path(name: Any) -> Path:
@@ -243,17 +278,14 @@ def load_arrays(path: Path, largest: int) -> dict[str, Any]:
 
     Raises:
         OSError: with the `reason`, also if it is not a plain file.
-        ValueError: it is damaged, or something else.
+        Exception: of any kind, it is damaged, or something else.
     """
     import numpy as np
 
     with open_plain(path, largest) as opened:
-        try:
-            require_small_archive(opened, largest)
-            with np.load(opened, allow_pickle=False) as file:
-                return {name: file[name] for name in file.files}
-        except Exception as error:  # readers of zip archives and headers raise any kind
-            raise ValueError(error) from error
+        require_small_archive(opened, largest)
+        with np.load(opened, allow_pickle=False) as file:
+            return {name: file[name] for name in file.files}
 
 
 def require_small_archive(file: BinaryIO, largest: int) -> None:

@@ -5,10 +5,8 @@ from __future__ import annotations
 import io
 import platform
 import sys
-import tempfile
 import uuid
 import zipfile
-from pathlib import Path
 from typing import Any, Final, NamedTuple
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
@@ -17,6 +15,7 @@ from undeadzone.errors import InputError
 from undeadzone.interfaces import COLUMNS, QUANTITIES, Estimate
 from undeadzone.results.signals import quantity_unit
 from undeadzone.scenario.schema import Units
+from undeadzone.util.files import open_scratch
 from undeadzone.util.text import to_one_line
 from undeadzone_export import compiler
 from undeadzone_export.code import Code
@@ -323,10 +322,10 @@ def _model_header(printed: Code, report: dict[str, Any], version: int) -> str:
 
 def _build_binary(sources: dict[str, str]) -> bytes:
     """Compile the shared library and return its bytes."""
-    with tempfile.TemporaryDirectory() as name:
-        files = compiler.write_sources(sources, Path(name))
+    with open_scratch() as scratch:
+        files = compiler.write_sources(sources, scratch)
         options = ("-O2", "-fvisibility=hidden")
-        return compiler.compile_library(sorted(files), Path(name, "model.so"), options).read_bytes()
+        return compiler.compile_library(sorted(files), scratch / "model.so", options).read_bytes()
 
 
 def _zip_contents(contents: dict[str, str | bytes]) -> bytes:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -30,6 +29,7 @@ from undeadzone.simulation.simulate import name_outputs
 from undeadzone.util import toml, tree
 from undeadzone.util.answers import require_same_problem
 from undeadzone.util.arrays import Floats, Integers
+from undeadzone.util.files import open_scratch
 from undeadzone.util.progress import notebook_progress
 from undeadzone_studies.ensemble import run_blocks, saved
 from undeadzone_studies.ensemble.batch import Batch, prepare_batch
@@ -190,8 +190,8 @@ def replay_saved(path: Path, number: int, confine: Path | None) -> tuple[Run, fl
 
 def _compute_in_memory(batch: Batch, compute: Callable[[Path], Store]) -> Ensemble:
     """Return the result of a store in a temporary folder."""
-    with tempfile.TemporaryDirectory() as folder:
-        store = compute(Path(folder) / "runs.partial")
+    with open_scratch() as folder:
+        store = compute(folder / "runs.partial")
         result = _build_ensemble(batch, store)
         varied = {name: np.array(column) for name, column in result.varied.items()}
         metrics = {name: np.array(column) for name, column in result.metrics.items()}

@@ -16,10 +16,10 @@ from typing import Any, BinaryIO, Final
 import msgspec
 import numpy as np
 
-from undeadzone.errors import FileError, InputError
+from undeadzone.errors import InputError
 from undeadzone.scenario.schema import Units
 from undeadzone.util.arrays import Floats
-from undeadzone.util.files import Name, failure_reason, open_plain, replace_file, to_path
+from undeadzone.util.files import Name, convert_read_errors, open_plain, replace_file, to_path
 from undeadzone_studies.ensemble.metrics import Bands
 
 HEADER: Final = "undeadzone"
@@ -243,18 +243,12 @@ def save_ensemble_file(
 def read_ensemble(path: Name) -> tuple[Columns, Columns, Info, Bands | None]:
     """Return the fields of an ensemble. Raises FileError, InputError if pyarrow is missing."""
     path = to_path(path)
-    try:
+    with convert_read_errors(path, "not an ensemble saved by undeadzone"):
         get = _load_parquet if path.suffix == ".parquet" else _load_npz
         with open_plain(path) as file:
             text, columns, attached = get(file)
         header = msgspec.json.decode(text, type=_Header)
         varied = {name: columns[name] for name in header.varied}
-    except InputError:
-        raise
-    except OSError as error:
-        raise FileError(f"{path}: cannot read: {failure_reason(error)}") from None
-    except Exception as error:  # readers of zip archives and headers raise any kind
-        raise FileError(f"{path}: not an ensemble saved by undeadzone ({error})") from None
     metrics = {name: column for name, column in columns.items() if name not in varied}
     return varied, metrics, header.info, _extract_bands(attached)
 
