@@ -9,7 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from glob import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -123,7 +123,7 @@ def watch(
         raise FileError("stdin: it is closed. Give lines of readings and inputs")
     store = SavedWatch(state, every, follower, log)
     try:
-        with _print_heartbeat(heartbeat, follower, log):
+        with store.lock, _print_heartbeat(heartbeat, follower, log):
             _estimate_stream(log, follower, store, as_json)
     except (KeyboardInterrupt, Terminated):  # a live log ends this way
         if follower.samples:
@@ -143,6 +143,9 @@ class SavedWatch:
         path: of the file (None: nothing is saved).
         every: time between two savings [s].
         follower, log: objects whose state is saved.
+
+    Attributes:
+        lock: open file, closed by whoever ends the watch.
     """
 
     def __init__(self, path: Path | None, every: float, follower: Follower, log: LiveLog) -> None:
@@ -153,10 +156,11 @@ class SavedWatch:
         self._saved = time.monotonic()
         self._failures = 0
         if path is None:
+            self.lock: AbstractContextManager[object] = nullcontext()
             return
         from undeadzone.simulation import saved_state
 
-        with lock_file(path.with_name(f".{path.name}.lock"), "a+") as self._lock:
+        with lock_file(path.with_name(f".{path.name}.lock"), "a+") as self.lock:
             for left in path.parent.glob(f".{escape(path.stem)}-????????{path.suffix}"):
                 left.unlink(missing_ok=True)  # of a watch that was killed
             if path.exists():
@@ -184,8 +188,11 @@ class SavedWatch:
             if not when_due:
                 raise
             self._failures += 1
-            often = f"not saved, {self._failures} times by now. Tried again in {self._every:g} s"
-            print_line(f"undeadzone: {error}: {often}", err=True)
+            print_line(
+                f"undeadzone: {error}: not saved, {self._failures} times by now. "
+                f"Tried again in {self._every:g} s",
+                err=True,
+            )
 
 
 @contextmanager
@@ -267,9 +274,14 @@ def _print_log_summary(info: LogInfo, as_json: bool) -> None:
     if as_json:
         print_line(json.dumps(to_json_value(add_schema(info.summary())), allow_nan=False), err=True)
     else:
-        words = "undeadzone estimate, with the scenario and the log in a file, tries what would fit"
         print_blocks(
-            blocks_from_log(info), next_line(words) if info.consistent is False else {}, err=True
+            blocks_from_log(info),
+            {}
+            if info.consistent is not False
+            else next_line(
+                "undeadzone estimate, with the scenario and the log in a file, tries what would fit"
+            ),
+            err=True,
         )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from undeadzone.errors import FileError
-from undeadzone.logs.whole import of_json_lines
+from undeadzone.logs.whole import of_json_lines, of_npz
 from undeadzone_identify.logs.log import read_log
 
 
@@ -41,6 +41,21 @@ def test_dates_are_seconds_and_missing_keys_are_missing_readings(tmp_path: Path)
     assert np.array_equal(np.diff(columns["time"]), np.ones(9))
     assert np.flatnonzero(np.isnan(columns["y"])).tolist() == [3]
     assert np.flatnonzero(np.isnan(columns["u"])).tolist() == [5]
+
+
+def test_times_of_numpy_are_seconds_and_unknown_types_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "log.npz"
+    t = np.datetime64("2026-11-30T10:00:00") + np.arange(50) * np.timedelta64(1, "ms")
+    y = np.arange(50.0)
+    words = np.array([f"\N{MINUS SIGN}{k}" for k in range(50)])
+    np.savez(path, t=t, y=y, u=words, note=np.array(["a"] * 50))
+    columns = {title.name: column for title, column in of_npz(path)}
+    assert set(columns) == {"t", "y", "u"}
+    assert np.allclose(columns["t"], 1e-3 * y, atol=1e-12)
+    assert np.array_equal(columns["u"], -y)
+    np.savez(path, t=t, y=y * 1j)
+    with pytest.raises(FileError, match="y: expected numbers or times, found complex128"):
+        of_npz(path)
 
 
 @pytest.mark.parametrize(

@@ -230,6 +230,39 @@ def test_a_state_keeps_the_day_of_times_without_a_date(lever: Path, tmp_path: Pa
     assert first.out.getvalue() + second.ended()[0] == whole.ended()[0]
 
 
+@pytest.mark.parametrize("second", [0.0, 1000.0])
+def test_times_to_and_fro_end_no_watch(lever: Path, tmp_path: Path, second: float) -> None:
+    times = regular(200)
+    swapped = [times[k ^ 1] for k in range(200)]
+    loggers = [t + second * (k % 2) for k, t in enumerate(np.repeat(times, 2))]
+    for wrong in (swapped, [float(t) for t in loggers] if second else swapped[::-1]):
+        state = tmp_path / "state"
+        state.unlink(missing_ok=True)
+        done = watch(lever, "--state", state, stdin=stream([*times[:50], *wrong, *times]))
+        assert done.returncode in (0, 1)
+        assert done.stdout.count(b"\n") > 200
+        assert state.exists()
+
+
+def test_a_byte_turned_in_a_state_changes_no_number(lever: Path, tmp_path: Path) -> None:
+    whole, path, rng = Watched(lever), tmp_path / "state", np.random.default_rng(81)
+    whole.feed(stream(regular(60)))
+    save(path, whole.parts, whole.follower.digest)
+    good = path.read_bytes()
+    kept = np.array(whole.follower._online.state)
+    refused = 0
+    for at in rng.integers(0, len(good), 100):
+        path.write_bytes(good[:at] + bytes([good[at] ^ 1 << int(rng.integers(8))]) + good[at + 1 :])
+        try:
+            whole.follower._online.state = np.zeros_like(kept)
+            load(path, whole.parts, whole.follower.digest)
+        except FileError:
+            refused += 1
+        else:
+            assert whole.follower._online.state.tobytes() == kept.tobytes()
+    assert refused > 50
+
+
 def test_a_state_of_something_else_is_refused(lever: Path, tmp_path: Path) -> None:
     state = tmp_path / "state"
     done = watch(lever, "--state", state, stdin=stream(regular(30)))

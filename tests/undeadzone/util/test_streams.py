@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -127,8 +128,9 @@ def test_a_failed_save_is_reported_and_repeated(
 ) -> None:
     part: Any = SimpleNamespace(SAVED=("count",), count=1, digest="d")
     part.clock = part.reader = part
-    (tmp_path / "gone").touch()  # no folder can be made there
     watch = SavedWatch(tmp_path / "gone" / "state.npz", 0.0, part, part)
+    shutil.rmtree(tmp_path / "gone")
+    (tmp_path / "gone").touch()  # no folder can be made there
     watch.save_state(when_due=True)
     watch.save_state(when_due=True)
     assert "not saved, 2 times by now" in capsys.readouterr().err
@@ -137,6 +139,23 @@ def test_a_failed_save_is_reported_and_repeated(
     (tmp_path / "gone").unlink()
     watch.save_state(when_due=True)
     assert (tmp_path / "gone" / "state.npz").exists()
+    watch.lock.__exit__(None, None, None)
+
+
+def test_one_watch_a_state_which_removes_what_a_killed_one_left(tmp_path: Path) -> None:
+    part: Any = SimpleNamespace(SAVED=("count",), count=1, digest="d")
+    part.clock = part.reader = part
+    left, other = tmp_path / ".state-a1b2c3d4.npz", tmp_path / ".states-a1b2c3d4.npz"
+    for path in (left, other):
+        path.touch()
+    first = SavedWatch(tmp_path / "state.npz", 0.0, part, part)
+    assert not left.exists()
+    assert other.exists()
+    with pytest.raises(FileError, match="another process is writing it"):
+        SavedWatch(tmp_path / "state.npz", 0.0, part, part)
+    first.lock.__exit__(None, None, None)
+    with SavedWatch(tmp_path / "state.npz", 0.0, part, part).lock:
+        pass
 
 
 def test_a_reader_that_leaves_ends_a_watch_in_silence(scenario: Path) -> None:
