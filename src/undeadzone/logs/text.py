@@ -16,9 +16,9 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import BinaryIO, Final, NamedTuple
 
-from undeadzone.errors import FileError, InputError
+from undeadzone.errors import FileError
 from undeadzone.logs.kinds import Title, split_unit
-from undeadzone.util.files import open_plain, require_small_archive, unreadable_file
+from undeadzone.util.files import convert_read_errors, open_plain, require_small_archive
 
 BLOCK: Final = 1 << 22  # bytes of a file that are read at once
 LONGEST_LINE: Final = 65_536  # characters of a line; a longer one is no line of numbers
@@ -71,21 +71,16 @@ def blocks_of(path: Path, largest: int) -> Iterator[tuple[bytes, bool]]:
         path: of the file.
         largest: size [bytes] beyond which it is refused.
     """
-    try:
-        with open_plain(path, largest) as file:
-            if zipfile.is_zipfile(file):
-                yield text_of_workbook(path, file, largest), True
+    with convert_read_errors(path), open_plain(path, largest) as file:
+        if zipfile.is_zipfile(file):
+            yield text_of_workbook(path, file, largest), True
+            return
+        file.seek(0)
+        while True:
+            data = file.read(BLOCK)
+            yield data, not data
+            if not data:
                 return
-            file.seek(0)
-            while True:
-                data = file.read(BLOCK)
-                yield data, not data
-                if not data:
-                    return
-    except (OSError, ValueError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise unreadable_file(path, error) from None
 
 
 def text_of_workbook(path: Path, file: BinaryIO, largest: int) -> bytes:

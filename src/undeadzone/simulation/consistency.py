@@ -87,10 +87,7 @@ class Alarm:
     def __init__(self, step: float, quarter: float) -> None:
         chances = max(FALSE_ALARMS / (APART * quarter), math.e)
         self.limit = math.ceil(PEAK * quarter / step * math.log(chances))
-        self.count = 0
-        self._excess = 0
-        self._samples = 0
-        self._change = 0
+        self.count = self._excess = self._samples = self._change = 0
 
     def add(self, fits: np.ndarray) -> None:
         """Add the next samples: whether the readings fit (N). An alarm begins the sum again."""

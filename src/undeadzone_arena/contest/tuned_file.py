@@ -6,9 +6,8 @@ from pathlib import Path
 
 import msgspec
 
-from undeadzone.errors import FileError
 from undeadzone.util import toml
-from undeadzone.util.files import read_bytes, unreadable_file, write_text
+from undeadzone.util.files import convert_read_errors, read_bytes, write_text
 from undeadzone.util.own_files import is_own_file, mark_toml
 
 HEAD = (
@@ -64,9 +63,5 @@ def save_tuned(tuned: Tuned, path: Path) -> Path:
 
 def load_tuned(path: Path) -> Tuned:
     """Read a file that `save_tuned` wrote. Raises FileError."""
-    try:
+    with convert_read_errors(path, "not written by undeadzone arena --tune"):
         return msgspec.toml.decode(read_bytes(path), type=Tuned)
-    except OSError as error:
-        raise unreadable_file(path, error) from None
-    except msgspec.DecodeError as error:
-        raise FileError(f"{path}: not written by undeadzone arena --tune ({error})") from None

@@ -26,8 +26,9 @@ from undeadzone.logs.text import (
     parse_cell,
     split_cells,
 )
+from undeadzone.logs.whole import to_numbers
 from undeadzone.util.arrays import Floats
-from undeadzone.util.files import LARGEST_TABLE, read_bytes, unreadable_file
+from undeadzone.util.files import LARGEST_TABLE, convert_read_errors, read_bytes
 
 Arrays = dict[str, Floats]  # by the names of the signals, and their times
 Table = tuple[list[str], list[tuple[str, ...]]]  # titles of columns, and their cells
@@ -47,23 +48,17 @@ def read_parquet(path: Path) -> Arrays:
     content = read_bytes(path, LARGEST_TABLE)
     try:
         from pyarrow import parquet
-
-        table = parquet.read_table(io.BytesIO(content))
-        return {name: _numbers(table[name].to_numpy()) for name in table.column_names}
     except ImportError:
         how = "pip install 'undeadzone[parquet]', or save it as CSV"
         raise FileError(f"{path}: a .parquet file needs pyarrow: {how}") from None
-    except (OSError, ValueError) as error:
-        raise unreadable_file(path, error) from None
+    with convert_read_errors(path):
+        table = parquet.read_table(io.BytesIO(content))
+        return {name: _numbers(name, table[name].to_numpy()) for name in table.column_names}
 
 
-def _numbers(values: Any) -> Any:
-    """Return a column of lists as a matrix, and dates as seconds after the first."""
-    if values.dtype.kind == "O":
-        return np.stack(values)
-    if values.dtype.kind == "M":
-        return (values - values[0]) / np.timedelta64(1, "s")
-    return values
+def _numbers(name: str, values: Any) -> Any:
+    """Return a column of lists as a matrix, another as `to_numbers` does."""
+    return np.stack(values) if values.dtype.kind == "O" else to_numbers(name, values)
 
 
 def read_named_values(path: Path) -> Arrays | None:
