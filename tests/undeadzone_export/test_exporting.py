@@ -213,7 +213,7 @@ def test_a_stored_state_goes_on_with_the_same_bits(tmp_path: Path) -> None:
     body = "{ return run_float64_resume(state, stored, hash); }"
     text = f'#include "run_float64.h"\n{head};\n{head}\n{body}\n'
     (tmp_path / "resume.c").write_text(text)
-    library = compiler.compile_library([tmp_path / "resume.c"], tmp_path / "resume.so")
+    library = compiler.compile_library([str(tmp_path / "resume.c")], tmp_path / "resume.so")
     resume = ctypes.CDLL(str(library)).go_on
     places = [array.ctypes.data_as(ctypes.c_void_p) for array in (runner.state, stored)]
     runner.reset_memory()

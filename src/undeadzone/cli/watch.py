@@ -294,9 +294,10 @@ def _estimate_columns(estimate: uz.Estimate, sides: Floats) -> dict[str, Floats]
 
 def _csv_header(estimate: uz.Estimate, sides: Floats) -> bytes:
     """Return the names of the columns of a CSV file: t, x_hat[0], ..."""
-    parts = _estimate_columns(estimate, sides).items()
-    names = [f",{name}[{i}]" for name, part in parts for i in range(part.shape[1])]
-    return f"t{''.join(names)}\n".encode()
+    names = "t"
+    for name, part in _estimate_columns(estimate, sides).items():
+        names += "".join(f",{name}[{i}]" for i in range(part.shape[1]))
+    return f"{names}\n".encode()
 
 
 def _to_csv_lines(t: Floats, estimate: uz.Estimate, sides: Floats) -> bytes:
