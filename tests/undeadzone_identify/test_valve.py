@@ -99,12 +99,12 @@ def test_many_positions_are_regressed_as_each_is_alone(stride: int, missing: flo
     log = LoopLog(loop.op, loop.pv, ok, loop.sp)
     widths = np.geomspace(0.02, 0.4, 2 * CHUNK + 1)
     positions = valve_positions(log.u, np.outer(widths, [1.0, 0.4]), KANO)
-    regression = log.regress(3, 40, stride)
-    squares = regression.regress_on_each(positions, range(2, 7))[-1]
-    errors = regression.prediction_errors_of_each(positions, range(2, 7))
+    regression, lags = log.regress(3, 40, stride), range(2, 7)
+    squares = regression.regress_on_each(positions, lags)[-1]
+    errors = regression.prediction_errors_of_each(positions, lags)
     assert np.allclose(squares, np.mean(errors**2, axis=1), rtol=1e-9)
     none = np.empty((SIZE, 0))
-    alone = [regression.mean_square_beside(v, range(2, 7), none) for v in positions]
+    alone = [regression.mean_square_beside(v, lags, none) for v in positions]
     assert squares == pytest.approx(alone, rel=1e-6)
     assert list(regression.rows) == list(log.regress(3, 40).rows[::stride])
 

@@ -269,17 +269,17 @@ def test_a_list_of_gains_needs_one_output() -> None:
 
 @pytest.mark.parametrize("time", ["continuous", "sampled"])
 @pytest.mark.parametrize(
-    ("A", "reason", "bound", "widths"),
+    ("A", "reason", "bound", "width"),
     [
-        ([[0.0, 1.0], [0.0, -2.0]], "marginally stable", 0.1, None),
-        ([[0.0, 1.0], [0.0, 0.0]], "chain of integrators", 0.12, None),
-        ([[0.0, 1.0], [-4.0, 0.0]], "undamped mode", 0.01, [0.8, 0.6]),
-        ([[0.0, 1.0], [-1.0, 0.6]], "growth rate 0.3", 0.01, [0.8, 0.6]),
-        ([[0.0, 1.0], [1.0, -1.0]], "no gamma > 0 learns a width", 1.0, [0.3, 0.3]),
+        ([[0.0, 1.0], [0.0, -2.0]], "marginally stable", 0.1, 1.4),
+        ([[0.0, 1.0], [0.0, 0.0]], "chain of integrators", 0.12, 1.4),
+        ([[0.0, 1.0], [-4.0, 0.0]], "undamped mode", 0.01, 1.4),
+        ([[0.0, 1.0], [-1.0, 0.6]], "growth rate 0.3", 0.01, 1.4),
+        ([[0.0, 1.0], [1.0, -1.0]], "no gamma > 0 learns a width", 1.0, 0.6),
     ],
 )
 def test_a_model_that_is_not_stable_has_default_gains_and_a_reason_without_proof(
-    time: str, A: list[list[float]], reason: str, bound: float, widths: list[float] | None
+    time: str, A: list[list[float]], reason: str, bound: float, width: float
 ) -> None:
     """With an integrator alone the sum of the widths is found, with an odd number of unstable
     poles none: they stay where they begin.
@@ -297,7 +297,7 @@ def test_a_model_that_is_not_stable_has_default_gains_and_a_reason_without_proof
     assert proof is not None
     assert reason in proof.reason
     assert np.abs(run.z - run.z_hat)[-1000:].max() < bound
-    assert run.d_hat[-1].sum() == pytest.approx(1.4 if widths is None else sum(widths), abs=0.01)
+    assert run.d_hat[-1].sum() == pytest.approx(width, abs=0.01)
 
 
 # --- Luenberger ---

@@ -235,7 +235,7 @@ def test_times_to_and_fro_end_no_watch(lever: Path, tmp_path: Path, away: tuple[
     times, state = regular(200), tmp_path / "state"
     wrong = [times[k] + (times[1] - times[0]) * away[k % 2] for k in range(200)]
     done = watch(lever, "--state", state, stdin=stream([*times[:50], *wrong, *times]))
-    assert done.returncode in (0, 1)
+    assert done.returncode < 2
     assert done.stdout.count(b"\n") > 200
     assert state.exists()
 
@@ -245,17 +245,18 @@ def test_a_byte_turned_in_a_state_changes_no_number(lever: Path, tmp_path: Path)
     whole.feed(stream(regular(60)))
     save(path, whole.parts, whole.follower.digest)
     good = path.read_bytes()
-    kept = np.array(whole.follower._online.state)
-    refused = 0
-    for at in rng.integers(0, len(good), 100):
-        path.write_bytes(good[:at] + bytes([good[at] ^ 1 << int(rng.integers(8))]) + good[at + 1 :])
+    kept, refused = np.array(whole.follower._online.state), 0
+    for at, bit in rng.integers(0, (len(good), 8), (100, 2)):
+        turned = bytearray(good)
+        turned[at] ^= 1 << bit
+        path.write_bytes(turned)
         try:
-            whole.follower._online.state = np.zeros_like(kept)
+            whole.follower._online.state = 0 * kept
             load(path, whole.parts, whole.follower.digest)
         except FileError:
             refused += 1
         else:
-            assert whole.follower._online.state.tobytes() == kept.tobytes()
+            assert np.array_equal(whole.follower._online.state, kept)
     assert refused > 50
 
 

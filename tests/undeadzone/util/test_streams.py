@@ -139,7 +139,8 @@ def test_a_failed_save_is_reported_and_repeated(
     (tmp_path / "gone").unlink()
     watch.save_state(when_due=True)
     assert (tmp_path / "gone" / "state.npz").exists()
-    watch.lock.__exit__(None, None, None)
+    with watch.lock:
+        pass
 
 
 def test_one_watch_a_state_which_removes_what_a_killed_one_left(tmp_path: Path) -> None:
@@ -153,7 +154,8 @@ def test_one_watch_a_state_which_removes_what_a_killed_one_left(tmp_path: Path) 
     assert other.exists()
     with pytest.raises(FileError, match="another process is writing it"):
         SavedWatch(tmp_path / "state.npz", 0.0, part, part)
-    first.lock.__exit__(None, None, None)
+    with first.lock:
+        pass
     with SavedWatch(tmp_path / "state.npz", 0.0, part, part).lock:
         pass
 
