@@ -393,6 +393,7 @@ def fit_by_sysid(case: Case, logs: Logs) -> tuple[Floats, Floats, bool]:
     return value, np.stack([low, high]), True
 
 
+RIVAL = "mujoco.sysid"
 METHODS = {
     "fit": fit_fully,
     "EKF likelihood, silence left out": fit_without_silence,
@@ -420,9 +421,7 @@ def table() -> str:
     """The tables of true scenarios and of wrong ones."""
     runs = int(os.environ.get("FIT_RUNS", "20"))
     chosen = os.environ.get("FIT_CASES", "")
-    methods: dict[str, Any] = METHODS
-    if chosen.endswith("mujoco.sysid"):
-        methods = {"mujoco.sysid": fit_by_sysid}
+    methods = {RIVAL: fit_by_sysid} if chosen.endswith(RIVAL) else METHODS
     lines = ["## Numbers of a scenario from logs", ""]
     heads = ("plant", "method", "held", "each number", "median error", "worst", "flagged", "CPU s")
     lines += head(*heads)
