@@ -51,12 +51,13 @@ def honest(plant: uz.Plant, told: bool, seed: int, quarters: float) -> Floats:
 
 def table(seeds: int = 2, quarters: float = 40_000.0) -> str:
     """Return the table: peaks, and the mean excess over the tenth largest."""
-    lines = [*head("plant", "assumptions", "peaks", "largest", "tenth", "mean excess")]
+    lines = head("plant", "assumptions", "peaks", "largest", "tenth", "mean excess")
     for name, plant in PLANTS.items():
         for told in (True, False):
             runs = [honest(plant, told, 10 + seed, quarters) for seed in range(seeds)]
             top = np.sort(np.concatenate([*runs, np.zeros(10)]))[::-1][:10]
             numbers = [f"{value:.1f}" for value in (top[0], top[-1], (top - top[-1])[:9].mean())]
-            count = sum(map(len, runs))
-            lines.append(row(name, "told" if told else "ranges", str(count), *numbers))
+            lines.append(
+                row(name, "told" if told else "ranges", str(sum(map(len, runs))), *numbers)
+            )
     return "\n".join(["## Alarm", "", f"The alarm assumes a mean excess of {PEAK:g}.", "", *lines])
