@@ -55,12 +55,12 @@ def test_a_valve_with_play_ends_in_firmware_and_lines_that_lessen_the_error(
 ) -> None:
     """The lines of the answer are compiled and run along OP."""
     monkeypatch.chdir(tmp_path)
-    loop = make(7, "dead band", SIZE)
+    loop = make(3, "dead band", SIZE)
     write_loop(loop, Path("loop.csv"))
     printed = invoke("identify", "loop.csv", "--no-figures", "--out", "o", "--chain", "fw")
     assert "return wanted + lead;" in printed
     assert "commanded() of snippet.h compiles" in printed
-    with_lines = make(7, "dead band", SIZE, compiled(Path("fw/snippet/snippet.h"), "commanded"))
+    with_lines = make(3, "dead band", SIZE, compiled(Path("fw/snippet/snippet.h"), "commanded"))
     assert error_of(with_lines) < 0.9 * error_of(loop)
 
 

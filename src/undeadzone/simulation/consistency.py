@@ -70,8 +70,11 @@ class Alarm:
 
     `consistent` is 0 for some per cent of the time although all assumptions hold: tests look at
     the latest quarter periods again and again. The alarm adds these times up, less those in which
-    the readings fit: a cumulative sum (Page 1954, doi:10.1093/biomet/41.1-2.100), whose peaks in
-    true logs are exponential. Its limit is the peak that they reach once in `FALSE_ALARMS`.
+    the readings fit: a cumulative sum, whose peaks in true logs are exponential. Its limit is the
+    peak that they reach once in `FALSE_ALARMS`.
+
+    References:
+        E. S. Page (1954), doi:10.1093/biomet/41.1-2.100
 
     Args:
         step: between two samples [s].
