@@ -274,14 +274,9 @@ def _print_log_summary(info: LogInfo, as_json: bool) -> None:
     if as_json:
         print_line(json.dumps(to_json_value(add_schema(info.summary())), allow_nan=False), err=True)
     else:
+        words = "undeadzone estimate, with the scenario and the log in a file, tries what would fit"
         print_blocks(
-            blocks_from_log(info),
-            {}
-            if info.consistent is not False
-            else next_line(
-                "undeadzone estimate, with the scenario and the log in a file, tries what would fit"
-            ),
-            err=True,
+            blocks_from_log(info), next_line(words) if info.consistent is False else {}, err=True
         )
 
 

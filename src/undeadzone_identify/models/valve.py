@@ -381,8 +381,7 @@ class LoopLog:
         coarse = itertools.product(np.geomspace(0.02, 1.0, 18), (0.0, 0.4, 1.0))
         pairs = np.cumprod([(0.0, 0.0), *coarse], axis=1)  # the ideal valve first
         positions = valve_positions(self.u, pairs, KANO)
-        stride = self.coarse_stride
-        low_order = self.regress(LOW, first, stride)
+        low_order = self.regress(LOW, first, self.coarse_stride)
         valve_numbers = 4 * (np.arange(len(positions)) > 0)
         every = [
             low_order.regress_on_each(positions, range(k, k + 3))[-1] for k in range(1, latest)
@@ -393,7 +392,7 @@ class LoopLog:
         waves = self._find_oscillation(low_order, range(lag, lag + 4 + MORE))
         costs = []
         for order in orders:
-            regression = self.regress(order, first, stride)
+            regression = self.regress(order, first, self.coarse_stride)
             lags = range(lag, lag + order + MORE)
             rivals = (positions[best], waves[:, :0]), (self.ideal, waves)
             for v, others in rivals:
@@ -505,6 +504,7 @@ class LoopFits(NamedTuple):
             self.regression.prediction_errors_of_each(positions, self.lags)
             for positions in split_valves(self.log.u, np.cumprod(pairs, axis=1), KANO, HE)
         ])  # fmt: skip
+        # Sums over blocks have the same long-run variance, and are fewer to transform.
         starts = np.arange(0, errors.shape[1], self.log.coarse_stride)
         squares = np.add.reduceat(errors**2, starts, axis=1).T
         variance = np.maximum(squares.sum(axis=0) / errors.shape[1], 1e-20)
