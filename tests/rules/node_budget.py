@@ -6,12 +6,8 @@ folder beside `src`.
 
     python tests/rules/node_budget.py                     print nodes and budgets
     python tests/rules/node_budget.py --lower             lower the budgets to today's nodes
-    python tests/rules/node_budget.py --rename ends=nonlinearities
-                                                          give a room's budget to its new name
     python tests/rules/node_budget.py --move cli=report:200
                                                           move 200 nodes to another room
-    python tests/rules/node_budget.py --move fit=simulation:500
-                                                          draw them from what an issue may add
 """
 
 from __future__ import annotations
@@ -23,6 +19,7 @@ import sys
 import tomllib
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import starmap
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
@@ -45,12 +42,8 @@ HEAD = """\
 # comments, imports and annotations are free. `python tests/rules/node_budget.py` writes this file.
 #
 # Budgets only fall (--lower). A room that needs more takes it from another one (--move FROM=TO:N),
-# in the same change. The rows without a title and [new] have one sum, [beside] has another, and
-# neither is ever higher than in an earlier version.
-# [new] has what issues may still add to src; the same option draws from it. Their subjects: `fit`
-# of any number of a scenario, gears that wind up and wear, loops beside the valve code that goes,
-# filters that learn online, a proof down to the bits. A number for every log has no row: it adds
-# nothing.
+# in the same change; so does the new name of one that is gone. The rows without a title have one
+# sum, [beside] has another, and neither is ever higher than in an earlier version.
 # Empty lines between the rows let git merge branches that change different rows.
 """
 
@@ -61,18 +54,15 @@ class Budget(NamedTuple):
     Attributes:
         src: rooms and packages of src.
         beside: folders beside src.
-        new: nodes that issues may still add to src, by subject.
     """
 
     src: dict[str, int]
     beside: dict[str, int]
-    new: dict[str, int] = {}
 
     @property
     def sums(self) -> dict[str, int]:
-        """Nodes of src with all that issues may add, and of the folders beside it."""
-        src = sum(self.src.values()) + sum(self.new.values())
-        return {"src": src, "beside": sum(self.beside.values())}
+        """Nodes of src, and of the folders beside it."""
+        return {pool: sum(rooms.values()) for pool, rooms in self._asdict().items()}
 
 
 def name_room(path: str) -> str:
@@ -97,10 +87,10 @@ def measure_rooms() -> Budget:
 
 
 def parse_budget(text: str) -> Budget:
-    """Read the budgets of a text."""
+    """Read the budgets of a text; earlier ones had [new], what issues were to add to src."""
     src = tomllib.loads(text)
-    beside, new = src.pop("beside", {}), src.pop("new", {})
-    return Budget(src, beside, new)
+    beside, new = src.pop("beside"), src.pop("new", {})
+    return Budget(src | new, beside)
 
 
 def read_budget() -> Budget:
@@ -110,12 +100,8 @@ def read_budget() -> Budget:
 
 def write_budget(budget: Budget) -> None:
     """Write `nodes.toml`, the rooms in alphabetical order."""
-    tables = zip(("", "[beside]\n", "[new]\n"), budget, strict=True)
-    rows = [HEAD]
-    for title, table in tables:
-        rows += filter(None, [title])
-        rows += [f'"{room}" = {nodes}\n' for room, nodes in sorted(table.items())]
-    TABLE.write_text("\n".join(rows), encoding="utf-8")
+    src, beside = ([f'"{room}" = {nodes}\n' for room, nodes in sorted(of.items())] for of in budget)
+    TABLE.write_text("\n".join([HEAD, *src, "[beside]\n", *beside]), encoding="utf-8")
 
 
 def read_history() -> list[Budget]:
@@ -131,7 +117,7 @@ def read_history() -> list[Budget]:
         texts = run_git(read_files, "".join(f"{each}:./{TABLE.name}\n" for each in commits))
     except (OSError, subprocess.CalledProcessError):
         return []
-    return [parse_budget(text) for text in texts.split(separator)[1:] if "[new]\n" in text]
+    return [parse_budget(text) for text in texts.split(separator)[1:] if "[beside]\n" in text]
 
 
 def run_git(words: Sequence[str], given: str = "") -> str:
@@ -154,7 +140,7 @@ def find_raises(history: Iterable[Budget], budget: Budget) -> list[str]:
 
 
 def move_budget(budget: Budget, rooms: Budget, move: str) -> Budget:
-    """Move nodes from a room, or from what an issue may add, to a room.
+    """Move nodes from a room, or from one that is gone, to a room.
 
     Args:
         budget: of each room.
@@ -167,54 +153,20 @@ def move_budget(budget: Budget, rooms: Budget, move: str) -> Budget:
     source, _, rest = move.partition("=")
     target, _, number = rest.rpartition(":")
     moved = Budget(*map(dict, budget))
-    from_table = next((table for table in moved if source in table), {})
-    to_table, present = (
-        (moved.beside, rooms.beside) if from_table is moved.beside else (moved.src, rooms.src)
-    )
-    if source not in from_table or target not in present:
+    table = moved.beside if source in moved.beside else moved.src
+    present = rooms.beside if source in moved.beside else rooms.src
+    if source not in table or target not in present:
         raise ValueError(f"{move}: expected FROM=TO:N, two rooms of src or two beside it")
-    if not number.isdecimal() or not 0 < int(number) <= from_table[source]:
-        raise ValueError(f"{move}: expected 1 to {from_table[source]} nodes")
-    from_table[source] -= int(number)
-    to_table[target] = to_table.get(target, 0) + int(number)
+    if not number.isdecimal() or not 0 < int(number) <= table[source]:
+        raise ValueError(f"{move}: expected 1 to {table[source]} nodes")
+    table[source] -= int(number)
+    table[target] = table.get(target, 0) + int(number)
     return moved
 
 
 def round_to_tens(nodes: int) -> int:
     """Round a number of nodes up to the next 10."""
     return -(-nodes // 10) * 10
-
-
-def rename_rooms(
-    budget: Mapping[str, int], nodes: Mapping[str, int], renames: Iterable[tuple[str, str]]
-) -> dict[str, int]:
-    """Give the budgets of removed rooms to their new names.
-
-    Args:
-        budget: budget of each room.
-        nodes: syntax nodes of each room today.
-        renames: pairs of an old and a new name. A room that was split has several pairs, and its
-            parts together get no more than its budget.
-
-    Raises:
-        ValueError: An old room still exists or has no budget, or a new room does not exist.
-    """
-    moved = dict(budget)
-    targets: dict[str, list[str]] = {}
-    for old, new in renames:
-        if old in nodes or old not in budget:
-            raise ValueError(f"{old}: the room still exists, or never had a budget")
-        if new not in nodes:
-            raise ValueError(f"{new}: there is no such room")
-        targets.setdefault(old, []).append(new)
-    for old, news in targets.items():
-        spare = moved.pop(old)
-        for new in news[:-1]:
-            part = min(spare, round_to_tens(nodes[new]))
-            moved[new] = moved.get(new, 0) + part
-            spare -= part
-        moved[news[-1]] = moved.get(news[-1], 0) + spare
-    return moved
 
 
 def lower_budget(budget: Mapping[str, int], nodes: Mapping[str, int]) -> dict[str, int]:
@@ -226,8 +178,7 @@ def lower_budget(budget: Mapping[str, int], nodes: Mapping[str, int]) -> dict[st
     missing = sorted(nodes.keys() - budget.keys())
     if missing:
         raise ValueError(
-            f"{', '.join(missing)}: a new room needs a budget. Use --rename OLD={missing[0]}, or "
-            f"--move FROM={missing[0]}:N"
+            f"{', '.join(missing)}: a new room needs a budget. Use --move FROM={missing[0]}:N"
         )
     return {room: min(budget[room], round_to_tens(count)) for room, count in nodes.items()}
 
@@ -251,20 +202,21 @@ def compare_budget(budget: Budget, nodes: Budget) -> tuple[list[str], list[str]]
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Print, lower, rename or move budgets."""
+    """Print, lower or move budgets."""
     parser = argparse.ArgumentParser(description="Budgets of syntax nodes.")
     parser.add_argument("--lower", action="store_true", help="Lower the budgets to the code.")
-    parser.add_argument("--rename", action="append", default=[], metavar="OLD=NEW",
-                        help="Give the budget of a removed room to a new one.")  # fmt: skip
     parser.add_argument("--move", action="append", default=[], metavar="FROM=TO:N",
-                        help="Move nodes to a room, from another or from [new].")  # fmt: skip
+                        help="Move nodes to a room from another.")  # fmt: skip
     options = parser.parse_args(words)
     budget, nodes = read_budget(), measure_rooms()
     try:
-        budget = change_budget(budget, nodes, options)
+        for move in options.move:
+            budget = move_budget(budget, nodes, move)
+        if options.lower:
+            budget = Budget(*starmap(lower_budget, zip(budget, nodes, strict=True)))
     except ValueError as error:
         parser.error(str(error))
-    if options.lower or options.rename or options.move:
+    if options.lower or options.move:
         write_budget(budget)
     for table, counts in zip(budget, nodes, strict=True):
         for room in sorted({*table, *counts}):
@@ -275,28 +227,6 @@ def main(words: Sequence[str] | None = None) -> int:
     faults = compare_budget(budget, nodes)[0] + find_raises(read_history(), budget)
     sys.stderr.writelines(f"{fault}\n" for fault in faults)
     return int(bool(faults))
-
-
-def change_budget(budget: Budget, nodes: Budget, options: argparse.Namespace) -> Budget:
-    """Return the budgets after all renames, moves and the lowering that a command names.
-
-    Raises:
-        ValueError: A room or a number is wrong.
-    """
-    renames = [(old, new) for old, _, new in (pair.partition("=") for pair in options.rename)]
-    of_src = [pair for pair in renames if pair[0] not in budget.beside]
-    of_beside = [pair for pair in renames if pair[0] in budget.beside]
-    budget = budget._replace(
-        src=rename_rooms(budget.src, nodes.src, of_src),
-        beside=rename_rooms(budget.beside, nodes.beside, of_beside),
-    )
-    for move in options.move:
-        budget = move_budget(budget, nodes, move)
-    if not options.lower:
-        return budget
-    return budget._replace(
-        src=lower_budget(budget.src, nodes.src), beside=lower_budget(budget.beside, nodes.beside)
-    )
 
 
 if __name__ == "__main__":

@@ -54,7 +54,6 @@ def test_every_room_keeps_to_its_budget() -> None:
     budget, nodes = node_budget.read_budget(), node_budget.measure_rooms()
     assert budget.src.keys() == nodes.src.keys()
     assert budget.beside.keys() == nodes.beside.keys()
-    assert budget.new.keys() == {"fit", "gears", "loops", "online", "proof"}
     assert min(nodes.beside.values()) > 500, "a folder of node_budget.FOLDERS is gone"
     above, loose = node_budget.compare_budget(budget, nodes)
     assert not above
@@ -75,7 +74,7 @@ def test_rooms_of_the_tool_and_packages_beside_it_are_distinguished() -> None:
     assert node_budget.name_room("undeadzone_identify/logs/grid.py") == "undeadzone_identify"
 
 
-BUDGET = Budget(src={"ends": 100, "cli": 200}, beside={"tests": 50, "fuzz": 20}, new={"fit": 80})
+BUDGET = Budget(src={"ends": 100, "cli": 200}, beside={"tests": 50, "fuzz": 20})
 ROOMS = Budget(src={"ends": 81, "cli": 195}, beside={"tests": 45, "fuzz": 20})
 
 
@@ -91,15 +90,11 @@ def test_a_lowered_budget_falls_and_never_rises() -> None:
 
 
 def test_a_new_room_takes_the_budget_of_a_removed_one() -> None:
-    budget, nodes = {"ends": 100, "cli": 200}, {"zones": 61, "limits": 30, "cli": 200}
-    with pytest.raises(ValueError, match="limits, zones: a new room needs a budget"):
-        node_budget.lower_budget(budget, nodes)
-    split = node_budget.rename_rooms(budget, nodes, [("ends", "zones"), ("ends", "limits")])
-    assert split == {"zones": 70, "limits": 30, "cli": 200}
-    merged = node_budget.rename_rooms(budget, {"cli": 250}, [("ends", "cli")])
-    assert merged == {"cli": 300}
-    with pytest.raises(ValueError, match="still exists"):
-        node_budget.rename_rooms(budget, nodes, [("cli", "zones")])
+    nodes = Budget({"zones": 61, "cli": 200}, ROOMS.beside)
+    with pytest.raises(ValueError, match="zones: a new room needs a budget"):
+        node_budget.lower_budget(BUDGET.src, nodes.src)
+    moved = node_budget.move_budget(BUDGET, nodes, "ends=zones:100")
+    assert node_budget.lower_budget(moved.src, nodes.src) == {"zones": 70, "cli": 200}
 
 
 @pytest.mark.parametrize(
@@ -107,7 +102,7 @@ def test_a_new_room_takes_the_budget_of_a_removed_one() -> None:
     [
         (["ends=cli:15"], {"src": {"ends": 85, "cli": 215}}),
         (["tests=fuzz:50"], {"beside": {"tests": 0, "fuzz": 70}}),
-        (["fit=cli:30", "fit=ends:50"], {"src": {"ends": 150, "cli": 230}, "new": {"fit": 0}}),
+        (["cli=ends:30", "ends=cli:10"], {"src": {"ends": 120, "cli": 180}}),
     ],
 )
 def test_moved_budgets_have_the_same_sum(
@@ -125,15 +120,12 @@ def test_moved_budgets_have_the_same_sum(
     ("move", "message"),
     [
         ("ends=cli:101", "expected 1 to 100 nodes"),
-        ("fit=cli:81", "expected 1 to 80 nodes"),
-        ("fit=cli:-5", "expected 1 to 80 nodes"),
+        ("ends=cli:-5", "expected 1 to 100 nodes"),
         ("ends=cli:0", "expected 1 to 100 nodes"),
-        ("fit=cli", "two rooms of src"),
-        ("ends=fit:5", "two rooms of src"),
         ("ends=zones:5", "two rooms of src"),
+        ("ends=cli", "two rooms of src"),
         ("doors=cli:5", "two rooms of src"),
         ("tests=cli:5", "two rooms of src or two beside it"),
-        ("fit=tests:5", "two rooms of src or two beside it"),
     ],
 )
 def test_a_move_from_nothing_or_across_src_is_refused(move: str, message: str) -> None:
@@ -144,19 +136,17 @@ def test_a_move_from_nothing_or_across_src_is_refused(move: str, message: str) -
 @pytest.mark.parametrize(
     ("change", "raised"),
     [
-        ({"src": {"ends": 110, "cli": 200}}, ["src: 390 nodes, 380 before: lower rooms by 10"]),
+        ({"src": {"ends": 110, "cli": 200}}, ["src: 310 nodes, 300 before: lower rooms by 10"]),
         ({"src": {"ends": 110, "cli": 190}}, []),
-        ({"src": {"ends": 110, "cli": 200}, "new": {"fit": 70}}, []),
         ({"src": {"ends": 110, "cli": 200}, "beside": {"tests": 40, "fuzz": 20}},
-         ["src: 390 nodes, 380 before: lower rooms by 10"]),
+         ["src: 310 nodes, 300 before: lower rooms by 10"]),
         ({"beside": {"tests": 51, "fuzz": 20}}, ["beside: 71 nodes, 70 before: lower rooms by 1"]),
-        ({"new": {"fit": 80, "doors": 9}}, ["src: 389 nodes, 380 before: lower rooms by 9"]),
     ],
 )  # fmt: skip
 def test_a_raise_is_found_unless_its_side_of_src_pays(
     change: dict[str, dict[str, int]], raised: list[str]
 ) -> None:
-    higher = BUDGET._replace(new={"fit": 500}, beside={"tests": 500})
+    higher = Budget({"ends": 500}, {"tests": 500})
     assert node_budget.find_raises([higher, BUDGET, higher], BUDGET._replace(**change)) == raised
 
 
@@ -180,21 +170,20 @@ def test_the_script_refuses_a_raise_before_and_after_its_commit(
     commit()
     assert node_budget.read_budget() == BUDGET
     assert node_budget.read_history() == [BUDGET]
-    assert node_budget.main(["--move", "fit=ends:30", "--move", "cli=ends:5"]) == 0
+    assert node_budget.main(["--move", "cli=ends:5"]) == 0
     commit()
     raised = BUDGET._replace(src={"ends": 145, "cli": 195})
     node_budget.write_budget(raised)
     assert node_budget.main([]) == 1
-    assert "src: 420 nodes, 380 before: lower rooms by 40" in capsys.readouterr().err
+    assert "src: 340 nodes, 300 before: lower rooms by 40" in capsys.readouterr().err
     commit()
     assert node_budget.main([]) == 1
     assert len(node_budget.read_history()) == 3
     assert node_budget.main(["--move", "tests=fuzz:2", "--lower"]) == 0
-    assert node_budget.read_budget() == Budget(
-        {"ends": 90, "cli": 195}, {"tests": 48, "fuzz": 20}, {"fit": 80}
-    )
+    lowered = Budget({"ends": 90, "cli": 195}, {"tests": 48, "fuzz": 20})
+    assert node_budget.read_budget() == lowered
     with pytest.raises(SystemExit):
-        node_budget.main(["--move", "fit=ends:81"])
+        node_budget.main(["--move", "cli=ends:196"])
 
 
 def test_the_architecture_page_names_existing_code() -> None:
