@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import control
 import numpy as np
 import pytest
@@ -27,42 +29,39 @@ def model(A: Floats, B: Floats) -> Matrices:
     return Matrices(np.asarray(A, float), np.asarray(B, float), np.zeros((0, len(A))))
 
 
-@pytest.mark.filterwarnings(
-    "ignore:Input .a. has an eigenvalue pair:RuntimeWarning"
-)  # of the nearly singular Newton step of the last case
-@pytest.mark.parametrize("k", range(20))
-def test_carex(k: int) -> None:
-    """The 20 cases of the CAREX collection in scipy's tests: small residuals, stable loops.
-
-    scipy marks five of them as known failures; one of these because its data are unsigned bytes,
-    which -Q wraps around.
-    """
-    A, B, Q, R, _ = Carex.cases[k]
-    A, B, Q, R = (np.atleast_2d(np.asarray(M, float)) for M in (A, B, Q, R))
-    P, K, residual, _ = solve_riccati(model(A, B), Q, R)
-    assert residual < 1e-10
-    direct = A.T @ P + P @ A - P @ B @ np.linalg.solve(R, B.T @ P) + Q
-    size = np.linalg.norm(Q) + 2 * np.linalg.norm(A.T @ P) + np.linalg.norm(P @ B @ K)
-    assert np.linalg.norm(direct) < 1e-10 * size
-    assert np.allclose(P, P.T, rtol=1e-12, atol=0)
-    assert np.linalg.eigvals(A - B @ K).real.max() < 0
-
-
 def test_there_are_twenty_cases() -> None:
     assert len(Carex.cases) == 20
     assert len(REAL) == 16
 
 
 @pytest.mark.filterwarnings("ignore:An ill-conditioned matrix detected")
-@pytest.mark.parametrize("k", REAL)
-def test_darex(k: int) -> None:
-    A, B, Q, R = (np.atleast_2d(np.asarray(M, float)) for M in Darex.cases[k][:4])
-    P, K, residual, _ = solve_riccati(model(A, B), Q, R, 1.0)
-    assert residual < 1e-11
-    direct = A.T @ P @ A - P - A.T @ P @ B @ np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A) + Q
-    size = np.linalg.norm(Q) + np.linalg.norm(P) + np.linalg.norm(A.T @ P @ A)
-    assert np.linalg.norm(direct) < 1e-11 * size
-    assert np.abs(np.linalg.eigvals(A - B @ K)).max() < 1
+@pytest.mark.filterwarnings(
+    "ignore:Input .a. has an eigenvalue pair:RuntimeWarning"
+)  # of the nearly singular Newton step of the last case
+@pytest.mark.parametrize(
+    ("published", "k", "Ts"),
+    [*((Carex, k, None) for k in range(20)), *((Darex, k, 1.0) for k in REAL)],
+)
+def test_published_cases(published: Any, k: int, Ts: float | None) -> None:
+    """The collections CAREX and DAREX in scipy's tests: small residuals, stable loops.
+
+    scipy marks five of the first as known failures; one of these because its data are unsigned
+    bytes, which -Q wraps around.
+    """
+    A, B, Q, R = (np.atleast_2d(np.asarray(M, float)) for M in published.cases[k][:4])
+    P, K, residual, _ = solve_riccati(model(A, B), Q, R, Ts)
+    poles = np.linalg.eigvals(A - B @ K)
+    if Ts is None:
+        direct = A.T @ P + P @ A - P @ B @ np.linalg.solve(R, B.T @ P) + Q
+        size = 2 * np.linalg.norm(A.T @ P) + np.linalg.norm(P @ B @ K)
+        assert poles.real.max() < 0
+    else:
+        direct = A.T @ P @ (A - B @ np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A)) - P + Q
+        size = np.linalg.norm(P) + np.linalg.norm(A.T @ P @ A)
+        assert np.abs(poles).max() < 1
+    assert residual < 1e-10
+    assert np.linalg.norm(direct) < 1e-10 * (np.linalg.norm(Q) + size)
+    assert np.allclose(P, P.T, rtol=1e-12, atol=0)
 
 
 def test_care_figures_of_octave() -> None:

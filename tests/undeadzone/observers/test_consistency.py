@@ -125,32 +125,34 @@ def numbers(*parts: Any) -> list[Floats]:
     return [np.asarray(ca.evalf(ca.SX(part)).full()) for part in parts]
 
 
+def belief_of(seed: int) -> tuple[Gaussian, Floats, Floats]:
+    """A belief about three variables, and its mean and covariance as numbers."""
+    root = np.random.default_rng(seed).normal(size=(3, 3))
+    mean, P = np.array([1.0, 2.0, 0.5]), root @ root.T + 0.1 * np.eye(3)
+    return Gaussian(ca.SX(mean), ca.SX(P)), mean, P
+
+
+def no_share_is_a_share_of_one(update: Callable[..., Any], *known: Any) -> None:
+    every, plain = update(*known, ca.SX([1.0, 1.0, 1.0])), update(*known)
+    for one, other in zip(numbers(*every.belief), numbers(*plain.belief), strict=True):
+        assert one == pytest.approx(other, rel=1e-9, abs=1e-9)
+
+
 @given(st.floats(-4.0, 1.5), st.floats(0.0, 1.0), seeds)
 @settings(max_examples=30, deadline=None)
 def test_silence_leaves_alone_what_it_may_not_move(alpha: float, share: float, seed: int) -> None:
     """A variable of share 0 keeps mean and variance; the covariance stays one for every share."""
-    root = np.random.default_rng(seed).normal(size=(3, 3))
-    P, mean, h = (
-        root @ root.T + 0.1 * np.eye(3),
-        np.array([1.0, 2.0, 0.5]),
-        ca.SX([[1.0, -1.0, 0.3]]),
-    )
+    belief, mean, P = belief_of(seed)
     row = np.array([1.0, -1.0, 0.3])
     excess = -alpha * np.sqrt(row @ P @ row + 0.01)
-    belief = Gaussian(ca.SX(mean), ca.SX(P))
+    known = belief, [Bound(ca.SX(row[None]), excess, 1.0)], 0.01, 1.6, -7.0
     for moved in ([1.0, 0.0, 1.0], [1.0, share, 1.0]):
-        one = truncate_at_bounds(belief, [Bound(h, excess, 1.0)], 0.01, 1.6, -7.0, ca.SX(moved))
-        after, cov = numbers(*one.belief)
+        after, cov = numbers(*truncate_at_bounds(*known, ca.SX(moved)).belief)
         assert np.linalg.eigvalsh(cov).min() > 0
         if moved[1] == 0.0:
             assert after[1, 0] == pytest.approx(mean[1], abs=1e-12)
             assert cov[1, 1] == pytest.approx(P[1, 1], rel=1e-9)
-    every = truncate_at_bounds(
-        belief, [Bound(h, excess, 1.0)], 0.01, 1.6, -7.0, ca.SX([1.0, 1.0, 1.0])
-    )
-    plain = truncate_at_bounds(belief, [Bound(h, excess, 1.0)], 0.01, 1.6, -7.0)
-    for one, other in zip(numbers(*every.belief), numbers(*plain.belief), strict=True):
-        assert one == pytest.approx(other, rel=1e-9, abs=1e-12)
+    no_share_is_a_share_of_one(truncate_at_bounds, *known)
 
 
 def test_edges_that_are_never_reached_stay_unknown_by_default() -> None:
@@ -170,25 +172,16 @@ def test_edges_that_are_never_reached_stay_unknown_by_default() -> None:
 @settings(max_examples=30, deadline=None)
 def test_a_reading_leaves_alone_what_it_may_not_move(e: float, share: float, seed: int) -> None:
     """The covariance is that of the gain that was used (Joseph), where the reading is sure."""
-    root = np.random.default_rng(seed).normal(size=(3, 3))
-    P, mean, row, R = (
-        root @ root.T + 0.1 * np.eye(3),
-        np.array([1.0, 2.0, 0.5]),
-        [1.0, -1.0, 0],
-        0.1,
-    )
-    belief, h, sure = Gaussian(ca.SX(mean), ca.SX(P)), ca.SX([row]), -500.0
-    shares = np.array([1.0, 1.0, share])
-    one = update_with_outliers(belief, h, e, R, 1.0, sure, 20.0, ca.SX(shares))
+    belief, mean, P = belief_of(seed)
+    row, R, shares = np.array([1.0, -1.0, 0.0]), 0.1, np.array([1.0, 1.0, share])
+    known = belief, ca.SX(row[None]), e, R, 1.0
+    one = update_with_outliers(*known, -500.0, 20.0, ca.SX(shares))
     after, cov = numbers(*one.belief)
     gain = shares * (P @ row) / (row @ P @ row + R)
     rest = np.eye(3) - np.outer(gain, row)
     assert after[:, 0] == pytest.approx(mean + e * gain, rel=1e-9, abs=1e-9)
     assert cov == pytest.approx(rest @ P @ rest.T + R * np.outer(gain, gain), rel=1e-9, abs=1e-9)
-    every = update_with_outliers(belief, h, e, R, 1.0, -3.0, 20.0, ca.SX([1.0, 1.0, 1.0]))
-    plain = update_with_outliers(belief, h, e, R, 1.0, -3.0, 20.0)
-    for here, there in zip(numbers(*every.belief), numbers(*plain.belief), strict=True):
-        assert here == pytest.approx(there, rel=1e-9, abs=1e-12)
+    no_share_is_a_share_of_one(update_with_outliers, *known, -3.0, 20.0)
 
 
 def test_readings_on_one_edge_leave_the_other_unknown_by_default() -> None:

@@ -107,9 +107,10 @@ def test_where_all_is_linear_and_sure_both_filters_smooth_alike() -> None:
             np.testing.assert_allclose(other[name], one, rtol=0, atol=1e-8)
 
 
-@pytest.mark.parametrize("method", ["censored", "auto", "extended"])
+@pytest.mark.parametrize("method", ["kalman", "censored", "auto", "extended"])
 def test_smoothing_ends_where_the_filter_does(method: str) -> None:
     observer = {
+        "kalman": uz.Kalman(right=[0.0, 2.0], disturbance=0.2),
         "censored": uz.Censored(right=[0.0, 2.0]),
         "auto": uz.Auto(right=[0.0, 2.0]),
         "extended": uz.Extended(right=[0.0, 2.0], bias=0.0),
@@ -130,21 +131,36 @@ def test_smoothing_ends_where_the_filter_does(method: str) -> None:
     assert (np.abs(found.x_smooth - run.x) < 4 * found.x_smooth_std).all()
 
 
-def test_a_nonlinear_plant_is_smoothed() -> None:
-    swing = scenario(
-        uz.Extended(right=[0.0, 0.5]),
-        plant=PENDULUM,
-        sensor=uz.Sensor(right=0.2, left=0.1, noise=0.005),
-        reference=uz.Sine(amplitude=0.8, frequency=0.4),
-        controller=uz.StateFeedback(poles=[-4.0, -5.0]),
-    )
-    run = uz.simulate(swing)
-    found = uz.estimate(swing, t=run.t, y=run.y, u=run.u)
-    assert found.z_smooth is not None
-    assert found.x_smooth_std is not None
+SWING = scenario(
+    uz.Extended(right=[0.0, 0.5]),
+    plant=PENDULUM,
+    sensor=uz.Sensor(right=0.2, left=0.1, noise=0.005),
+    reference=uz.Sine(amplitude=0.8, frequency=0.4),
+    controller=uz.StateFeedback(poles=[-4.0, -5.0]),
+)
+TWO_OUTPUTS = scenario(
+    plant=uz.Plant(
+        A=[[0, 1, 0], [-4, -1, 1], [0, 0, -2]],
+        B=[[0, 0], [4, 0], [0, 2]],
+        C=[[1, 0, 0], [0, 0, 1]],
+        x0=[1.0, 0.0, -1.0],
+    ),
+    sensor=uz.Sensor(right=[0.8, 0.5], left=[0.4, 0.3], noise=0.02),
+    reference=uz.Sine(amplitude=[3.0, 2.0], frequency=0.3),
+    controller=uz.StateFeedback(poles=[-4.0, -5.0, -6.0]),
+)
+
+
+@pytest.mark.parametrize(("looked", "share"), [(SWING, 0.8), (TWO_OUTPUTS, 0.3)])
+def test_plants_are_smoothed(looked: uz.Scenario, share: float) -> None:
+    """A nonlinear one, and one of two outputs."""
+    run = uz.simulate(looked)
+    found = uz.estimate(looked, t=run.t, y=run.y, u=run.u)
     errors = [np.sqrt(np.mean((z - run.z) ** 2)) for z in (found.z_hat, found.z_smooth)]
-    assert errors[1] < 0.8 * errors[0]
-    assert np.mean(np.abs(found.x_smooth - run.x) < 2 * found.x_smooth_std) > 0.9
+    assert errors[1] < share * errors[0]
+    assert np.mean(np.abs(found.x_smooth - run.x) < 2 * found.x_smooth_std + 1e-9) > 0.9
+    true = np.stack([looked.sensor.right, looked.sensor.left], axis=-1).ravel()
+    np.testing.assert_allclose(found.d_smooth[0], true, atol=0.02)
 
 
 def test_readings_that_are_no_numbers_leave_numbers() -> None:

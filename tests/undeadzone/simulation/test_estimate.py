@@ -199,18 +199,6 @@ def test_smoothing_is_the_least_squares_of_the_whole_log(run: uz.Run, disturbanc
     np.testing.assert_allclose(smoothed["d_smooth"], expected[:, 4:], rtol=0, atol=2e-6)
 
 
-def test_smoothing_ends_where_the_filter_does_and_is_better(run: uz.Run) -> None:
-    certain = msgspec.structs.replace(KALMAN, glitches=0.0)
-    result = uz.estimate(scenario(observer=certain), t=run.t, y=run.y, u=run.u)
-    assert result.x_smooth is not None
-    assert result.z_smooth is not None
-    np.testing.assert_allclose(result.x_smooth[-1], result.x_hat[-1], rtol=0, atol=1e-12)
-    causal = np.sqrt(np.mean((result.z_hat - run.z) ** 2))
-    assert np.sqrt(np.mean((result.z_smooth - run.z) ** 2)) < 0.1 * causal
-    bare = uz.estimate(scenario(), t=run.t, y=run.y, u=run.u, smoothing=False)
-    assert bare.z_smooth is None
-
-
 def test_a_glitch_is_counted_and_moves_neither_filter_nor_smoother(run: uz.Run) -> None:
     y = run.y.copy()
     y[500] = 40.0
@@ -223,32 +211,6 @@ def test_a_glitch_is_counted_and_moves_neither_filter_nor_smoother(run: uz.Run) 
     for one, other in ((result.z_hat, clean.z_hat), (result.z_smooth, clean.z_smooth)):
         rms, least = (float(np.sqrt(np.mean((z - run.z) ** 2))) for z in (one, other))
         assert rms <= 1.2 * least + 1e-6
-
-
-def test_smoothing_of_two_outputs() -> None:
-    plant = uz.Plant(
-        A=[[0, 1, 0], [-4, -1, 1], [0, 0, -2]],
-        B=[[0, 0], [4, 0], [0, 2]],
-        C=[[1, 0, 0], [0, 0, 1]],
-        x0=[1.0, 0.0, -1.0],
-    )
-    two = scenario(
-        KALMAN,
-        plant=plant,
-        sensor=uz.Sensor(right=[0.8, 0.5], left=[0.4, 0.3], noise=0.02),
-        reference=uz.Sine(amplitude=[3.0, 2.0], frequency=0.3),
-        controller=uz.StateFeedback(poles=[-4.0, -5.0, -6.0]),
-    )
-    run = uz.simulate(two)
-    result = uz.estimate(two, t=run.t, y=run.y, u=run.u)
-    assert result.z_smooth is not None
-    assert result.x_smooth is not None
-    assert result.x_smooth_std is not None
-    assert result.d_smooth is not None
-    causal = np.sqrt(np.mean((result.z_hat - run.z) ** 2))
-    assert np.sqrt(np.mean((result.z_smooth - run.z) ** 2)) < 0.3 * causal
-    assert (np.abs(result.x_smooth - run.x) < 5 * result.x_smooth_std + 1e-9).all()
-    np.testing.assert_allclose(result.d_smooth[0], [0.8, 0.4, 0.5, 0.3], atol=0.02)
 
 
 def test_the_test_is_the_recursion_in_blocks() -> None:
