@@ -30,7 +30,7 @@ from undeadzone.errors import FileError, InputError
 from undeadzone.scenario.operating_point import OperatingPoint
 from undeadzone.scenario.reader import read
 from undeadzone.scenario.schema import Scenario
-from undeadzone.util.files import read_text
+from undeadzone.util.files import read_table, read_text
 from undeadzone.util.text import escape_controls, to_one_line
 from undeadzone_export.targets import MANIFEST, Files, manifest_text, write_folder
 
@@ -49,164 +49,7 @@ KINDS: Final = {
 VALVE: Final = ("stiction", "input_play")  # the lead lessens the error of either
 OF_INPUT: Final = ("input_zone", "input_play")  # verdicts with widths in the input's unit
 NAMES: Final = {"sensor": "undead", "actuator": "driven", "backlash": "commanded"}
-
-_SEES = "It cannot see inside the zone: there it gives the middle, up to half the width off."
-_HEADS: Final = {
-    "sensor": (
-        "Sensor dead zone {right} / -{left} {unit} ({interval}){rest}, from {source}.",
-        _SEES,
-    ),
-    "noisy": (
-        "Sensor dead zone {right} / -{left} {unit} ({interval}){rest}, from {source}.",
-        "Noise {noise} behind it. " + _SEES,
-    ),
-    "one_edge": (
-        "Sensor dead zone with one edge, {edge} {unit} ({interval}){rest}, from {source}.",
-        "It cannot see inside the zone: there it gives half of the edge.",
-    ),
-    "actuator": (
-        "Actuator dead zone {right} / -{left} {unit} ({interval}){rest}, from {source}.",
-        "It uses the low ends, for too large a jump oscillates. It cannot remove friction.",
-    ),
-    "backlash": (
-        "Backlash: gap {width} {unit} ({interval}), from {source}. Reach the start from above.",
-        "It cannot see a load or gravity that pushes through the gap, friction, or a spring.",
-    ),
-}
-_PID = "A PID controller: error dead band 0, with limits on its integral."
-_SETTINGS: Final = {
-    **dict.fromkeys(("sensor", "noisy", "one_edge"), _PID),
-    "actuator": "A PID controller: output dead band {right_low} / -{left_low} {unit}.",
-    "backlash": "LinuxCNC: BACKLASH = {width} in [JOINT_n]. Klipper and GRBL have no setting.",
-    "ahead": "Smooth a noisy command first: at each of its turns the actuator crosses the gap.",
-}
-_SETTINGS_OF_GAPS: Final = {
-    "mm": "Marlin: M425 X{width} F1 (any axis; M500 stores it).",
-    **dict.fromkeys(("arcsec", "px"), "PHD2: 1000 x {width} / guide rate, in ms."),
-    "ms": "PHD2: backlash compensation {width} ms.",
-}
-_C: Final = {
-    "sensor": """static float {name}(float y)
-{{
-    if (y > {above}f) return y + {right}f;
-    if (y < {below}f) return y - {left}f;
-    return {middle}f; /* silent: the middle of the zone */
-}}
-""",
-    "noisy": """#include <math.h>
-static float {name}(float y) /* posterior mean: fades in where noise cannot be silence */
-{{
-    float q = {from_rest_c} / {noise}f;
-    float side = tanhf(q * (0.7979f + 0.0357f * q * q));
-    return {middle}f + ({noise}f * q + {half}f * side) / (1.0f + {silence}f * expf(-0.5f * q * q));
-}}
-""",
-    "one_edge": """static float {name}(float y)
-{{
-    return y {beyond}f ? y {shift}f : {middle}f; /* silent: half of the edge */
-}}
-""",
-    "actuator": """static float {name}(float wanted)
-{{
-    float share = {from_rest_c} / {ramp}f; /* fades the jump at rest */
-    if (share > 1.0f) share = 1.0f;
-    if (share < -1.0f) share = -1.0f;
-    return wanted + share * (share > 0.0f ? {right_low}f : {left_low}f);
-}}
-""",
-    "backlash": """static float {name}(float wanted)
-{{
-    static float before = 0.0f, lead = 0.0f;
-    if (wanted > before) lead = {width}f;
-    if (wanted < before) lead = 0.0f;
-    before = wanted;
-    return wanted + lead;
-}}
-""",
-}
-_PYTHON: Final = {
-    "sensor": """def {name}(y):
-    if y > {above}:
-        return y + {right}
-    return y - {left} if y < {below} else {middle}  # silent: the middle of the zone
-""",
-    "noisy": """from math import exp, tanh
-
-
-def {name}(y):  # posterior mean: fades in where noise cannot be silence
-    q = {from_rest} / {noise}
-    side = tanh(q * (0.7979 + 0.0357 * q * q))
-    return {middle} + ({noise} * q + {half} * side) / (1.0 + {silence} * exp(-0.5 * q * q))
-""",
-    "one_edge": """def {name}(y):
-    return y {shift} if y {beyond} else {middle}  # silent: half of the edge
-""",
-    "actuator": """def {name}(wanted):
-    share = max(-1.0, min(1.0, {from_rest} / {ramp}))  # fades the jump at rest
-    return wanted + share * ({right_low} if share > 0 else {left_low})
-""",
-    "backlash": """class Gap:
-    before = lead = 0.0
-
-    def __call__(self, wanted):
-        if wanted != self.before:
-            self.lead = {width} if wanted > self.before else 0.0
-        self.before = wanted
-        return wanted + self.lead
-
-
-{name} = Gap()
-""",
-}
-_ST: Final = {
-    "sensor": """FUNCTION_BLOCK {name}
-VAR_INPUT y : REAL; END_VAR
-VAR_OUTPUT z : REAL; END_VAR
-IF y > {above} THEN z := y + {right};
-ELSIF y < {below} THEN z := y - {left};
-ELSE z := {middle}; (* silent: the middle of the zone *)
-END_IF;
-END_FUNCTION_BLOCK
-""",
-    "noisy": """FUNCTION_BLOCK {name}
-VAR_INPUT y : REAL; END_VAR
-VAR_OUTPUT z : REAL; END_VAR
-VAR q : REAL; side : REAL; END_VAR
-q := {from_rest} / {noise};
-side := LIMIT(-9.0, q * (0.7979 + 0.0357 * q * q), 9.0);
-side := 1.0 - 2.0 / (EXP(2.0 * side) + 1.0); (* tanh *)
-z := {middle} + ({noise} * q + {half} * side) / (1.0 + {silence} * EXP(-0.5 * q * q));
-END_FUNCTION_BLOCK
-""",
-    "one_edge": """FUNCTION_BLOCK {name}
-VAR_INPUT y : REAL; END_VAR
-VAR_OUTPUT z : REAL; END_VAR
-IF y {beyond} THEN z := y {shift};
-ELSE z := {middle}; (* silent: half of the edge *)
-END_IF;
-END_FUNCTION_BLOCK
-""",
-    "actuator": """FUNCTION_BLOCK {name}
-VAR_INPUT wanted : REAL; END_VAR
-VAR_OUTPUT command : REAL; END_VAR
-VAR share : REAL; END_VAR
-share := LIMIT(-1.0, {from_rest} / {ramp}, 1.0); (* fades the jump at rest *)
-IF share > 0.0 THEN command := wanted + share * {right_low};
-ELSE command := wanted + share * {left_low};
-END_IF;
-END_FUNCTION_BLOCK
-""",
-    "backlash": """FUNCTION_BLOCK {name}
-VAR_INPUT wanted : REAL; END_VAR
-VAR_OUTPUT command : REAL; END_VAR
-VAR before : REAL; lead : REAL; END_VAR
-IF wanted > before THEN lead := {width}; ELSIF wanted < before THEN lead := 0.0; END_IF;
-before := wanted;
-command := wanted + lead;
-END_FUNCTION_BLOCK
-""",
-}
-
+_TEXTS: Final = read_table(__file__)
 
 Triple: TypeAlias = tuple[float, float, float]  # a value with the ends of its interval
 
@@ -336,12 +179,13 @@ def snippet_texts(lost: Lost, name: str) -> dict[str, str]:
         if any(low < high for _, low, high in bounded)
         else "given, no interval",
     }
-    settings = [_SETTINGS["ahead" if lost.is_ahead else kind]]
-    if kind == "backlash" and not lost.is_ahead and lost.unit in _SETTINGS_OF_GAPS:
-        settings.insert(0, _SETTINGS_OF_GAPS[lost.unit])
-    lines = (*_HEADS[kind], lost.measured, *settings)
+    settings = [_TEXTS["settings"]["ahead" if lost.is_ahead else kind]]
+    of_gaps = _TEXTS["settings_of_gaps"]
+    if kind == "backlash" and not lost.is_ahead and lost.unit in of_gaps:
+        settings.insert(0, of_gaps[lost.unit])
+    lines = (*_TEXTS["heads"][kind], lost.measured, *settings)
     head = [" ".join(line.format(**words).split()) for line in lines]
-    c, python, st = (each[kind].format(**words) for each in (_C, _PYTHON, _ST))
+    c, python, st = (_TEXTS[each][kind].format(**words) for each in ("c", "python", "st"))
     return {
         "snippet.h": "/* " + "\n   ".join(head) + " */\n" + c,
         "snippet.py": "".join(f"# {line}\n" for line in head) + python,

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import ast
 import functools
+import importlib
+import itertools
 import re
+import tomllib
 from importlib.util import resolve_name
 from pathlib import Path
 from types import ModuleType
@@ -13,104 +16,12 @@ import pytest
 
 import once
 import undeadzone
-import undeadzone_arena
 import undeadzone_design
-import undeadzone_export
-import undeadzone_identify
-import undeadzone_paper
-import undeadzone_proof
 import undeadzone_studies
 
 ROOT = Path(undeadzone.__file__).parent
-# The packages of the distribution, and what else of it each may import.
-PACKAGES = {
-    undeadzone: (),
-    undeadzone_proof: (),
-    undeadzone_export: ("undeadzone", "undeadzone_proof"),
-    undeadzone_design: ("undeadzone",),
-    undeadzone_studies: ("undeadzone",),
-    undeadzone_identify: (
-        "undeadzone",
-        "undeadzone_design",
-        "undeadzone_export",
-        "undeadzone_studies",
-    ),
-    undeadzone_paper: ("undeadzone", "undeadzone_identify"),
-    undeadzone_arena: ("undeadzone", "undeadzone_paper", "undeadzone_studies"),
-}
-# From the ground up; rooms of one floor do not know each other.
-FLOORS = {
-    undeadzone: (
-        ("errors",),
-        ("util",),
-        ("compile", "nonlinearities", "linalg", "logs", "numerics"),
-        ("plants", "signals"),
-        ("feedforward",),
-        ("analysis", "interfaces"),
-        ("registry",),
-        ("compensators", "controllers", "observers"),
-        ("scenario",),
-        ("results",),
-        ("simulation",),
-        ("report",),
-        ("cli",),
-    ),
-    undeadzone_design: (
-        ("certificate", "convergence"),
-        ("synthesis",),
-        ("report",),
-        ("commands",),
-    ),
-    undeadzone_studies: (
-        ("statistics",),
-        ("ensemble",),
-        ("tuning",),
-        ("report",),
-        ("commands",),
-    ),
-    undeadzone_proof: (("source",), ("theorem",)),
-    undeadzone_export: (
-        ("compiler", "exported_step", "template"),
-        ("boards", "code"),
-        ("fmu", "page", "source", "selftest_vectors"),
-        ("accuracy", "plc", "proving"),
-        ("plcopen",),
-        ("targets",),
-        ("snippet",),
-        ("exporting",),
-        ("command",),
-    ),
-    undeadzone_identify: (
-        ("models",),
-        ("logs",),
-        ("fitting", "looks", "servo"),
-        ("selection",),
-        ("results",),
-        ("chain", "figures", "pipeline"),
-        ("page",),
-        ("command", "loops"),
-    ),
-    undeadzone_arena: (
-        ("approximators", "gain_defaults", "unscented"),
-        ("compensators", "controllers", "observers"),
-        ("contest",),
-        ("command",),
-    ),
-    undeadzone_paper: (
-        ("equations", "observer"),
-        ("example", "law"),
-        ("diagrams", "measures"),
-        ("printed",),
-        ("arm", "theorem"),
-        ("evidence", "figures"),
-        ("trials",),
-        ("both_sides", "claims", "facts"),
-        ("audit",),
-        ("page",),
-        ("report",),
-        ("command",),
-    ),
-}
+LAYERS = tomllib.loads(Path(__file__).with_name("layers.toml").read_text("utf-8"))
+PACKAGES = list(map(importlib.import_module, LAYERS))
 # Calls that import a module by its name, and calls that attach the names of the stub beside a file.
 IMPORTING = frozenset({"__import__", "import_module", "load"})
 ATTACHING = frozenset({"attach_package", "attach_stub"})
@@ -228,7 +139,11 @@ def imports(text: str, package: ModuleType, path: Path = Path("a.py")) -> set[st
 
 def upward(path: Path, text: str, package: ModuleType = undeadzone) -> list[str]:
     """The imports of a file that do not point to a lower floor of its package."""
-    floor = {name: height for height, rooms in enumerate(FLOORS[package]) for name in rooms}
+    floor = {
+        name: height
+        for height, rooms in enumerate(LAYERS[package.__name__]["floors"])
+        for name in rooms
+    }
     here = room(path)
     rooms = {name: name.split(".")[0] for name in imports(text, package, path)}
     outside = {name: other for name, other in rooms.items() if other != here and other in floor}
@@ -247,7 +162,9 @@ def circle(arrows: dict[str, set[str]]) -> set[str]:
 @each_package
 def test_every_room_has_its_floor(package: ModuleType) -> None:
     rooms = {room(path) for path in texts(package)} - {"__init__", "__main__"}
-    assert sorted(rooms) == sorted(name for floor in FLOORS[package] for name in floor)
+    assert sorted(rooms) == sorted(
+        name for floor in LAYERS[package.__name__]["floors"] for name in floor
+    )
 
 
 @each_package
@@ -368,7 +285,7 @@ def packages(text: str) -> set[str]:
 @each_package
 def test_packages_stand_on_each_other_as_listed(package: ModuleType) -> None:
     """The tool knows none of the others."""
-    allowed = {package.__name__, *PACKAGES[package]}
+    allowed = {package.__name__, *LAYERS[package.__name__]["imports"]}
     found = {path: packages(text) for path, text in texts(package).items()}
     assert len(found) > 1
     assert not {path: names for path, names in found.items() if names - allowed}

@@ -11,33 +11,21 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from undeadzone.util.arrays import Floats
+from undeadzone.util.files import read_table
 
+
+def _compile_pieces(pieces: list[str]) -> re.Pattern[str]:
+    """Return the pattern that is written in pieces."""
+    return re.compile("".join(pieces))
+
+
+_TABLES: Final = read_table(__file__)
 # Length of a unit of time [s]. A time that counts samples has no length of its own.
-SECONDS: Final = {
-    **dict.fromkeys(("", "s", "sec", "secs", "second", "seconds", "sekunden", "secondes"), 1.0),
-    **dict.fromkeys(("ms", "msec", "millis", "milliseconds"), 1e-3),
-    **dict.fromkeys(("us", "µs", "μs", "usec", "micros", "microseconds"), 1e-6),
-    **dict.fromkeys(("ns", "nsec", "nanos", "nanoseconds"), 1e-9),
-    **dict.fromkeys(("min", "mins", "minute", "minutes"), 60.0),
-    **dict.fromkeys(("h", "hr", "hours"), 3600.0),
-}
+SECONDS: Final[dict[str, float]] = _TABLES["seconds"]
 OF_TIME: Final = ("s", "sec", "second", "seconds")  # units that show a time by themselves
 COUNTS: Final = ("sample", "samples", "step", "steps", "index", "row", "frame")
 # Names of times, best first: alone, with a unit, and with words that say of what.
-_TIMES: Final = tuple(
-    map(
-        re.compile,
-        (
-            r"^t$",
-            r"^(times?|zeit|temps|tiempo|tempo)$",
-            r"^((zeit)?stempel|time ?stamp|date ?time|clock|uhrzeit|heure|hora|elapsed( time)?)$",
-            r"^(date|datum|fecha|secs?|seconds|[mun]s|[mu]sec|(milli|micro|nano)(s|seconds)|minutes)$",
-            r"^(t|times?|timestamp|zeit|elapsed|elapsed time) "
-            r"([mun]?s|[mu]?secs?|seconds|min(ute)?s?|h|hours)$",
-            r"^(time|timestamp|stamp|zeit|temps|tiempo|tempo|elapsed)\b|\b(time|timestamp|stamp|zeit)$",
-        ),
-    )
-)
+_TIMES: Final = list(map(_compile_pieces, _TABLES["names"]["times"]))
 VAGUE: Final = len(_TIMES) - 1  # rank from which a time must run as times do
 # A unit at the end of a name: `motor_deg`, `force_N`. Letters that often mean something else are
 # none.
@@ -52,117 +40,9 @@ EXACT: Final = 20.0  # rank of names without doubt
 REFERENCE: Final = 10.0  # rank of what a loop follows, which drives no plant by itself
 # Rows of a pattern, the kind that it shows ("" if it shows none) and a rank: the largest drives,
 # the least is read. The first row that fits a name decides.
-_TABLE: Final = tuple(
-    (re.compile(pattern), kind, rank)
-    for pattern, kind, rank in (
-        (r"^(u|input|in|control|eingang|entrée|entrada|ingresso)( \d+)?$", "", EXACT),
-        (r"^(y|output|out|ausgang|sortie|salida|sa[ií]da|uscita)( \d+)?$", "", -EXACT),
-        (
-            r"^(op|co|mv|controller output|stellgr(ö|oe)(ß|ss)e)$|\w op$|\bpid\b.*\bout\b",
-            "op",
-            EXACT,
-        ),
-        (r"\bpv\b|^process (value|variable)$|^regelgr(ö|oe)(ß|ss)e$", "pv", -EXACT),
-        (r"^u \w+$", "", 17.0),
-        (r"^y \w+$", "", -17.0),
-        (r"^(command|cmd)$", "goal", 18.0),
-        (r"^(reading|measured|measurement|istwert|mesure)$", "", -18.0),
-        (
-            r"\bbatt|\bvbat|supply|counter\b|star mass\b|\bcalculated\b|\bsnr\b|delta|\bdt\b"
-            r"|^stat(e|us) \d|moving|\bpin\b|\bbus\b|\bvcc\b|\berror?\b|\bwanted time\b|\bindex\b"
-            r"|^(integral|derivative|proportional)$"
-            r"|\bid\b|^(n|no|nr|samples?|trial|test|run|point|row|measurement|record"
-            r"|prueba|ensayo|essai|versuch|messung)"
-            r"( (no|nr|number))?$",
-            "aside",
-            0.0,
-        ),
-        (r"\bsp\b|^sv$", "sp", REFERENCE),
-        (
-            r"^(r|ref|reference|set ?point|sollwert|consigne|consigna|referencia|riferimento"
-            r"|führungsgr(ö|oe)(ß|ss)e)$",
-            "goal",
-            REFERENCE,
-        ),
-        (r"\bdec ?(guide|pulse)|\bcontrol (signal|output|effort|value)\b|\bctrl\b", "drive", 16.5),
-        (r"\b(measured|actual|real) volt|\bvolt\w* (measured|actual|real)\b", "drive", -4.0),
-        (r"\bout(put)? volt", "drive", 0.0),  # of a driver, or of a sensor
-        (r"\b(angle|steer\w*|yaw|pitch|roll|turn) rate\b", "speed", -8.0),
-        (r"^(esc|servo)( signal)?( \d+)?$|^(m|motor|left|right|drive|set) power$", "drive", 15.0),
-        (
-            r"\b(motor|control|pwm|volt\w*|torque|force|valve|duty|throttle) (command|cmd)\b",
-            "drive",
-            16.0,
-        ),
-        (
-            r"\b(goal|target\w*|desired|set ?point|ref(erence)?|wanted|demand(ed)?|command(ed)?|cmd"
-            r"|set|sp|actions?|des|requested|ziel)\b|\bsoll|consigne|consigna|vorgabe",
-            "goal",
-            12.0,
-        ),
-        (
-            r"torque|\btau|\bcurrent\b(?! (pos|angle|speed|vel|temp|val))|effort|moment\b|strom\b"
-            r"|courant|couple\b|\bamps?\b|ampere|\biq\b|\bq axis\b",
-            "torque",
-            8.0,
-        ),
-        (
-            r"measured|\bactual\b|\bpresent\b|sensor|infrared|ultrasonic|sonar\b|\bcell\b|\badc|feedback|\bfb\b|reading|\bhx\b|response|\bist\b"
-            r"|\braw\b(?! d)|\bcode\b|\bацп\b|observ|mesur|gemessen",
-            "",
-            -12.0,
-        ),
-        (r"\bpulses$", "position", -8.0),  # that an encoder counts
-        (
-            r"pwm|^input signal\b|steer|volt|spannung|tension|duty|throttle|joystick|pulse"
-            r"|guide distance|valve|ventil|vanne|heater|heiz|chauff|pump|\bfan\b|\bdac\b|stick\b"
-            r"|drive\b",
-            "drive",
-            14.0,
-        ),
-        (r"^q( \d+)?$", "position", 0.0),  # a joint's coordinate, or a flow that is set
-        (r"^[flpt]c?v \d", "op", 14.0),  # tags of ISA-5.1: valves, and transmitters
-        (r"^[flpt]i?t \d", "pv", -12.0),
-        (r"^t \d+$", "", -8.0),  # temperatures
-        (r"^dec( raw|$)", "position", -9.0),
-        (r"^ra( raw|$)", "position", -8.5),
-        (
-            r"speed|veloc|\bvel\b|\be?rpm\b|drehzahl|geschw|vitesse|omega|\bd ?d?q\b|\bqd\b|gyro|"
-            r"tach|\bupm\b|\[(k?rpm|upm|[^]]*/s)\]",
-            "speed",
-            -8.1,
-        ),
-        (
-            r"accel|beschl|thrust|flow|level|pressure|\bpres\b|\btemp|durchfl|druck|stand\b|niveau|débit|pression|"
-            r"volume|weight|gewicht|poids",
-            "",
-            -8.0,
-        ),
-        (r"displac|\bhub\b|\bweg\b|course|plunger", "position", 6.0),
-        (
-            r"load (pos|ang|enc)\w*|joint|\blink|\baxis|\bstar\b|camera|\bdial|\bscale\b|wheel",
-            "position",
-            -10.0,
-        ),
-        (
-            r"force|kraft|\bload\b|last\b|newton|applied|stimulus",
-            "force",
-            4.0,
-        ),
-        (r"\bconc\b|concentration|\bpp[mb]\b", "", REFERENCE),
-        (r"\bmot(or)?\b|\btheta m\b", "position", 6.0),
-        (
-            r"\bpos|position|angle|winkel|encoder|\benc\b|theta|\bphi\b|distance|height|"
-            r"tilt|lage\b|stellung|auslenk|pitch|roll\b|yaw|ticks|^obs\w* state|"
-            r"\[(deg|rad|mrad|°|mm|cm|m|in|um|µm|px|ticks|counts|arcsec|arcmin)\]",
-            "position",
-            -8.0,
-        ),
-        (r"\[(m?a|nm)\]", "torque", 8.0),
-        (r"\[(k?n|kip|lbf?|kg)\]", "force", 4.0),
-        (r"\[([um]?v|volts?|%|pct|percent)\]", "drive", 5.0),
-    )
-)
+_TABLE: Final = [
+    (_compile_pieces(pieces), kind, rank) for pieces, kind, rank in _TABLES["names"]["kinds"]
+]
 
 
 class Title(NamedTuple):
