@@ -209,7 +209,7 @@ class AssumptionCheck(NamedTuple):
                 keys.append(key)
         first = ", ".join(keys[:-1])
         change = f"{self.change} {first}{' or ' * bool(first)}{keys[-1]}" if keys else ""
-        return ", or ".join(phrase for phrase in (self.look, change) if phrase)
+        return ", or ".join(filter(None, (self.look, change)))
 
 
 _TABLES: Final = read_table(__file__)

@@ -104,7 +104,7 @@ def arena(
     resume: bool,
     force: bool,
     confine: Path | None,
-) -> int:
+) -> None:
     """Compare methods: each replaces the scenario's observer, with the same prior information.
 
     Without scenarios it uses those that the arena holds out. Methods are ranked by their regret on
@@ -135,7 +135,8 @@ def arena(
         require_own_file(require_writable(folder) / "tuned.toml", force)
         if resume:
             report_fresh_start(folder / "tuned.toml.partial")
-        return _run_tuning(names, grounds, budget, processes, folder, as_json, resume)
+        _run_tuning(names, grounds, budget, processes, folder, as_json, resume)
+        return
     keep = folder / "results.json.partial" if _can_store_results(folder, writes) else None
     if resume and keep is not None:
         report_fresh_start(keep)
@@ -157,7 +158,6 @@ def arena(
         print_json(contest.summary(), written)
     else:
         print_blocks(contest.blocks(), files_line(written))
-    return 0
 
 
 def _require_used_options(tuning: bool) -> None:
@@ -194,8 +194,7 @@ def _parse_method_names(methods: str) -> list[str]:
 
     Raises BadParameter if it is empty.
     """
-    names = list(map(str.strip, methods.split(",")))
-    named = [name for name in names if name]
+    named = list(filter(None, map(str.strip, methods.split(","))))
     if not named:
         raise click.BadParameter(
             f"expected names with commas between them, found {methods!r}", param_hint="'--methods'"
@@ -218,7 +217,7 @@ def _run_tuning(
     folder: Path,
     as_json: bool,
     resume: bool,
-) -> int:
+) -> None:
     """Tune methods, write and print their numbers."""
     from undeadzone_arena.contest.methods import method_registry
     from undeadzone_arena.contest.tune import tune_methods
@@ -245,7 +244,6 @@ def _run_tuning(
         print_json(msgspec.to_builtins(tuned), [path])
     else:
         _print_tuned(tuned, path)
-    return 0
 
 
 def _write_results(contest: Contest, folder: Path, own: bool) -> list[Path]:

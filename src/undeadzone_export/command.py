@@ -79,7 +79,7 @@ def export(
     force: bool,
     as_json: bool,
     confine: Path | None,
-) -> int:
+) -> bool:
     """Write a scenario's observer, and on request its controller, as code for another machine.
 
     The targets are C99 for firmware, Structured Text (st) for a PLC, an FMU for Simulink, Modelica
@@ -99,7 +99,8 @@ def export(
     if to == "snippet":
         if check or tunable or precision or method or part != "observer":
             raise click.UsageError("--to snippet takes --out, --name, --force and --json only")
-        return _export_snippet(scenario, out or Path("snippet"), name, force, as_json, confine)
+        _export_snippet(scenario, out or Path("snippet"), name, force, as_json, confine)
+        return True
     from undeadzone.scenario.reader import read
     from undeadzone_export.boards import BoardFit, board_table
     from undeadzone_export.exporting import export as run
@@ -130,23 +131,22 @@ def export(
         if check and result.report["accuracy"] is not None:
             blocks.append(_accuracy_table(result.report["accuracy"]))
         print_blocks(blocks)
-    return 0 if result.has_passed else 1
+    return result.has_passed
 
 
 def _export_snippet(
     source: Path, out: Path, name: str | None, force: bool, as_json: bool, confine: Path | None
-) -> int:
+) -> None:
     """Write the lines that compensate, and print the report and the shortest of them."""
     from undeadzone_export.snippet import write_snippet
 
     report = write_snippet(source, out, name, force, confine)
     if as_json:
         print_json(report)
-        return 0
+        return
     sides = [report["width"]] if report["kind"] == "backlash" else [report["right"], report["left"]]
     widths = [f"{value:.6g} [{low:.6g}, {high:.6g}] {report['unit']}" for value, low, high in sides]
     print_blocks([{report["kind"]: widths, "written": report["written"]}])
-    return 0
 
 
 def _report_lines(report: dict[str, Any], files: list[str]) -> dict[str, Any]:

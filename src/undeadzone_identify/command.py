@@ -96,7 +96,7 @@ def identify(
     further: Path | None,
     force: bool,
     **options: Any,
-) -> int:
+) -> bool:
     """Find plant and dead zone from a log of a real plant.
 
     A log is a CSV file of any dialect (t, u, y with units in brackets), .npz, .mat or .jsonl.
@@ -200,7 +200,7 @@ def identify(
         written,
         why | files_line(written) | follow,
     )
-    return 0 if is_done else 1
+    return is_done
 
 
 def _build_firmware(

@@ -25,7 +25,7 @@ HEAD = ("loop", "cause", "odds", "S of OP", "J of OP", "cost", "travel a day", "
 @value_option("--workers", "N", "Judge N loops at once.", type=click.IntRange(1), default=1)
 @flag_option("--resume", "Go on from what an interrupted command left in DIR.")
 @add_output_options
-def loops(source: Path, workers: int, resume: bool, output: Output) -> int:
+def loops(source: Path, workers: int, resume: bool, output: Output) -> bool:
     """Rank the control loops of a plant by the cost of their swing, with the cause of each.
 
     PLANT is a folder, with a CSV file for each record, named by the valve and a date, as in
@@ -74,7 +74,7 @@ def loops(source: Path, workers: int, resume: bool, output: Output) -> int:
         keep.unlink(missing_ok=True)
     table = [HEAD, *map(cells_of_row, rows)]
     output.print_result(lambda: {"loops": rows}, lambda: [table], written, files_line(written))
-    return int(any(row["verdict"] == "refused" for row in rows))
+    return all(row["verdict"] != "refused" for row in rows)
 
 
 def judge_loop(tag: str, records: list[Record], folder: Path | None) -> dict[str, Any]:

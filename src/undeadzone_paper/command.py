@@ -28,7 +28,7 @@ COLOURS = {"holds": "green", "holds after repair": "yellow"}  # of verdicts; of 
 
 @click.command(epilog="Example: undeadzone paper --out results, then look at results/report.html")
 @add_output_options
-def paper(output: Output) -> int:
+def paper(output: Output) -> None:
     """Run the paper's example as printed and repaired, and check every claim.
 
     Prints the table of claims, each with its measured number. Writes paper.json, figures 1-8 and
@@ -49,7 +49,6 @@ def paper(output: Output) -> int:
         print_json(summary, written)
     else:
         _print_claims(result.claims, summary, written)
-    return 0
 
 
 def _print_claims(claims: list[Claim], summary: dict[str, Any], written: list[Path]) -> None:

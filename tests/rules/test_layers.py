@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 import functools
 import importlib
-import itertools
 import re
 import tomllib
 from importlib.util import resolve_name

@@ -38,7 +38,7 @@ def called(*arguments: str) -> tuple[int, Result]:
     result = CliRunner().invoke(command, ["arm.toml", *arguments], standalone_mode=False)
     if result.exception is not None:
         raise result.exception
-    return int(result.return_value), result
+    return int(not result.return_value), result
 
 
 def test_it_writes_firmware_and_says_what_it_costs(tmp_path: Path) -> None:

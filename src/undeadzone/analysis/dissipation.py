@@ -313,17 +313,11 @@ def check_inequality(inequality: Inequality, P: Floats) -> DefinitenessCheck:
     n = inequality.A[0].shape[0]
     if P.shape != (n, n) or not np.isfinite(P).all() or not np.array_equal(P, P.T):
         return NO_PROOF
-    matrices = inequality.lmi_matrices(P)
-    magnitudes = inequality.term_magnitudes(P)
-    least_of_P, slack_of_P = _least_eigenvalue_and_rounding(P, np.abs(P))
-    of_lmi = [
-        _least_eigenvalue_and_rounding(-M, size)
-        for M, size in zip(matrices, magnitudes, strict=True)
-    ]
-    least = min(value for value, _ in of_lmi)
-    rounding = max(slack_of_P, *(slack for _, slack in of_lmi))
-    proved = least_of_P > slack_of_P and all(value > slack for value, slack in of_lmi)
-    return DefinitenessCheck(proved, -least, least_of_P, rounding)
+    matrices = map(np.negative, inequality.lmi_matrices(P))
+    of_lmi = map(_least_eigenvalue_and_rounding, matrices, inequality.term_magnitudes(P))
+    least, rounding = np.array([_least_eigenvalue_and_rounding(P, np.abs(P)), *of_lmi]).T
+    proved = bool((least > rounding).all())
+    return DefinitenessCheck(proved, -least[1:].min(), least[0], rounding.max())
 
 
 def _least_eigenvalue_and_rounding(M: Floats, size: Floats) -> tuple[float, float]:

@@ -75,11 +75,13 @@ class Commands(click.Group):
         return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: click.Context) -> object:
-        """Return the result of a command. A broken pipe is reported here, as click has its
-        own exit code.
+        """Return the exit code of a command: 1 for a negative answer, False.
+
+        A broken pipe is reported here, as click has its own exit code.
         """
         try:
-            return super().invoke(ctx)
+            answer = super().invoke(ctx)
+            return int(not answer) if isinstance(answer, bool) else answer
         except BrokenPipeError as error:
             return report_failure(error)
 
@@ -174,12 +176,11 @@ def _list_registered_commands() -> dict[str, str]:
 )
 @click.version_option(undeadzone.__version__, "-V", "--version", prog_name="undeadzone")
 @click.pass_context
-def group(ctx: click.Context) -> int:
+def group(ctx: click.Context) -> None:
     """Estimate the true output and the width that a dead zone or backlash hides."""
     if ctx.invoked_subcommand is None:
         assert isinstance(ctx.command, Commands)
         click.echo(ctx.command.get_first_help(ctx))
-    return 0
 
 
 COMMANDS = (run, init, estimate, watch, arm)

@@ -49,7 +49,7 @@ def arm(
     gears: bool,
     output: Output,
     force: bool,
-) -> int:
+) -> bool:
     """Show the arm in a URDF file: joints, limits, masses, tip, reach, torques that hold it.
 
     With --out it writes NAME.toml to DIR, a scenario to start from: every joint swings about the
@@ -69,7 +69,7 @@ def arm(
         _advise_after_survey(found, weak, written),
     ]
     output.print_result(lambda: _survey_to_json(found), lambda: blocks, written, last={})
-    return 1 if weak else 0
+    return not weak
 
 
 def _parse_numbers(text: str) -> list[float]:

@@ -28,7 +28,6 @@ from undeadzone.util.text import escape_controls
 
 if TYPE_CHECKING:
     from undeadzone.report.html import Origin
-    from undeadzone.results.info import LogInfo
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 COLOURS = {"yes": "green", "OPEN LOOP": "yellow"}  # of verdicts; of others red
@@ -338,8 +337,3 @@ def _paint_verdict(found: re.Match[str]) -> str:
 def _wants_colour() -> bool:
     """Return whether colours are wanted (no-color.org)."""
     return not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
-
-
-def log_exit_code(info: LogInfo) -> int:
-    """Return 1 if the record is not consistent, else 0."""
-    return 1 if info.consistent is False else 0

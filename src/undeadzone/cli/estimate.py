@@ -13,7 +13,6 @@ from undeadzone.cli.common import (
     columns_option,
     flag_option,
     force_option,
-    log_exit_code,
     shell_command,
     strict_option,
     value_option,
@@ -58,7 +57,7 @@ def estimate(
     force: bool,
     confine: Path | None,
     output: Output,
-) -> int:
+) -> bool:
     """Run the observer of a scenario along a log, and test it against the log.
 
     A log is a CSV file of any dialect with a header (t, y, u with units in brackets), .npz, .mat or
@@ -109,7 +108,7 @@ def estimate(
     output.print_result(
         lambda: result.summary() | {"would_fit": cure}, result.blocks, written, last
     )
-    return log_exit_code(result.info)
+    return result.info.consistent is not False
 
 
 def _advise_after_estimate(

@@ -51,7 +51,7 @@ def init(
     as_list: bool,
     force: bool,
     output: Output,
-) -> int:
+) -> None:
     """Write a scenario of 25 lines to FILE (default: scenario.toml), ready to run and to change.
 
     With --full it lists all other keys as comments. With --example two_link write that example
@@ -60,7 +60,8 @@ def init(
     from undeadzone.util.own_files import require_own_file
 
     if as_list:
-        return _print_examples(output.as_json)
+        _print_examples(output.as_json)
+        return
     texts = _texts_to_write(file, example, full, output.out or Path())
     for path in texts:
         require_own_file(path, force)
@@ -71,19 +72,16 @@ def init(
     else:
         first = next(iter(texts))
         print_line(f"wrote {', '.join(map(str, texts))}{_advise_after_init(first)}")
-    return 0
 
 
-def _print_examples(as_json: bool) -> int:
-    """Print names and titles of the examples, and return the exit code."""
-
+def _print_examples(as_json: bool) -> None:
+    """Print names and titles of the examples."""
     found = example_titles()
     if as_json:
         print_json({"examples": found})
     else:
         print_blocks([[("example", "shows"), *found.items()]])
         print_line("write one: undeadzone init --example two_link")
-    return 0
 
 
 def _texts_to_write(

@@ -100,18 +100,18 @@ class Output(NamedTuple):
             print_blocks(blocks(), files_line(written) if last is None else last)
 
 
-def add_output_options(command: Callable[..., int]) -> Callable[..., int]:
+def add_output_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add --out, --json and --no-figures, passed to the command as an `Output`."""
 
     @wraps(command)
-    def run_with_output(out: Path | None, as_json: bool, no_figures: bool, **options: Any) -> int:
+    def run_with_output(out: Path | None, as_json: bool, no_figures: bool, **options: Any) -> Any:
         """Run the command with its `Output`."""
         return command(output=Output(out, as_json, not no_figures), **options)
 
     return reduce(lambda decorated, option: option(decorated), OUTPUTS, run_with_output)
 
 
-def add_scenario_options(command: Callable[..., int]) -> Callable[..., int]:
+def add_scenario_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add SCENARIO.toml, --untrusted, --confine, and the options of `add_output_options`."""
     argument = click.argument("scenario", type=READ, metavar="SCENARIO.toml")
     return argument(add_guards(add_output_options(command)))

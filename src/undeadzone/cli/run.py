@@ -62,7 +62,7 @@ def run(
     force: bool,
     output: Output,
     confine: Path | None,
-) -> int:
+) -> bool:
     """Simulate a scenario: a plant behind its dead zone, an observer, a controller.
 
     Prints the errors over the last 2 s, the final widths with intervals, their identifiability, and
@@ -118,7 +118,7 @@ def run(
         written,
         _describe_rival(rival) | _describe_replay(deviation) | files | follow,
     )
-    return 0 if _is_successful(result) else 1
+    return _is_successful(result)
 
 
 def _is_successful(run: uz.Run) -> bool:

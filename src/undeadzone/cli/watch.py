@@ -25,7 +25,6 @@ from undeadzone.cli.common import (
     add_schema,
     columns_option,
     flag_option,
-    log_exit_code,
     print_blocks,
     print_line,
     require_writable,
@@ -92,7 +91,7 @@ def watch(
     every: float,
     heartbeat: float | None,
     confine: Path | None,
-) -> int:
+) -> bool:
     """Read samples from stdin, write one estimate per sample to stdout, flushed as they come.
 
     A sample is a CSV line. A header names the columns: t, y, u (or y[0], y[1], ...), with units in
@@ -131,7 +130,7 @@ def watch(
         raise
     info = log.info(follower)
     _print_log_summary(info, as_json)
-    return log_exit_code(info)
+    return info.consistent is not False
 
 
 class SavedWatch:

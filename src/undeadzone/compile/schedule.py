@@ -227,8 +227,8 @@ def _guards_of_use(node: Node, user: Node, guards: frozenset[Guard]) -> frozense
     """Return the guards of a use of a value, given the guards of its user."""
     if user.op != "select" or user.args[0] is node or user.args[0].level < LANES:
         return guards
-    places = [arg is node for arg in user.args[1:]]
-    return guards if all(places) else guards | {(user.args[0], places[0])}
+    _, yes, no = user.args
+    return guards if yes is no else guards | {(user.args[0], yes is node)}
 
 
 class _Gathering:

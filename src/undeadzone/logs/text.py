@@ -352,7 +352,7 @@ def lines_ahead(lines: Sequence[str]) -> int | None:
     for k, line in enumerate(lines[:PREAMBLE]):
         separator = _separator(lines[k:])
         cells = split_cells(line, separator)
-        named = [cell for cell in cells if cell]
+        named = list(filter(None, cells))
         count = _count_numbers(cells)
         if k == 0 and count == len(named):
             return 0

@@ -38,7 +38,7 @@ from undeadzone.util.progress import terminal_progress as progress
     type=WRITTEN,
 )
 @add_scenario_options
-def check(scenario: Path, output: Output, confine: Path | None, proof: Path | None) -> int:
+def check(scenario: Path, output: Output, confine: Path | None, proof: Path | None) -> bool:
     """Assess the scenario's gains, and the strength of the feedback from readings to z^.
 
     Prints whether one V proves x^ -> x for every sequence of sides, the decay rate of the error
@@ -76,7 +76,7 @@ def check(scenario: Path, output: Output, confine: Path | None, proof: Path | No
         | _advise_after_check(scenario, judged, result.summary()["certified"])
     )
     output.print_result(result.summary, result.blocks, written, last)
-    return 0 if result.affirmed else 1
+    return result.affirmed
 
 
 def _advise_after_check(

@@ -64,7 +64,7 @@ def design(
     output: Output,
     force: bool,
     confine: Path | None,
-) -> int:
+) -> bool:
     """Find gains L, gamma for a scenario's plant, sensor and reference, with a proof.
 
     Prints the gains, the proof, the rate, the differences from your present gains, and the
@@ -104,7 +104,7 @@ def design(
             lambda: [_describe_impossible(planned, scenario, reason)],
             written=[],
         )
-        return 1
+        return False
     aim: Any = (maximise or "knee") if weights is None else uz.Weights(*weights)
     with progress("designing", count_design_rounds(aim)) as advance:
         result = uz.design(planned, aim, margin=margin, seed=seed, progress=advance)
@@ -122,7 +122,7 @@ def design(
         written,
         files_line(written) | _advise_after_design(folder),
     )
-    return 0
+    return True
 
 
 def _advise_after_design(folder: Path | None) -> dict[str, str]:

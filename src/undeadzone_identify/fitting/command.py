@@ -58,7 +58,7 @@ def fit(
     force: bool,
     confine: Path | None,
     output: Output,
-) -> int:
+) -> bool:
     """Estimate numbers of a scenario from logs of a real plant.
 
     A number is named by its address: plant.mass of formulas, plant.A[1,0], sensor.right,
@@ -118,4 +118,4 @@ def fit(
             steps.append("with --arm ARM.toml --joint NAME these gears become a joint's")
     last = files_line(written) | next_line(*steps)
     output.print_result(result.summary, result.blocks, written, last)
-    return 0 if result.consistent and any(each.shown for each in result.numbers) else 1
+    return result.consistent and any(each.shown for each in result.numbers)

@@ -77,7 +77,7 @@ def _read_labels(lines: Sequence[str]) -> Arrays | None:
 
     None where most lines do not have the same labels.
     """
-    rows = [LABELLED.split(line) for line in lines]  # what is ahead, then label, value, rest
+    rows = list(map(LABELLED.split, lines))  # what is ahead, then label, value, rest
     names = Counter(tuple(row[1::3]) for row in rows).most_common(1)[0][0]
     alike = [[row[0].strip(" \t-=>,;[]"), *row[2::3]] for row in rows if tuple(row[1::3]) == names]
     if not names or len(alike) < MOST_NUMBERS * len(lines):

@@ -42,7 +42,7 @@ def ensemble(
     output: Output,
     confine: Path | None,
     **options: Any,
-) -> int:
+) -> bool:
     """Run a scenario many times: shares that settle, errors, and the parameters that decide.
 
     The table [ensemble] of the scenario names the parameters that vary. Every run has its own
@@ -79,7 +79,7 @@ def ensemble(
         written += write_ensemble(result, summary, folder, build_origin(scenario, result.info.seed))
     last = _final_lines(summary, folder, written)
     output.print_result(lambda: summary, lambda: result.blocks(summary), written, last)
-    return 1 if summary["diverged"]["value"] else 0
+    return not summary["diverged"]["value"]
 
 
 def _replace_run_count(scenario: uz.Scenario, runs: int | None) -> uz.Scenario:

@@ -51,7 +51,7 @@ def tune(
     force: bool,
     confine: Path | None,
     **changes: Any,
-) -> int:
+) -> bool:
     """Find the numbers of observer and controller that make a metric small over many runs.
 
     The table [tune] of the scenario names the numbers and their bounds. The runs vary as the table
@@ -94,7 +94,7 @@ def tune(
     if written:
         last |= next_line(shell_command("undeadzone", "run", written[0]))
     output.print_result(result.summary, result.blocks, written, last)
-    return 0 if result.improved and result.certified else 1
+    return result.improved and result.certified
 
 
 def _tuning_task(scenario: uz.Scenario, over: tuple[str, ...], changes: dict[str, Any]) -> uz.Tune:
