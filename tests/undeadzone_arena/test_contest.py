@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import math
 import shutil
+from operator import attrgetter
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -54,7 +55,7 @@ from undeadzone_arena.contest.methods import (
 from undeadzone_arena.contest.metric import Result, RunMetrics, _has_diverged
 from undeadzone_arena.contest.page import arena_figures, arena_page
 from undeadzone_arena.contest.prior_knowledge import build_setting, scenario_assumptions
-from undeadzone_arena.contest.scenario_sets import Kind, arena_scenarios, scenarios_from_files
+from undeadzone_arena.contest.scenario_sets import SETS, Kind, arena_scenarios, scenarios_from_files
 from undeadzone_arena.contest.traces import trace_runs
 from undeadzone_arena.contest.trials import run_trial, score_methods
 from undeadzone_arena.contest.words import leaderboard_blocks
@@ -197,7 +198,7 @@ def test_an_ensemble_draws_lost_readings_and_wear_as_single_runs_do() -> None:
 # --- Scenarios and what methods are told
 
 
-def test_scenarios_are_many_different_and_declare_what_covers_the_truth() -> None:
+def test_scenarios_are_many_and_different() -> None:
     tuning_on, held_out = arena_scenarios("tuning"), arena_scenarios("held_out")
     assert len(tuning_on) >= 10
     assert {
@@ -228,39 +229,31 @@ def test_scenarios_are_many_different_and_declare_what_covers_the_truth() -> Non
         for scenario in [*tuning_on.values(), *held_out.values()]
     ]
     assert len(set(plain)) == len(plain)
-    truths = [
-        {repr((each.plant, each.sensor, each.reference)) for each in of.values()}
-        for of in (tuning_on, held_out)
-    ]
-    assert not truths[0] & truths[1]
-    for scenario in [*tuning_on.values(), *held_out.values()]:
+    assert {each.simulation.duration for each in held_out.values()} == {20.0}
+
+
+def test_plays_and_both_ends_have_what_such_sensors_have() -> None:
+    plays, both_ends = (arena_scenarios(kind).values() for kind in ("plays", "both_ends"))
+    held_out = [*plays, *both_ends]
+    assert {each.sensor.kind for each in plays} == {"play"}
+    assert all(each.actuator is not None for each in both_ends)
+    assert any(each.sensor.range is not None for each in held_out)
+    assert any(each.sensor.quantum for each in held_out)
+    assert any(each.sensor.load_friction for each in held_out)
+    assert any(each.actuator and each.sensor.kind == "play" for each in held_out)
+
+
+@pytest.mark.parametrize("chosen", SETS)
+def test_scenarios_declare_what_covers_the_truth(chosen: str) -> None:
+    tuning_on, held_out = (arena_scenarios(kind).values() for kind in SETS[chosen])
+    truth = attrgetter("plant", "sensor", "actuator", *["reference"] * (chosen == "dead_zones"))
+    assert not {repr(truth(each)) for each in tuning_on} & {repr(truth(each)) for each in held_out}
+    for scenario in [*tuning_on, *held_out]:
         assert scenario.declared is not None
         low, high = scenario.declared.right
         assert low < np.min([scenario.sensor.right, scenario.sensor.left])
         assert high > np.max([scenario.sensor.right, scenario.sensor.left])
         assert scenario.simulation.time == "sampled"
-        assert scenario.simulation.duration == 20.0
-
-
-def test_plays_and_both_ends_declare_what_covers_the_truth() -> None:
-    held_out = arena_scenarios("plays") | arena_scenarios("both_ends")
-    tuning_on = arena_scenarios("plays_tuning") | arena_scenarios("both_ends_tuning")
-    assert {each.sensor.kind for each in arena_scenarios("plays").values()} == {"play"}
-    assert all(each.actuator is not None for each in arena_scenarios("both_ends").values())
-    assert any(each.sensor.range is not None for each in held_out.values())
-    assert any(each.sensor.quantum for each in held_out.values())
-    assert any(each.sensor.load_friction for each in held_out.values())
-    assert any(each.actuator and each.sensor.kind == "play" for each in held_out.values())
-    truths = [
-        {repr((each.plant, each.sensor, each.actuator)) for each in of.values()}
-        for of in (tuning_on, held_out)
-    ]
-    assert not truths[0] & truths[1]
-    for scenario in [*tuning_on.values(), *held_out.values()]:
-        assert scenario.declared is not None
-        low, high = scenario.declared.right
-        assert low < min(scenario.sensor.right, scenario.sensor.left)
-        assert high > max(scenario.sensor.right, scenario.sensor.left)
         if scenario.actuator is not None:
             assumed = scenario.model.actuator
             assert assumed.right[0] < scenario.actuator.right < assumed.right[1]

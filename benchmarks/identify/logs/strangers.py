@@ -292,13 +292,31 @@ def stribeck(rng: np.random.Generator) -> Strange:
     return Strange(u, noisy(rng, y, 0.01 * y.std()))
 
 
+def looped(
+    goal: Floats,
+    read: Callable[[float], float],
+    drive: Callable[[float, float, float], float],
+    move: Callable[[float, float], float],
+) -> tuple[Floats, Floats]:
+    """Inputs and readings of one state; it is driven by goal, reading and the last input."""
+    rows, x, u = [], 0.0, 0.0
+    for r in goal:
+        y = read(x)
+        u = drive(r, y, u)
+        x = move(x, u)
+        rows.append((u, y))
+    return np.array(rows).T[0], np.array(rows).T[1]
+
+
 def zone_in_loop(rng: np.random.Generator) -> Strange:
     """A zone of the sensor in a loop that follows a reference."""
-    r, y, u, x, keep = walk(rng, SIZE, 30.0), np.empty(SIZE), np.empty(SIZE), 0.0, np.exp(-1 / 12)
-    for k in range(SIZE):
-        y[k] = float(zone(np.array(x))) + 0.01 * rng.standard_normal()
-        u[k] = 3 * (r[k] - y[k])
-        x = keep * x + (1 - keep) * u[k]
+    keep = np.exp(-1 / 12)
+    u, y = looped(
+        walk(rng, SIZE, 30.0),
+        lambda x: float(zone(np.array(x))) + 0.01 * rng.standard_normal(),
+        lambda r, y, _: 3 * (r - y),
+        lambda x, u: keep * x + (1 - keep) * u,
+    )
     return Strange(u, y, {}, BOTH)
 
 
@@ -415,12 +433,15 @@ def interpolated(rng: np.random.Generator) -> Strange:
 
 def unstable_in_loop(rng: np.random.Generator) -> Strange:
     """A linear plant that falls over, held by a controller."""
-    r, y, u, x = walk(rng, SIZE, 30.0), np.empty(SIZE), np.empty(SIZE), 0.0
-    for k in range(SIZE):
-        y[k] = x + 0.02 * rng.standard_normal()
-        u[k] = 3.0 * (r[k] - y[k])
-        x = 1.03 * x + 0.06 * u[k]
-    return Strange(u, y)
+    goal = walk(rng, SIZE, 30.0)
+    return Strange(
+        *looped(
+            goal,
+            lambda x: x + 0.02 * rng.standard_normal(),
+            lambda r, y, _: 3.0 * (r - y),
+            lambda x, u: 1.03 * x + 0.06 * u,
+        )
+    )
 
 
 def cogging(rng: np.random.Generator) -> Strange:
@@ -475,13 +496,15 @@ def loaded(rng: np.random.Generator) -> Strange:
 
 def by_thermostat(rng: np.random.Generator) -> Strange:
     """A linear plant that a thermostat switches by what it reads."""
-    goal, y, u, x, at = 0.3 * walk(rng, SIZE, 60.0), np.empty(SIZE), np.empty(SIZE), 0.0, 1.0
-    for k in range(SIZE):
-        y[k] = x + 0.01 * rng.standard_normal()
-        at = 1.0 if y[k] < goal[k] - 0.1 else -1.0 if y[k] > goal[k] + 0.1 else at
-        u[k] = at
-        x += 0.05 * (2 * u[k] - x)
-    return Strange(u, y)
+    goal = 0.3 * walk(rng, SIZE, 60.0)
+    return Strange(
+        *looped(
+            goal,
+            lambda x: x + 0.01 * rng.standard_normal(),
+            lambda r, y, at: 1.0 if y < r - 0.1 else -1.0 if y > r + 0.1 else at or 1.0,
+            lambda x, u: x + 0.05 * (2 * u - x),
+        )
+    )
 
 
 def hunting(rng: np.random.Generator) -> Strange:

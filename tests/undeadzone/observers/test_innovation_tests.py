@@ -87,20 +87,17 @@ def test_what_is_no_number_is_not_consistent() -> None:
     assert list_rejected_assumptions(*own.last) == ["gust"]
 
 
+def doubts(**changes: Any) -> SimpleNamespace:
+    """Numbers of the tests, for one output but for the changes."""
+    usual = {"keep": 0.99, "means": np.zeros(3), "run": 20.0, "push": np.eye(1), "stays": 0.0}
+    usual |= {"noisy": 1.0, "reach": 1.0, "limit": 3.3**2, "most": 2.3}
+    return SimpleNamespace(**usual | changes)
+
+
 def followed(regress: Callable[[Any], Any], count: int = 400) -> dict[str, list[float]]:
     """Ratios after so many innovations in 200 runs at once, each an output of its own."""
     lanes, rng = 200, np.random.default_rng(3)
-    doubt = SimpleNamespace(
-        keep=0.99,
-        means=np.array([0.1, 0.5, 0.96]),
-        run=20.0,
-        push=np.eye(lanes),
-        stays=0.0,
-        noisy=1.0,
-        reach=1.0,
-        limit=3.3**2,
-        most=2.3,
-    )
+    doubt = doubts(means=np.array([0.1, 0.5, 0.96]), push=np.eye(lanes))
     q: Any = SimpleNamespace(doubt=doubt, slope=1.0)
     symbols = Scores(*[ca.SX.sym(name, lanes) for name in Scores._fields])
     nu, y, u = (ca.SX.sym(name, lanes) for name in ("nu", "y", "u"))
@@ -157,16 +154,7 @@ def test_readings_are_refused_in_rows_again_and_again(
     refused: tuple[int, ...], y: tuple[float, float], found: bool
 ) -> None:
     """Readings are y, in turn, and 9 beyond what was foretold."""
-    doubt = SimpleNamespace(
-        **{
-            "keep": 0.99,
-            "means": np.zeros(3),
-            "run": 20.0,
-            "push": np.eye(1),
-            "stays": 0.0,
-        },
-        **{"noisy": 1.0, "reach": 1.0, "limit": 3.3**2, "most": 2.3},
-    )
+    doubt = doubts()
     q: Any = SimpleNamespace(doubt=doubt, slope=1.0)
     each = Scores(*[ca.SX.sym(name) for name in Scores._fields])
     e, refuse, read = ca.SX.sym("e"), ca.SX.sym("refuse"), ca.SX.sym("y")
@@ -258,9 +246,7 @@ def test_an_alarm_takes_its_delay_in_blocks_of_any_length(length: int) -> None:
 
 def of_scores(y: float, last: float, slope: float, refused: float = 0.0, **sums: Any) -> Any:
     """Scores of one output after a reading that is not what was foretold."""
-    doubt = SimpleNamespace(
-        keep=0.5, stays=0.1, noisy=0, push=np.zeros((1, 1)), means=np.zeros(3), reach=100.0, run=9
-    )
+    doubt = doubts(keep=0.5, stays=0.1, noisy=0, push=np.zeros((1, 1)), reach=100.0, run=9)
     q = SimpleNamespace(doubt=doubt, slope=slope)
     before = start_scores(1)._replace(last=np.array([last]), **sums)
     zero = ca.SX(1, 1)
