@@ -5,7 +5,7 @@ A simulation also knows the false ones among the assumed ranges, and the remedie
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -281,41 +281,27 @@ def mark_excluded_widths(
                 )
                 found = {side: False, "width": False, "centre": False}
                 verdict = verdict.add_reasons(reason, **found)
-        judged.append(_with_false_actuator(problem, _with_false_gaps(problem, verdict, i)))
+        for false in _false_assumptions(problem, i):
+            verdict = verdict.add_reasons(f"a false assumption: {false}", **NONE)
+        judged.append(verdict)
     return judged
 
 
-def _with_false_gaps(
-    problem: Problem, verdict: WidthIdentifiability, i: int
-) -> WidthIdentifiability:
-    """Return the verdict on output i. No width is known beside a wrong gap of [model]."""
-    play = problem.sensor.play
-    model = problem.scenario.model
-    if play is None or model is None or model.play is None:
-        return verdict
-    true = np.stack([play.right, play.left])
-    if _meets_assumptions(true, *gaps_of(model.play, problem.model.p, "model.play"))[:, i].all():
-        return verdict
-    reason = (
-        f"a false assumption: model.play excludes the gaps of the sensor, {true[:, i].tolist()}"
-    )
-    return verdict.add_reasons(reason, **NONE)
-
-
-def _with_false_actuator(problem: Problem, verdict: WidthIdentifiability) -> WidthIdentifiability:
-    """Return the verdict on an output, whose widths a wrong actuator of [model] hides."""
-    actuator = problem.actuator
-    belief = problem.belief
-    if actuator is None or belief is None:
-        return verdict
-    true = np.stack([actuator.right, actuator.left])
-    assumed = np.stack([belief.drive.right, belief.drive.left])
-    if actuator.is_play or belief.drive.is_play:
+def _false_assumptions(problem: Problem, i: int) -> Iterator[str]:
+    """Yield what [model] says of gaps and actuators that is false, and hides widths of output i."""
+    play, model = problem.sensor.play, problem.scenario.model
+    if play is not None and model is not None and model.play is not None:
+        true = np.stack([play.right, play.left])
+        gaps = gaps_of(model.play, problem.model.p, "model.play")
+        if not _meets_assumptions(true, *gaps)[:, i].all():
+            yield f"model.play excludes the gaps of the sensor, {true[:, i].tolist()}"
+    actuator, belief = problem.actuator, problem.belief
+    if actuator is not None and belief is not None:
         true, assumed = map(_gaps_or_widths, (actuator, belief.drive))
-    if _meets_assumptions(true, assumed, belief.ranges).all():
-        return verdict
-    reason = f"a false assumption: model.actuator excludes the actuator's widths, {true.tolist()}"
-    return verdict.add_reasons(reason, **NONE)
+        if not (actuator.is_play or belief.drive.is_play):
+            true, assumed = true[:2], assumed[:2]
+        if not _meets_assumptions(true, assumed, belief.ranges).all():
+            yield f"model.actuator excludes the actuator's widths, {true.tolist()}"
 
 
 def _gaps_or_widths(drive: Drive) -> Floats:

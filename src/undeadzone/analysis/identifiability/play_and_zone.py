@@ -18,6 +18,7 @@ from undeadzone.analysis.identifiability.information import (
     pad_states,
 )
 from undeadzone.analysis.identifiability.linear import (
+    Unobservable,
     WidthIdentifiability,
     describe_unreached_edges,
     unobservable_changes,
@@ -130,9 +131,7 @@ def gap_and_width_information(
     least = EXACT * max(float(schedule.levels.max()), EXACT * swing) or EXACT
     twofold = _double_outputs(linear, readings)
     prior = gap_prior_rows(linear, readings, least)
-    visited = twice.branch_visits(n + 2 * p)
-    hidden = unobservable_changes(whole, visited, schedule.Ts, twofold.bias, repeats=2)
-    hidden = hidden.exclude_known(prior)
+    hidden, visited = _hidden_changes(whole, twice, twofold, prior)
     unknowns = hidden.scale.size
     expected = optimal_deviations(whole, twice, twofold._replace(prior=prior))
     each = []
@@ -166,15 +165,27 @@ def state_identifiability(
 
     Arguments as of `gap_and_width_information`.
     """
-    n = linear.A.shape[0]
-    p = linear.C.shape[0]
+    whole = append_gap_states(linear, schedule.Ts)
     twofold = _double_outputs(linear, readings)
-    visited = separate_contacts(schedule).branch_visits(n + 2 * p)
-    hidden = unobservable_changes(
-        append_gap_states(linear, schedule.Ts), visited, schedule.Ts, twofold.bias, repeats=2
-    )
-    hidden = hidden.exclude_known(gap_prior_rows(linear, readings, 1.0))
-    return list(map(hidden.is_state_known, range(n)))
+    prior = gap_prior_rows(linear, readings, 1.0)
+    hidden, _ = _hidden_changes(whole, separate_contacts(schedule), twofold, prior)
+    return list(map(hidden.is_state_known, range(linear.A.shape[0])))
+
+
+def _hidden_changes(
+    whole: Matrices, twice: Schedule, twofold: ReadingConditions, prior: Floats
+) -> tuple[Unobservable, np.ndarray]:
+    """Return the changes that no reading shows, and the visited branches (2p x 2).
+
+    Args:
+        whole: with gaps as states.
+        twice: the schedule with each output twice.
+        twofold: the readings so.
+        prior: of `gap_prior_rows`.
+    """
+    visited = twice.branch_visits(whole.A.shape[0])
+    hidden = unobservable_changes(whole, visited, twice.Ts, twofold.bias, repeats=2)
+    return hidden.exclude_known(prior), visited
 
 
 def _gap_and_width_direction(
