@@ -2,7 +2,8 @@
 
 Every answer is kept in build/valves.jsonl with the commit of the code that gave it. VALVES_LOOPS:
 how many loops (60); VALVES_FIRST: seed of the first (900), below those of `loop_weights`;
-VALVES_FOLDER: loops of a folder that `undeadzone loops` ranks, killed half way and resumed (0).
+VALVES_FOLDER: loops of a folder that `undeadzone loops` ranks, killed half way and resumed (0),
+each of VALVES_SAMPLES (8640: a day at one in 10 s).
 """
 
 from __future__ import annotations
@@ -65,16 +66,17 @@ def outcome_of_seed(seed: int) -> Outcome:
     }
 
 
-def rank_folder(count: int, first: int) -> str:
-    """CPU time of `undeadzone loops` on a folder, killed after half of it and resumed."""
+def rank_folder(count: int, first: int, size: int) -> str:
+    """Return CPU time and time of `undeadzone loops` on a folder, killed half way and resumed."""
     with TemporaryDirectory() as room:
         plant, kept = Path(room, "plant"), Path(room, "o", "loops.json.partial")
         plant.mkdir()
         for seed in range(first, first + count):
-            columns = np.column_stack(make(seed)[:3])
+            columns = np.column_stack(make(seed, size=size)[:3])
             path = plant / f"FIC{seed}_0612.csv"
-            np.savetxt(path, columns, delimiter=",", header="OP,PV,SP", comments="")
-        words = [sys.executable, "-m", "undeadzone", "loops", "plant", "--no-figures", "--out", "o"]
+            np.savetxt(path, columns, "%.4f", ",", header="OP,PV,SP", comments="")
+        words = [sys.executable, "-m", "undeadzone", "loops", "plant", "--workers=2", "--out=o"]
+        begin = time.monotonic()
         with subprocess.Popen(words, cwd=room) as process:
             while not kept.exists() or kept.read_bytes().count(b"\n") <= count // 2:
                 time.sleep(0.1)
@@ -82,10 +84,12 @@ def rank_folder(count: int, first: int) -> str:
         before = kept.read_bytes().count(b"\n") - 1
         subprocess.run([*words, "--resume"], cwd=room, check=True)
         rows = json.loads(Path(room, "o", "loops.json").read_bytes())["loops"]
+    elapsed = time.monotonic() - begin
     seconds = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
     return (
-        f"A folder of {count} of these loops by `undeadzone loops`, killed after {before} answers"
-        f" and resumed: {len(rows)} lines, {seconds:.0f} CPU s in all."
+        f"A folder of {count} of these loops, of {size} samples, by `undeadzone loops`, killed"
+        f" after {before} answers and resumed: {len(rows)} lines with a page each, {seconds:.0f}"
+        f" CPU s in all, {elapsed:.0f} s by two workers."
     )
 
 
@@ -132,7 +136,7 @@ def table() -> str:
         f" CPU s a loop: {np.mean([one['seconds'] for one in every]):.2f}.",
     ]
     if count := int(os.environ.get("VALVES_FOLDER", 0)):
-        lines += ["", rank_folder(count, first)]
+        lines += ["", rank_folder(count, first, int(os.environ.get("VALVES_SAMPLES", 8640)))]
     about = (
         f"{len(every)} loops at commit {of}: 500 to 4000 samples, one lag or two or an integrator,"
         " delays of 1 to 11 samples, PI or PID, a third of them sluggish; valves by three accounts"

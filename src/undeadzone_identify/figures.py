@@ -215,7 +215,7 @@ def loop_over_time(result: IdentifiedLoop) -> Figure:
     Args:
         result: of a control loop.
     """
-    figure, panels = create_panels([["map", "PV"], ["map", "OP"]], "The loop", height=2.2)
+    figure, panels = create_panels([["map", "PV"], ["map", "OP"]], "The loop", even=True)
     loop_ellipse(panels["map"], result)
     log = result.logs[0]
     shown = slice(-MOST, None)

@@ -459,8 +459,7 @@ class LoopLog:
             pairs: grid of S and J (K x 2) [range of u].
         """
         most = LARGEST * pairs[:, 1].any()  # 0 of a play
-        tops = coarse.rank_valves(self.u, pairs, account, lags)[:TOPS]
-        best = regression.rank_valves(self.u, np.array(tops)[:, 1:], account, lags)
+        best = coarse.rank_valves(self.u, pairs, account, lags)[:TOPS]
         a, b = np.meshgrid(np.linspace(-1, 1, 7), np.linspace(-2, 2, 5 if most else 1))
         for k in range(ROUNDS):
             width = 0.09 / 2.5**k
@@ -468,8 +467,8 @@ class LoopLog:
             moved = jump + stick * width * b.ravel()
             jumps = np.clip(moved, min(0.02, most) * stick, most * stick)
             pairs = np.stack([stick * (1 + width * a.ravel()), jumps], axis=-1).reshape(-1, 2)
-            best = sorted(best + regression.rank_valves(self.u, pairs, account, lags))[:3]
-        return best[0][0]
+            best = sorted(best + coarse.rank_valves(self.u, pairs, account, lags))[:3]
+        return regression.rank_valves(self.u, np.array(best)[:, 1:], account, lags)[0][0]
 
 
 class LoopFits(NamedTuple):
