@@ -49,6 +49,7 @@ FAKE = 0.02  # share of the outliers that are silent
 BARELY = 0.02  # chance of the zone below which a silent sample is all that is known
 ENOUGH = 0.95  # and from which it tells nothing new
 START = 1e3  # deviation of the first z [outlier's reach]
+FAR = 1e30  # span before the first reading, which is no wrong one [z]
 TINY = 1e-12  # least probability of a wrong reading: some number is always likeliest
 LEAST = 1e-30  # sum of densities that divides; a float holds it
 SIGMAS = 1.96  # of the interval that is shown
@@ -194,7 +195,7 @@ def start_signal(q: Params) -> State:
     """Return the state at t = 0."""
     none, even = np.zeros(q.keep.size), np.full(q.keep.size, 1 / q.keep.size)
     modes = Belief(none, none, none + (START * q.reach) ** 2, none, none)
-    return State(modes, even, even, q.start, q.known, q.reach, *np.zeros((5, 1)))
+    return State(modes, even, even, q.start, q.known, q.reach + FAR, *np.zeros((5, 1)))
 
 
 def step_signal(
@@ -208,7 +209,8 @@ def step_signal(
     seen = read_signal(sensor, q, s, y, there * (1 - repeated), reading.side)
     known = s.known + seen.known
     R = ca.fmax(q.R, s.R + seen.error / known)
-    span = ca.fmax(q.reach, ca.fmax(ca.fabs(y / q.slope), s.span * (1 - 1 / MOST)))
+    faded = ca.if_else(s.span < FAR, s.span * (1 - 1 / MOST), 0.0)
+    span = ca.fmax(q.reach, ca.fmax(ca.fabs(y / q.slope), faded))
     wrong = seen.wrong > 0.5
     modes, odds = predict_signal(q, seen, R, span)
     after = State(
@@ -217,7 +219,7 @@ def step_signal(
         seen.often,
         R,
         ca.fmin(known, MOST),
-        span,
+        ca.if_else(there, span, s.span),
         ca.if_else(there, y, s.last),
         ca.if_else(repeated, s.same + 1, ca.if_else(there, 0.0, s.same)),
         s.refused + wrong,
@@ -295,7 +297,7 @@ def read_signal(sensor: Zone, q: Params, s: State, y: Any, used: Any, side: Any)
         ca.if_else(lost, (high - low) ** 2 / 12, m.zz * (1 - news * m.zz * less)) / m.zz,
     )
     root = ca.sqrt(q.quiet)
-    quiet = ca.if_else(limit, 1 / s.span, normal_density(y / q.slope / root) / root)
+    quiet = ca.if_else(limit, 1 / q.reach, normal_density(y / q.slope / root) / root)
     sided = 1.0 * (side != 0)
     if sensor.noise[0] == 0 and sensor.quantum[0] == 0:  # nothing moves a silent reading off 0
         quiet *= 1 - sided * (1 - limit)
