@@ -66,6 +66,7 @@ CHAPTERS = {
     ],
     "Guides": [
         "watch.md",
+        "signal.md",
         "export.md",
         "deadzone_update.md",
         "ensemble.md",

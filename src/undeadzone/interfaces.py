@@ -146,6 +146,9 @@ class Estimate(NamedTuple):
         gap_right_std, gap_left_std: their standard deviations (p).
         gap_std: standard deviation of c_r^ + c_l^ (p).
         noise, noise_assumed: rms of a reading outside the zone, as learnt and as assumed (p).
+        low, high: interval of z (p).
+        quality: 2 if z was measured, 1 if a reading only bounds it, 0 without a reading that counts
+            (p).
     """
 
     x: Any
@@ -179,6 +182,9 @@ class Estimate(NamedTuple):
     gap_std: Any = NONE
     noise: Any = NONE
     noise_assumed: Any = NONE
+    low: Any = NONE
+    high: Any = NONE
+    quality: Any = NONE
 
 
 class AssumptionCheck(NamedTuple):

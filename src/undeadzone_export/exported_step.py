@@ -343,8 +343,9 @@ def _trace_observer(problem: Problem, observer: Observer, params: _StepNumbers) 
     following = _ObserverMemory(after, used)
     estimate = _shown_estimate(problem, estimate)
     out = (estimate, sample_branch(reading, estimate))
+    fields = [_u_field(problem)] if model.m else []
     output_fields = _estimate_fields(problem, estimate)
-    return _TracedStep(memory, column, [y, u], following, out, [_u_field(problem)], output_fields)
+    return _TracedStep(memory, column, [y, u], following, out, fields, output_fields)
 
 
 def _trace_loop(problem: Problem, observer: Observer, params: Any) -> _TracedStep:

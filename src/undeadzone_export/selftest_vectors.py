@@ -10,8 +10,15 @@ import undeadzone
 from undeadzone.compile.numpy_reference import reference_evaluator
 from undeadzone.compile.scalar_step import CompiledStepper
 from undeadzone.errors import InputError
+from undeadzone.nonlinearities.sensor import branch, quantise
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
+from undeadzone.signals.noise import (
+    AFTER,
+    BEFORE,
+    standard_normal_numbers,
+    stationary_first_order_noise,
+)
 from undeadzone.simulation.simulate import name_outputs, prepare
 from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
@@ -23,6 +30,9 @@ DIVERGED = 1e6  # size of a signal beyond which a run is not used
 PIECE = 512  # samples of a run between two looks for its divergence
 SAMPLES = 96  # of a run, in the self-test
 NAN = {"float32": 0x7FC00000, "float64": 0x7FF8000000000000}  # the bits of every NaN
+# Drawn readings of a signal: its rms [widest edge], and its correlation time [samples].
+WIDE = 3.0
+SLOW = 20.0
 # of the checksum by Fowler, Noll and Vo, 32 bits
 OFFSET = 2166136261
 PRIME = 16777619
@@ -58,6 +68,8 @@ def continue_scenario(scenario: Scenario, steps: int) -> Problem:
 def record_inputs(problem: Problem, step: ExportedStep) -> Floats:
     """Record the inputs of a step along a run, up to its divergence.
 
+    A signal has no run: its readings are drawn (`draw_readings`).
+
     Args:
         problem: the checked parts of a sampled scenario.
         step: the step. It determines if u or the target of the controller is an input.
@@ -68,6 +80,8 @@ def record_inputs(problem: Problem, step: ExportedStep) -> Floats:
     Raises:
         InputError: it diverges at once.
     """
+    if not problem.model.m:
+        return draw_readings(problem)
     loop, state, exogenous = prepare(problem)
     stepper = CompiledStepper(loop.step, state, tree.pack_tree(loop.params), brief=True)
     places = tree.leaf_slices(loop.instant).target
@@ -89,6 +103,28 @@ def record_inputs(problem: Problem, step: ExportedStep) -> Floats:
             "to measure the code on. Export a scenario whose run stays bounded"
         )
     return np.concatenate(found)
+
+
+def draw_readings(problem: Problem) -> Floats:
+    """Return readings of a coloured signal that is often outside the zone (samples x 1).
+
+    Args:
+        problem: the checked parts of the scenario of a signal.
+    """
+    sensor = problem.sensor
+    simulation = problem.scenario.simulation
+    size = problem.steps + 1
+    rms = WIDE * np.maximum(sensor.widest, sensor.noise + sensor.noise_before)
+    correlation = SLOW * simulation.step
+    z = stationary_first_order_noise(simulation.seed, size, rms, correlation, simulation.step)
+    before, after = (
+        standard_normal_numbers(simulation.seed, stream, size, 1) for stream in (BEFORE, AFTER)
+    )
+    z = z + sensor.noise_before * before
+    place = 1.0 * (z > sensor.right) - 1.0 * (z < -sensor.left)
+    y = branch(z, place, sensor.right, sensor.left, sensor.slope, sensor.kind)
+    y = np.clip(quantise(y + sensor.noise * after, sensor.quantum), sensor.low, sensor.high)
+    return y if problem.levels is None else y + problem.levels.y
 
 
 def choose_samples(rows: Floats, readings: int) -> Floats:

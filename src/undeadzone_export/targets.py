@@ -286,7 +286,7 @@ def _st_files(material: Material) -> tuple[Files, dict[str, str]]:
         "blocks": program.block_count,
         "type": "REAL" if printed.single else "LREAL",
         "samples": len(material.vectors.states),
-        "argument": f"{printed.step.inputs[1].name}_0",
+        "further": "".join(f", {one.name}_0 := value" for one in printed.step.inputs[1:2]),
         "parted": program.block_count > 1,
         "single": printed.single,
         "double": not printed.single,

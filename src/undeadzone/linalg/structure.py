@@ -60,14 +60,15 @@ def require_structure(linear: Matrices, key: str) -> None:
         key: named in errors.
 
     Raises:
-        StructureError: (A, C) is unobservable or (A, B) uncontrollable. It names the mode.
+        StructureError: (A, C) is unobservable or (A, B) uncontrollable, of a plant
+            with an input. It names the mode.
     """
     modes = unobservable_modes(linear.A, linear.C)
     if modes:
         raise StructureError(
             f"{key}: the pair (A, C) is unobservable: {_modes_text(modes)}. Measure another output"
         )
-    modes = uncontrollable_modes(linear.A, linear.B)
+    modes = uncontrollable_modes(linear.A, linear.B) if linear.B.size else []
     if modes:
         raise StructureError(
             f"{key}: the pair (A, B) is uncontrollable: {_modes_text(modes)}. "

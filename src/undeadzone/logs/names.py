@@ -342,6 +342,11 @@ class _Header(NamedTuple):
         ranks = self.ranks(y + u)
         used = [*y, *u, *time]
         free = np.array([k not in used and time_rank(t) < 0 for k, t in enumerate(self.titles)])
+        if m == 0:  # of a sensor alone
+            j = int(np.argmin(np.where(free, ranks, np.inf)))
+            if not (y or (free[j] and (ranks[j] < 0 or free.sum() == 1))):
+                raise self.require_name("y")
+            return y or self.group("y", j, p), [], {}
         read = free
         if self.is_open and self.values is not None:
             counts = np.isin(np.arange(ranks.size), self.may_count())

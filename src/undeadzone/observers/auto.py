@@ -9,6 +9,7 @@ from undeadzone.nonlinearities.sensor import Zone
 from undeadzone.observers.censored import Censored
 from undeadzone.observers.certified import Certified
 from undeadzone.observers.filtering.prior import Assumptions, widths_within
+from undeadzone.observers.filtering.signal_filter import build_signal_filter
 from undeadzone.observers.high_gain import HighGain
 from undeadzone.plants.system import System, fastest_pole
 
@@ -59,4 +60,6 @@ class Auto(Assumptions, frozen=True, kw_only=True, tag_field="method", tag="auto
 
     def build(self, model: System, sensor: Zone) -> Observer:
         """Return the chosen observer for a model, continuous or sampled."""
+        if not model.m:
+            return build_signal_filter(self, model, sensor)
         return self.choose_observer(model, sensor).build(model, sensor)

@@ -39,6 +39,7 @@ _FORMS = {
     "transfer_function": (),
     "f": ("h", "states", "inputs", "parameters", "x_eq", "u_eq"),
     "arm": ("parameters", "x_eq", "u_eq"),
+    "kind": (),
 }
 _BINARY: dict[type, Any] = {
     ast.Add: operator.add,
@@ -82,7 +83,7 @@ def _build_undelayed(plant: Plant, key: str) -> System:
 
         return build_robot_plant(plant, plant.arm, key)
     linear = linear_matrices(plant, key)
-    if not all(np.abs(part).max() < LARGEST**2 for part in linear):
+    if not all(np.abs(part).max(initial=0.0) < LARGEST**2 for part in linear):
         raise InputError(f"{key}.{form}: its numbers are too far apart to compute with")
     return System(linear, _move_linear, _output_linear, linear, nonlinear=False)
 

@@ -146,6 +146,8 @@ class Plant(OptionTable, frozen=True, kw_only=True):
         companion: [a_0, ..., a_(n-1)] of the last row -a of (15), with C = e_1 (n).
         integrators: n, the length of the chain (15) of integrators, 1 to 50.
         transfer_function: numerator / denominator.
+        kind: "signal", a sensor without a known input: z is a random walk, or the integral of one,
+            at a rate that the readings choose (docs/signal.md). Filters of logs alone take it.
         f: x' = f(x, u), n formulas in the names of `states`, `inputs` and `parameters`. In Python
             they may be a callable f(x, u) on CasADi vectors.
         h: z = h(x), p formulas, or in Python a callable h(x).
@@ -167,6 +169,7 @@ class Plant(OptionTable, frozen=True, kw_only=True):
     second_order: SecondOrder | None = None
     companion: Array | None = None
     integrators: int | None = None
+    kind: Literal["signal"] | None = None
     transfer_function: TransferFunction | None = None
     f: Any = None
     h: Any = None
@@ -223,6 +226,9 @@ def linear_matrices(plant: Plant, key: str = "plant") -> Matrices:
         if not 1 <= plant.integrators <= 50:
             raise InputError(f"{key}.integrators: expected 1 to 50, found {plant.integrators}")
         return companion_form(np.zeros(plant.integrators))
+    if plant.kind is not None:
+        A, _, C = companion_form(np.zeros(2))
+        return Matrices(A, np.zeros((2, 0)), C)
     if plant.transfer_function is not None:
         return _transfer_function_matrices(f"{key}.transfer_function", plant.transfer_function)
     if plant.f is not None or plant.arm is not None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
+import casadi as ca
 import msgspec
 import numpy as np
 
@@ -29,6 +30,7 @@ from undeadzone.nonlinearities.actuator import (
 )
 from undeadzone.nonlinearities.play import gaps_of
 from undeadzone.nonlinearities.sensor import Sensor, Zone
+from undeadzone.observers import Auto
 from undeadzone.observers.filtering.actuator import build_with_actuator
 from undeadzone.observers.filtering.motion_detection import require_branch_observer
 from undeadzone.plants import build as plants
@@ -52,6 +54,9 @@ from undeadzone.signals import exosystem as signals
 from undeadzone.signals.exosystem import Exosystem
 from undeadzone.util.arrays import Array, Floats, require_nonnegative, require_number
 
+NO_CONTROLLER = Controller(
+    (), lambda params: (), lambda params, state, *given: (state, ca.SX(0, 1))
+)
 PATH_STEP = 0.01  # [s] between the instants at which a path is checked
 
 
@@ -135,9 +140,8 @@ def resolve_scenario(scenario: Scenario) -> Problem:
     observer = watching(options, model, assumed, belief, step)
     _require_room(sensor, observer)
     require_gears("controller", scenario.controller, model)
-    controller = use_gear_estimates(
-        scenario.controller.build(model), model, observer.traits.uncertain
-    )
+    controller = scenario.controller.build(model) if model.m else NO_CONTROLLER
+    controller = use_gear_estimates(controller, model, observer.traits.uncertain)
     controller = lead_across_gap(controller, model, sensor, tracked, scenario.behind_play)
     controller = predict_over_delay(controller, model, belief)
     if model.Ts is None:
@@ -196,6 +200,8 @@ def watching(
         InputError: or a subclass, that names the key.
     """
     require_branch_observer(options, assumed)
+    if not model.m and not isinstance(options, Auto):
+        raise InputError("observer.method: a signal has no input, which only 'auto' can filter")
     require_gears("observer", options, model)
     observer = build_with_actuator(options, model, assumed, belief)
     require_bounded_error(model, observer, step)

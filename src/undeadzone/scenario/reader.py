@@ -196,6 +196,9 @@ def convert(data: dict[str, Any], folder: Path = Path()) -> Scenario:
     try:
         require_finite(data, "")
         data = with_entries(data)
+        plant = data.get("plant")
+        if isinstance(plant, dict) and plant.get("kind") is not None:
+            data = _complete_tables(data)  # no loop is closed around a signal
         if "compare" in data:
             data["compare"] = alike(data["compare"], data.get("observer"))
         data = translate_scenario(data)

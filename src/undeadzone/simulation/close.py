@@ -233,9 +233,15 @@ def close(problem: Problem) -> loop.Loop:
     three instants.
 
     Raises:
-        InputError: a Taylor series was chosen, and the loop is not linear on its branches.
+        InputError: a Taylor series was chosen, and the loop is not linear on its branches; or the
+            plant is a signal.
     """
     plant = problem.plant
+    if not plant.m:
+        raise InputError(
+            "plant.kind: a signal has no input, so there is no loop to run. Give its readings to "
+            "watch or estimate; export writes its filter as C"
+        )
     simulation = problem.scenario.simulation
     params = loop_numbers(problem)
     state = _state(problem)

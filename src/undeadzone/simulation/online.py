@@ -287,8 +287,8 @@ class Online:
         try:
             columns = self._p, self._w.size - self._p
             pairs = zip((y, u), columns, strict=True)
-            w = np.hstack([np.reshape(fill_masked(one), (-1, many)) for one, many in pairs])
-        except ValueError:
+            w = np.hstack([np.reshape(fill_masked(one), (len(y), many)) for one, many in pairs])
+        except (ValueError, TypeError):
             raise ShapeError(
                 f"samples: expected y and u with {self._p} and {self._w.size - self._p} columns, "
                 f"and as many rows, found {np.shape(y)} and {np.shape(u)}"

@@ -379,9 +379,9 @@ def outlier_reach(prior: Prior) -> Floats:
     return np.asarray(GLITCH_REACH * prior.ranges[:, 1].reshape(2, -1).max(axis=0))
 
 
-def outlier_probability(assumed: float) -> float:
-    """Return the assumed probability of an outlier [1]. Raises InputError."""
-    share = require_number("observer.glitches", assumed, least=0.0)
+def outlier_probability(assumed: float | None, usual: float = GLITCHES) -> float:
+    """Return the assumed probability of an outlier, or the usual one [1]. Raises InputError."""
+    share = usual if assumed is None else require_number("observer.glitches", assumed, least=0.0)
     if share > 0.5:
         raise InputError(f"observer.glitches: must be at most 0.5, found {share:g}")
     return share
@@ -416,7 +416,8 @@ class Assumptions(OptionTable, frozen=True, kw_only=True):
             contain x_i' = x_j, or of some, as { "A[1,0]" = 0.1 } (of every parameter of a nonlinear
             plant).
         glitches: probability that a reading is wrong, for any sensor (0 trusts all readings, as
-            textbooks do, and shows no wider intervals if they do not fit).
+            textbooks do, and shows no wider intervals if they do not fit) (default 0.05, of a
+            signal without an input 0, since no model tells a jump from a wrong reading).
     """
 
     right: Array
@@ -430,7 +431,7 @@ class Assumptions(OptionTable, frozen=True, kw_only=True):
     bias: Array | None = None
     calibrated: float = 0.7
     tolerance: float | dict[str, float] = 0.05
-    glitches: float = GLITCHES
+    glitches: float | None = None
 
     def claims(self) -> dict[str, Any]:
         """Return the assumptions by name."""
