@@ -19,7 +19,6 @@ from undeadzone.errors import InputError
 from undeadzone.interfaces import Estimate, Observer, Reading, build_estimate
 from undeadzone.nonlinearities.sensor import Zone, present
 from undeadzone.numerics.gaussian import normal_density, truncate_to_range
-from undeadzone.observers.filtering.consistency import LOST
 from undeadzone.observers.filtering.innovation_tests import assumption_fields, is_repeated
 from undeadzone.observers.filtering.prior import (
     SILENT,
@@ -108,7 +107,7 @@ class State(NamedTuple):
         last: reading before (1) [y].
         same: readings in a row that repeat each other (1).
         refused: readings that were taken for wrong (1).
-        wrong, inside: shares of these, and of readings inside an edge, of late (1).
+        inside: share of readings inside an edge, of late (1).
     """
 
     modes: Belief
@@ -120,7 +119,6 @@ class State(NamedTuple):
     last: Any
     same: Any
     refused: Any
-    wrong: Any
     inside: Any
 
 
@@ -134,7 +132,6 @@ class Params(NamedTuple):
         start: variance of a reading outside it before the first one (1) [z^2].
         known: readings that this rests on (1).
         middle, least, most: of the ranges of the right and the left edge (2) [z].
-        spread: standard deviations of both edges (2) [z].
         slope: of the sensor (1).
         glitch: probability of a wrong reading (1).
         reach: over which a wrong reading is spread at least (1) [z].
@@ -151,7 +148,6 @@ class Params(NamedTuple):
     middle: Floats
     least: Floats
     most: Floats
-    spread: Floats
     slope: Floats
     glitch: Floats
     reach: Floats
@@ -181,7 +177,6 @@ def build_signal_filter(options: Assumptions, model: System, sensor: Zone) -> Ob
         middle=prior.mean[2:],
         least=prior.ranges[:, 0],
         most=prior.ranges[:, 1],
-        spread=prior.std[2:],
         slope=sensor.slope,
         glitch=np.array([max(outlier_probability(options.glitches, 0.0), TINY)]),
         reach=outlier_reach(prior),
@@ -195,7 +190,7 @@ def start_signal(q: Params) -> State:
     """Return the state at t = 0."""
     none, even = np.zeros(q.keep.size), np.full(q.keep.size, 1 / q.keep.size)
     modes = Belief(none, none, none + (START * q.reach) ** 2, none, none)
-    return State(modes, even, even, q.start, q.known, q.reach + FAR, *np.zeros((5, 1)))
+    return State(modes, even, even, q.start, q.known, q.reach + FAR, *np.zeros((4, 1)))
 
 
 def step_signal(
@@ -211,28 +206,22 @@ def step_signal(
     R = ca.fmax(q.R, s.R + seen.error / known)
     faded = ca.if_else(s.span < FAR, s.span * (1 - 1 / MOST), 0.0)
     span = ca.fmax(q.reach, ca.fmax(ca.fabs(y / q.slope), faded))
-    wrong = seen.wrong > 0.5
-    modes, odds = predict_signal(q, seen, R, span)
+    often = ca.fmax(s.often + LEARN * there * (seen.odds - s.often), RARE)
+    modes, odds = predict_signal(q, seen, often / ca.sum1(often), R, span)
     after = State(
         modes,
         odds,
-        seen.often,
+        often,
         R,
         ca.fmin(known, MOST),
         ca.if_else(there, span, s.span),
         ca.if_else(there, y, s.last),
         ca.if_else(repeated, s.same + 1, ca.if_else(there, 0.0, s.same)),
-        s.refused + wrong,
-        s.wrong + there * (wrong - s.wrong) / LATELY,
+        s.refused + (seen.wrong > 0.5),
         s.inside + there * (seen.inside - s.inside) / LATELY,
     )
-    tests = assumption_fields(
-        {
-            "sensor": after.same[0] / RUN,
-            "glitches": after.wrong[0] / LOST,
-            "range": after.inside[0] / MANY,
-        }
-    )
+    ratios = {"sensor": after.same[0] / RUN, "range": after.inside[0] / MANY}
+    tests = assumption_fields(ratios)
     estimate = show_signal(model.Ts, sensor, q, seen, reading)
     return after, estimate._replace(
         **tests,
@@ -247,7 +236,7 @@ class Seen(NamedTuple):
     """Result of a reading.
 
     Attributes:
-        modes, odds, often: as in `State`, after it.
+        modes, odds: as in `State`, after it.
         outside, silent, wrong: probabilities that it is on a side, silent, or wrong (1).
         error: square of its error on a side, as expected, less the learnt one (1) [z^2].
         known: information about that (1).
@@ -257,7 +246,6 @@ class Seen(NamedTuple):
 
     modes: Belief
     odds: Any
-    often: Any
     outside: Any
     silent: Any
     wrong: Any
@@ -317,7 +305,6 @@ def read_signal(sensor: Zone, q: Params, s: State, y: Any, used: Any, side: Any)
     return Seen(
         mix_beliefs(shares, [moved, inside, m]),
         odds,
-        s.often + LEARN * used * (odds - s.often),
         beyond,
         silent,
         refused,
@@ -329,18 +316,15 @@ def read_signal(sensor: Zone, q: Params, s: State, y: Any, used: Any, side: Any)
     )
 
 
-def predict_signal(q: Params, seen: Seen, R: Any, span: Any) -> tuple[Belief, Any]:
+def predict_signal(q: Params, seen: Seen, often: Any, R: Any, span: Any) -> tuple[Belief, Any]:
     """Return the beliefs of the modes at the next sample, each from a mixture of all, and their
     probabilities.
     """
-    often = ca.fmax(seen.often, RARE)
-    often = often / ca.sum1(often)
     before = ca.vertsplit(seen.odds)
     odds = STAY * seen.odds + (1 - STAY) * often
-    shares = []
-    for k, one in enumerate(before):
-        stays = STAY * np.eye(len(before))[:, k]
-        shares.append(one * (stays + (1 - STAY) * often) / odds)
+    stays = ca.horzsplit(STAY * np.eye(len(before)))
+    pairs = zip(before, stays, strict=True)
+    shares = [one * (stay + (1 - STAY) * often) / odds for one, stay in pairs]
     m = mix_beliefs(shares, seen.modes.split())
     rate = q.slow * R + q.fast * span**2
     moved = Belief(
@@ -357,22 +341,19 @@ def show_signal(Ts: float, sensor: Zone, q: Params, seen: Seen, reading: Reading
     """Return the estimate: z with its interval and quality, 0 of a silent reading."""
     whole = mix_beliefs(ca.vertsplit(seen.odds), seen.modes.split())
     silent = seen.silent > 0.5
-    spare, edge = 0.0, 0.0
-    if sensor.kind != "jump":
-        is_right = whole.z > 0
-        spare = ca.if_else(is_right, q.most[0] - q.middle[0], q.most[1] - q.middle[1])
-        edge = ca.if_else(is_right, q.spread[0], q.spread[1])
+    span = (q.most - q.middle) * (sensor.kind != "jump")
+    spare = ca.if_else(whole.z > 0, span[0], span[1])
     far = SIGMAS * ca.sqrt(whole.zz) + spare
     state = ca.vertcat(whole.z, whole.v / Ts)
     z = ca.if_else(silent, 0.0, whole.z)
-    (right, left), spread = ca.vertsplit(ca.SX(q.middle)), ca.vertsplit(ca.SX(q.spread))
+    right, left = ca.vertsplit(ca.SX(q.middle))
     shown = build_estimate(state, z, right, left, reading, q.slope, sensor.kind, seen.e)
+    right_std, left_std = ca.vertsplit(ca.SX(q.most - q.least) / np.sqrt(12))
     bounded = ca.logic_or(silent, ca.fabs(reading.side) > 1)
     return shown._replace(
-        x_std=ca.vertcat(ca.sqrt(whole.zz + edge**2), ca.sqrt(whole.vv) / Ts),
-        right_std=spread[0],
-        left_std=spread[1],
-        width_std=ca.sqrt(ca.sumsqr(ca.SX(q.spread))),
+        x_std=ca.sqrt(ca.vertcat(whole.zz + spare**2 / 3, whole.vv / Ts**2)),
+        right_std=right_std,
+        left_std=left_std,
         innovation_std=seen.std,
         low=ca.if_else(silent, -q.most[1], whole.z - far),
         high=ca.if_else(silent, q.most[0], whole.z + far),
