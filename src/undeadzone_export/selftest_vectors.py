@@ -10,15 +10,9 @@ import undeadzone
 from undeadzone.compile.numpy_reference import reference_evaluator
 from undeadzone.compile.scalar_step import CompiledStepper
 from undeadzone.errors import InputError
-from undeadzone.nonlinearities.sensor import branch, quantise
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
-from undeadzone.signals.noise import (
-    AFTER,
-    BEFORE,
-    standard_normal_numbers,
-    stationary_first_order_noise,
-)
+from undeadzone.signals.noise import stationary_first_order_noise
 from undeadzone.simulation.simulate import name_outputs, prepare
 from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
@@ -113,17 +107,10 @@ def draw_readings(problem: Problem) -> Floats:
     """
     sensor = problem.sensor
     simulation = problem.scenario.simulation
-    size = problem.steps + 1
     rms = WIDE * np.maximum(sensor.widest, sensor.noise + sensor.noise_before)
-    correlation = SLOW * simulation.step
-    z = stationary_first_order_noise(simulation.seed, size, rms, correlation, simulation.step)
-    before, after = (
-        standard_normal_numbers(simulation.seed, stream, size, 1) for stream in (BEFORE, AFTER)
-    )
-    z = z + sensor.noise_before * before
-    place = 1.0 * (z > sensor.right) - 1.0 * (z < -sensor.left)
-    y = branch(z, place, sensor.right, sensor.left, sensor.slope, sensor.kind)
-    y = np.clip(quantise(y + sensor.noise * after, sensor.quantum), sensor.low, sensor.high)
+    shape = problem.steps + 1, rms, SLOW * simulation.step, simulation.step
+    z = stationary_first_order_noise(simulation.seed, *shape)
+    y = sensor.slope * (z - np.clip(z, -sensor.left, sensor.right))
     return y if problem.levels is None else y + problem.levels.y
 
 

@@ -514,9 +514,10 @@ class _Header(NamedTuple):
         hint = self.hint_near_names(USUAL[signal]) or "."
         chosen = [f"{key}={name}" for key, name in self.chosen.items()]
         columns = ",".join([*chosen, f"{signal}=NAME"]).replace("[0]", "")
+        alone = ", or hand a sensor alone to watch (plant.kind)" * (len(self.titles) < 3)
         return FileError(
             f"{self.source}: no name shows which column holds {signal}. There are "
-            f'{_list_columns(self.titles)}{hint} Name it by columns="{columns}"'
+            f'{_list_columns(self.titles)}{hint} Name it by columns="{columns}"{alone}'
         )
 
     def find_equal_names(self, name: str) -> list[int]:

@@ -121,7 +121,7 @@ def _complete_tables(data: dict[str, Any]) -> dict[str, Any]:
 
 # Defaults for tables that a scenario for logs leaves out.
 _STAND_INS: Final = {
-    "reference": {"kind": "sine", "amplitude": 0.0, "frequency": 1.0},
+    "reference": {"kind": "sine", "amplitude": 0.0, "frequency": 1e-6},
     "controller": {"method": "pd"},
 }
 _OTHER_FILES: Final = {  # files given in place of a scenario, and their right command

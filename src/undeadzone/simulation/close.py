@@ -240,7 +240,7 @@ def close(problem: Problem) -> loop.Loop:
     if not plant.m:
         raise InputError(
             "plant.kind: a signal has no input, so there is no loop to run. Give its readings to "
-            "watch or estimate; export writes its filter as C"
+            "watch or estimate. export writes its filter as C"
         )
     simulation = problem.scenario.simulation
     params = loop_numbers(problem)
