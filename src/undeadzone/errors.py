@@ -70,10 +70,6 @@ class ClusterError(InputError):
     """
 
 
-class EarlierMeaning(DeprecationWarning):
-    """A file with words of another meaning in an earlier version. A command prints one line."""
-
-
 class DamagedPackage(UserWarning):
     """An installed package registers something in a file that cannot be read."""
 

@@ -23,7 +23,6 @@ import click
 from undeadzone.cli.common import print_line
 from undeadzone.errors import (
     DamagedPackage,
-    EarlierMeaning,
     Interrupted,
     Terminated,
     UndeadzoneError,
@@ -69,8 +68,7 @@ def run_to_exit_code(command: Callable[[], Any]) -> int:
         with _signals_raised(), warnings.catch_warnings():
             if not os.environ.get(DEBUG):  # NumPy's remarks are not for users
                 warnings.simplefilter("ignore")
-                for category in (EarlierMeaning, DamagedPackage):
-                    warnings.simplefilter("default", category)
+                warnings.simplefilter("default", DamagedPackage)
                 warnings.showwarning = _print_warning
             code = command()
         sys.stdout.flush()

@@ -71,7 +71,7 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
             estimated, and of that by the encoders alone [m] (empty: other plants).
         scenario: scenario that was run, as TOML (empty if no text can hold it).
         version: of undeadzone.
-        schema: number of the meanings that the names in it have (docs/json.md) (None: at most 2).
+        schema: number of the meanings that the names in it have (docs/json.md).
         seed: of every random number.
         gains: of the observer L (n x p) and gamma (p), of the controller K (m x n), if constant (in
             sampled time L and gamma are those of one step).

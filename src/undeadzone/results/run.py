@@ -8,7 +8,6 @@ import os
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Final
 
-import msgspec
 import numpy as np
 
 from undeadzone.analysis.identifiability.linear import format_yes_no
@@ -27,7 +26,7 @@ from undeadzone.results.signals import (
     output_names,
 )
 from undeadzone.util.arrays import Floats, to_json_value, to_scalar_or_list
-from undeadzone.util.earlier import SCHEMA, translate_stds
+from undeadzone.util.schema import require_schema
 from undeadzone.util.shown import Block, Rows
 from undeadzone.util.text import count_noun, interval_95, label_with_unit
 
@@ -288,12 +287,8 @@ class Run(files.SignalResult):
             FileError: it cannot be read, or is not a run.
         """
         info, *signals = files.read_result(path, RUN, Info)
-        verdicts = info.identifiable
-        stds = translate_stds([one.get("std") for one in verdicts], info.schema, path)
-        verdicts_with_std = [one | {"std": std} for one, std in zip(verdicts, stds, strict=True)]
-        return cls(
-            msgspec.structs.replace(info, identifiable=verdicts_with_std, schema=SCHEMA), *signals
-        )
+        require_schema(info.schema, path)
+        return cls(info, *signals)
 
 
 def last_samples(t: Floats) -> slice:

@@ -23,7 +23,6 @@ from undeadzone.scenario.address import alike, require_finite, with_entries
 from undeadzone.scenario.messages import explain
 from undeadzone.scenario.schema import Scenario
 from undeadzone.util.arrays import parse_matlab_matrix
-from undeadzone.util.earlier import translate_scenario
 from undeadzone.util.files import (
     LARGEST_TABLE,
     read_bytes,
@@ -201,7 +200,6 @@ def convert(data: dict[str, Any], folder: Path = Path()) -> Scenario:
             data = _complete_tables(data)  # no loop is closed around a signal
         if "compare" in data:
             data["compare"] = alike(data["compare"], data.get("observer"))
-        data = translate_scenario(data)
         scenario = msgspec.convert(data, Scenario, dec_hook=decode_field)
     except RecursionError:
         raise InputError("the tables are nested too deeply for a scenario") from None

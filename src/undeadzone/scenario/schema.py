@@ -35,23 +35,14 @@ from undeadzone.scenario.tune_table import Tune
 from undeadzone.signals.exosystem import Disturbance, Signal
 from undeadzone.util import shown, toml
 from undeadzone.util.arrays import Array, require_array
-from undeadzone.util.earlier import ASSUMPTION_TABLES, SCHEMA
 from undeadzone.util.files import write_text
+from undeadzone.util.schema import SCHEMA
 from undeadzone.util.toml import OptionTable
 
 VAGUE: Final = 3.0  # in largest widths: upper end of the default range of the widths
 SMALL: Final = 0.01  # least half of a gap of gears, if its range is not declared [rad]
 BANDWIDTH: Final = 10.0  # of a rigid arm [rad/s]
 UNNAMED: Final[Any] = None  # stands for an observer or a controller until the usual one does
-
-
-def _assumes_centre(assumptions: Any) -> bool:
-    """Return whether an asymmetry of the zone other than 0 is assumed. Gears have their own table.
-
-    A value that is not a number is refused elsewhere.
-    """
-    names = set(getattr(assumptions, "__struct_fields__", ()))
-    return {"left", "centre"} <= names and str(assumptions.centre) not in ("None", "0", "0.0")
 
 
 def vague_assumptions(sensor: Sensor) -> Assumptions:
@@ -219,8 +210,7 @@ class Scenario(OptionTable, frozen=True, kw_only=True):
             `like = "observer"` it has the keys of [observer], but for those that it names.
         region: states and inputs on which `undeadzone check` certifies a nonlinear model.
         title: title of figures and pages.
-        schema: number of the meanings that keys have, 3. It is needed if a key had another one in
-            an earlier version, as a `centre` of the zone that is not 0 (docs/versions.md).
+        schema: number of the meanings that keys have, 3 (docs/versions.md).
         actuator: actuator between the controller and the plant (default: nothing).
         compensator: map from the controller's input to the actuator's command (default
             `smooth_inverse` if there is an actuator).
@@ -259,11 +249,10 @@ class Scenario(OptionTable, frozen=True, kw_only=True):
         for side in ("right", "left"):
             require_array(f"sensor.{side}", getattr(self.sensor, side), infinite=True)
         if self.schema not in (None, SCHEMA):
-            raise InputError(f"schema: expected {SCHEMA}, found {self.schema!r:.40}")
-        if any(_assumes_centre(getattr(self, name)) for name in ASSUMPTION_TABLES):
-            msgspec.structs.force_setattr(
-                self, "schema", SCHEMA
-            )  # for the file that it is saved in
+            raise InputError(
+                f"schema: expected {SCHEMA}, found {self.schema!r:.40}. Up to schema 2 a centre of "
+                f"the zone was d_r - d_l: halve it, and write schema = {SCHEMA}"
+            )
         if self.observer is UNNAMED:
             observer = usual_observer(self.plant, self.sensor, self.declared)
             msgspec.structs.force_setattr(self, "observer", observer)

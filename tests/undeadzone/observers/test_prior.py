@@ -16,13 +16,12 @@ import pytest
 
 import once
 import undeadzone as uz
-from commands import undeadzone
 from documents import ROOT
 from records import dead_zone, second_order
 from scenes import PAPER_PLANT, linear, scene, tables_of
 from undeadzone.analysis.certificate.design_file import Design
 from undeadzone.cli import common
-from undeadzone.errors import EarlierMeaning, InputError
+from undeadzone.errors import FileError, InputError
 from undeadzone.nonlinearities.sensor import Sensor, resolve
 from undeadzone.observers.filtering.augmented_state import white_disturbance_rms
 from undeadzone.observers.filtering.prior import Assumptions, _read_branch_ranges, build_prior
@@ -32,9 +31,9 @@ from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import sample_plant
 from undeadzone.results.run import Run
-from undeadzone.scenario.reader import convert, parse
+from undeadzone.scenario.reader import convert
 from undeadzone.simulation.simulate import simulate
-from undeadzone.util.earlier import SCHEMA
+from undeadzone.util.schema import SCHEMA
 from undeadzone_design.synthesis.check import check
 
 RIGHT, LEFT, CENTRE = 1.0, 0.4, 0.3  # of a zone from -0.4 to 1.0
@@ -43,7 +42,7 @@ FORMULA = re.compile(r"\(?\b([dcb])_r\^? [-−] \1_l\b\^?\)?( ?/ ?2)?")
 TEXTS = ("README.md", "KNOWN_GAPS.md", "docs", "examples", "src", "benchmarks")
 BOTH = "(c_r - c_l + d_r - d_l)/2"  # the sum of two centres
 # Where the earlier meaning is told of.
-EARLIER = {"docs/versions.md", "src/undeadzone/util/earlier.py"}
+EARLIER = {"docs/versions.md", "src/undeadzone/scenario/schema.py"}
 MOTOR = tables_of("""
 A = [[0.0, 1.0], [0.0, -10.0]]
 B = [[0.0], [50.0]]
@@ -213,97 +212,21 @@ def claiming(centre: Any, **top: Any) -> dict[str, Any]:
     return data
 
 
-def centre_of(data: dict[str, Any], name: str = "observer") -> Any:
-    return np.asarray(getattr(convert(data), name).centre).tolist()
-
-
-def test_a_missing_schema_gives_a_warning_if_the_centre_is_not_0() -> None:
-    with pytest.warns(EarlierMeaning, match=f"observer.centre: .*Write schema = {SCHEMA} above"):
-        assert centre_of(claiming([-0.1, 0.3])) == [-0.1, 0.3]
-    assert centre_of(claiming(0.0)) == 0.0
-    assert centre_of(claiming([[0.0, 0]])) == [[0.0, 0.0]]
-    assert centre_of(claiming([-0.1, 0.3], schema=SCHEMA)) == [-0.1, 0.3]
-
-
-def test_the_old_schema_keeps_its_meaning_with_a_warning() -> None:
-    data = claiming([-0.1, 0.3], schema=2)
-    data["compare"] = {"like": "observer", "tolerance": 0.1}
-    data["declared"] = {"right": [0.0, 1.0], "centre": 0.6}
-    with pytest.warns(EarlierMeaning, match=f"Halve the numbers, and write schema = {SCHEMA}"):
-        scenario = convert(data)
-    assert np.asarray(scenario.observer.centre).tolist() == [-0.05, 0.15]
-    assert np.asarray(scenario.compare.centre).tolist() == [-0.05, 0.15]
-    assert float(scenario.declared.centre) == CENTRE
-    assert convert(claiming(0.0, schema=2)).schema is None
-
-
-def test_what_is_saved_is_read_without_a_warning(tmp_path: Path) -> None:
-    """Numbers given in Python have today's meaning."""
-    scenario = convert(claiming([-0.1, 0.3], schema=SCHEMA))
-    again = parse(str(scenario.replace("observer.centre", CENTRE)))
-    assert (float(again.observer.centre), again.schema) == (CENTRE, SCHEMA)
-    assert "schema" not in str(convert(claiming(0.0)))
-    path = (convert(claiming(0.0)) | {"observer": {"centre": CENTRE}}).save(tmp_path / "a.toml")
-    assert float(uz.read(path).observer.centre) == CENTRE
-
-
-def test_the_centre_of_gears_in_contact_had_this_meaning_before() -> None:
-    text = (ROOT / "examples/two_link_gears.toml").read_text(encoding="utf-8")
-    scenario = tomllib.loads(text)
-    scenario["observer"] = {"method": "contact", "half": [0.0, 0.02], "centre": 0.01}
-    assert convert(scenario).schema is None
-
-
-@pytest.mark.parametrize("schema", [1, 4, "3", True, [3]])
-def test_a_schema_that_is_not_known_is_refused(schema: Any) -> None:
-    with pytest.raises(InputError, match="schema: expected 3, or 2 of old files, found"):
-        convert(claiming(0.0, schema=schema))
-
-
-def test_a_scenario_built_in_python_has_the_current_schema() -> None:
-    with pytest.raises(InputError, match="schema: expected 3, found 2"):
-        scene().replace("schema", 2)
-
-
-def test_a_command_says_it_in_one_line(tmp_path: Path) -> None:
-    path = tmp_path / "old.toml"
-    text = (ROOT / "examples/motor_position.toml").read_text(encoding="utf-8")
-    path.write_text(text.replace("centre = 0.0 ", "centre = [-0.1, 0.1] "), encoding="utf-8")
-    done = undeadzone("check", path, "--no-figures", cwd=tmp_path)
-    assert done.returncode == 0
-    (line,) = done.stderr.splitlines()
-    assert line.startswith("undeadzone: observer.centre: is taken for (d_r - d_l)/2")
-    path.write_text(f"schema = {SCHEMA}\n{path.read_text(encoding='utf-8')}", encoding="utf-8")
-    assert undeadzone("check", path, "--no-figures", cwd=tmp_path).stderr == ""
-
-
-@pytest.mark.parametrize("suffix", ["npz", "csv"])
-def test_a_run_of_an_old_file_has_its_deviations_halved(suffix: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("schema", [1, 2, 4])
+def test_another_schema_is_refused(schema: int, tmp_path: Path) -> None:
+    """Up to 2 a centre was d_r - d_l."""
+    with pytest.raises(InputError, match=f"schema: expected 3, found {schema}. Up to schema 2"):
+        convert(claiming(0.1, schema=schema))
+    assert convert(claiming([-0.1, 0.3])).observer.centre.tolist() == [-0.1, 0.3]
     run = simulate(motor(centre=[-0.05, 0.05]))
-    (verdict,) = run.info.identifiable
-    path = run.save(tmp_path / f"run.{suffix}")
-    assert Run.load(path).info.identifiable == [verdict]
-    before = verdict | {"std": verdict["std"] | {"centre": 2 * verdict["std"]["centre"]}}
-    info = msgspec.structs.replace(run.info, identifiable=[before], schema=None)
-    old = Run(info, run.signals).save(tmp_path / f"old.{suffix}")
-    with pytest.warns(EarlierMeaning, match=f"old.{suffix}: std.centre of schema 2"):
-        loaded = Run.load(old)
-    assert (loaded.info.identifiable, loaded.info.schema) == ([verdict], SCHEMA)
-
-
-def test_a_design_of_an_old_file_has_its_deviations_halved(tmp_path: Path) -> None:
-    designed = once.design(scene(), "rate")
-    assert (
-        Design.load(designed.save(tmp_path / "design.toml")).identifiable == designed.identifiable
-    )
-    before = [
-        msgspec.structs.replace(one, std=one.std | {"centre": 2 * one.std["centre"]})
-        for one in designed.identifiable
-    ]
-    old = msgspec.structs.replace(designed, identifiable=before, schema=None)
-    with pytest.warns(EarlierMeaning, match="std.centre of schema 2"):
-        loaded = Design.load(old.save(tmp_path / "old.toml"))
-    assert (loaded.identifiable, loaded.schema) == (designed.identifiable, SCHEMA)
+    info = msgspec.structs.replace(run.info, schema=schema)
+    for suffix in ("npz", "csv"):
+        old = Run(info, run.signals).save(tmp_path / f"run.{suffix}")
+        with pytest.raises(FileError, match=f"{suffix}: expected schema = 3, found {schema}"):
+            Run.load(old)
+    designed = msgspec.structs.replace(once.design(scene(), "rate"), schema=schema)
+    with pytest.raises(FileError, match=f"expected schema = 3, found {schema}"):
+        Design.load(designed.save(tmp_path / "design.toml"))
 
 
 def test_files_and_json_count_their_schemas_alike() -> None:

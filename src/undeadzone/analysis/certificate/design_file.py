@@ -21,9 +21,9 @@ from undeadzone.errors import FileError, InputError, ProofError, ShapeError
 from undeadzone.linalg.matrices import Matrices
 from undeadzone.util import shown, toml
 from undeadzone.util.arrays import Floats, require_matrix, require_vector
-from undeadzone.util.earlier import SCHEMA, translate_stds
 from undeadzone.util.files import read_text, unreadable_file, write_text
 from undeadzone.util.own_files import mark_toml
+from undeadzone.util.schema import require_schema
 from undeadzone.util.toml import OptionTable, require_short_keys
 
 Matrix = list[list[float]]
@@ -83,7 +83,7 @@ class Design(OptionTable, frozen=True, kw_only=True):
         present: the scenario's own gains, if they are certified.
         identifiable: results of the readings, per output.
         front: the trade between rate and errors, by falling rate.
-        schema: number of the meanings that the names in it have (docs/json.md), None: at most 2.
+        schema: number of the meanings that the names in it have (docs/json.md).
     """
 
     title: str
@@ -207,15 +207,8 @@ class Design(OptionTable, frozen=True, kw_only=True):
             raise FileError(
                 f"{path}: not a design saved by undeadzone. Write it with undeadzone design"
             ) from None
-        return _recompute_design(_of_today(design, str(path)), str(path))
-
-
-def _of_today(design: Design, path: str) -> Design:
-    """Return the design with deviations in the meanings of today."""
-    known = design.identifiable
-    stds = translate_stds([one.std for one in known], design.schema, path)
-    verdicts = [msgspec.structs.replace(one, std=std) for one, std in zip(known, stds, strict=True)]
-    return msgspec.structs.replace(design, identifiable=verdicts, schema=SCHEMA)
+        require_schema(design.schema, path)
+        return _recompute_design(design, str(path))
 
 
 def _recompute_design(design: Design, path: str) -> Design:
