@@ -143,6 +143,8 @@ def test_exported_c_gives_the_numbers_of_watch(tmp_path: Path) -> None:
 
 def test_the_snippet_of_a_stick_adds_its_edge(tmp_path: Path) -> None:
     scenario = EXAMPLES / "signals" / "joystick.toml"
+    done = undeadzone("export", scenario, "--check", "--out", tmp_path / "c")
+    assert "every bit agrees" in done.stdout, done.stderr
     done = undeadzone("export", scenario, "--to", "snippet", "--out", tmp_path / "s")
     assert done.returncode == 0, done.stderr
     names: dict[str, object] = {}

@@ -25,10 +25,12 @@ from undeadzone.interfaces import (
 from undeadzone.nonlinearities.sensor import Zone, present
 from undeadzone.numerics.gaussian import (
     Gaussian,
+    from_upper_entries,
     joseph_update,
     mirror_upper,
     mix_gaussians,
     normal_density,
+    to_upper_entries,
     truncate_to_range,
 )
 from undeadzone.observers.filtering.innovation_tests import assumption_fields, is_repeated
@@ -61,14 +63,27 @@ START = 1e3  # deviation of the first z [outlier's reach]
 FAR = 1e30  # span before the first reading, which is no wrong one [z]
 TINY = 1e-12  # least probability of a wrong reading: some number is always likeliest
 LEAST = 1e-30  # sum of densities that divides; a float holds it
+UPPER = ca.Sparsity.upper(2)  # of a covariance, as states hold it
 SIGMAS = 1.96  # of the interval that is shown
+
+
+class Mode(NamedTuple):
+    """Gaussian belief of a mode about `[z; z' in a step]`, whose speed may be 0 for sure.
+
+    Attributes:
+        mean: (2).
+        spread: covariance (see `to_upper_entries`).
+    """
+
+    mean: Any
+    spread: Any
 
 
 class State(NamedTuple):
     """State of the filter from sample to sample.
 
     Attributes:
-        modes: their beliefs about `[z; z' in a step]` before the next reading (K).
+        modes: their before the next reading (K).
         odds: probabilities of the modes (K).
         R: learnt variance of a reading outside the zone (1) [z^2].
         known: readings that it rests on (1).
@@ -79,7 +94,7 @@ class State(NamedTuple):
         inside: share of readings inside an edge, of late (1).
     """
 
-    modes: tuple[Gaussian, ...]
+    modes: tuple[Mode, ...]
     odds: Any
     R: Any
     known: Any
@@ -157,7 +172,7 @@ def build_signal_filter(options: Assumptions, model: System, sensor: Zone) -> Ob
 def start_signal(q: Params) -> State:
     """Return the state at t = 0."""
     count = q.keep.size
-    first = Gaussian(np.zeros(2), np.diag([(START * q.reach[0]) ** 2, 0.0]))
+    first = Mode(np.zeros(2), np.array([(START * q.reach[0]) ** 2, 0.0, 0.0]))
     even = np.full(count, 1 / count)
     numbers = even, q.start, q.known, q.reach + FAR, *np.zeros((4, 1))
     return State((first,) * count, *numbers)
@@ -236,7 +251,7 @@ def step_signal(
 
 
 def read_signal(
-    sensor: Zone, q: Params, s: State, belief: Gaussian, y: Any, used: Any, side: Any
+    sensor: Zone, q: Params, s: State, mode: Mode, y: Any, used: Any, side: Any
 ) -> tuple[Gaussian, Any, Any, Any, Any]:
     """Return a mode after a reading: the mixture of what the reading may be.
 
@@ -244,7 +259,7 @@ def read_signal(
         sensor: the sensor.
         q: numbers of the filter.
         s: state before it.
-        belief: of the mode.
+        mode: the mode.
         y: reading, 0 if it is missing (1) [y].
         used: whether it counts (1).
         side: measured side (1).
@@ -253,7 +268,9 @@ def read_signal(
         (belief, density of the reading, innovation, its variance, the probabilities that it is on
         a side, silent, wrong (3)).
     """
-    mean, cov = belief
+    mean = mode.mean
+    cov = from_upper_entries(mode.spread, UPPER)
+    belief = Gaussian(mean, cov)
     h = ca.SX([[1.0, 0.0]])
     read = y / q.slope
     if sensor.kind != "jump":
@@ -284,8 +301,8 @@ def read_signal(
     return mixed, likely, e, S, shares
 
 
-def predict_signal(belief: Gaussian, keep: Any, rate: Any) -> Gaussian:
+def predict_signal(belief: Gaussian, keep: Any, rate: Any) -> Mode:
     """Return the belief of a mode at the next sample (keep: of its speed, rate: variance of z)."""
     F = ca.vertcat(ca.horzcat(1.0, keep), ca.horzcat(0.0, keep))
     Q = rate * ca.vertcat(ca.horzcat(1.0, 1.5 * keep), ca.horzcat(1.5 * keep, 3 * keep))
-    return Gaussian(F @ belief.mean, mirror_upper(F @ belief.cov @ F.T + Q))
+    return Mode(F @ belief.mean, to_upper_entries(F @ belief.cov @ F.T + Q, UPPER))
