@@ -73,8 +73,6 @@ class Outcome(NamedTuple):
         narrowed: whether a gap that is not known is in a narrower range than declared (joints).
         crossed: whether each gap was crossed in truth (joints).
         struck: whether a strike of it shows in the readings (joints).
-        own: error of each gap over the deviation of the filter alone, before the verdicts (joints).
-        share: that deviation over the declared one (joints).
         score: error of each gap over the deviation that is shown (joints).
         covered: whether the interval that is shown holds each gap (joints).
         tip: rms distance of the tip from its path, over that of the true state.
@@ -88,8 +86,6 @@ class Outcome(NamedTuple):
     narrowed: NDArray[np.bool_]
     crossed: NDArray[np.bool_]
     struck: NDArray[np.bool_]
-    own: Floats
-    share: Floats
     score: Floats
     covered: NDArray[np.bool_]
     tip: float
@@ -180,8 +176,6 @@ def outcome(robot: Robot, seed: int) -> Outcome:
     )
     true = 2 * np.array(run.info.widths[::2])
     gap = run.d_hat[-1].reshape(-1, 2).sum(axis=1)
-    belief = signal.estimate
-    own = belief.width_std[[0, -1]]
     numbers = run.summary()
     crossings = list_crossings(plant.gears, plant.params, run.x)
     assert run.rms_tip is not None
@@ -193,8 +187,6 @@ def outcome(robot: Robot, seed: int) -> Outcome:
         narrowed,
         np.array([bool(each.rows.size) for each in crossings]),
         strikes > 0,
-        np.abs(belief.right[-1] + belief.left[-1] - true) / own[1],
-        own[1] / own[0],
         np.abs(gap - true) / run.width_std[-1],
         (np.array(numbers["gap_low"]) <= true) & (true <= np.array(numbers["gap_high"])),
         run.rms_tip / exact_run.rms_tip,
@@ -225,22 +217,18 @@ def median_and_worst(ratios: list[float]) -> str:
 def line(label: str, results: list[Outcome]) -> str:
     """The row of a robot."""
     fine = [each for each in results if not each.diverged]
-    known, narrowed, crossed, struck, own, share, score, covered = (
+    known, narrowed, crossed, struck, score, covered = (
         np.concatenate([getattr(each, name) for each in fine])
-        for name in (
-            "known", "narrowed", "crossed", "struck", "own", "share", "score", "covered",
-        )
-    )  # fmt: skip
+        for name in ("known", "narrowed", "crossed", "struck", "score", "covered")
+    )
     shown = known | narrowed
     mute = crossed & ~shown & ~struck
-    alone = f"{np.mean(own[mute] <= 1.96):.2f}, {np.median(share[mute]):.2f}" if mute.any() else ""
     held = [f"{np.mean(covered[each]):.2f}" if each.any() else "" for each in (known, narrowed)]
     return row(
         label,
         f"{len(results)} ({len(results) - len(fine)})",
         f"{known.sum()}, {narrowed.sum()}, {(crossed & ~shown & struck).sum()}, {mute.sum()}, "
         f"{(~crossed).sum()} of {known.size}",
-        alone,
         f"{(shown & ~crossed).sum()}",
         f"{np.max(score[shown], initial=0.0):.1f}; {(score[shown] > 4).sum()}",
         f"{held[0]}, {held[1]}, {np.mean(covered):.2f}",
@@ -257,7 +245,6 @@ HEAD = head(
     "robot",
     "runs (diverged)",
     "gaps known, narrowed; crossed, yet neither: a strike shows, none does; not crossed",
-    "no strike shows: own 95 % interval of the filter holds, its deviation over the prior",
     "known or narrowed, but not crossed",
     "known or narrowed: largest error / std; beyond 4",
     "95 % interval holds: known, narrowed, all",
@@ -279,7 +266,7 @@ def table() -> str:
         if words not in label:
             continue
         if not (folder() / robot.path).exists():
-            lines.append(row(label, "no file: pip install example-robot-data", *[""] * 7))
+            lines.append(row(label, "no file: pip install example-robot-data", *[""] * 6))
             continue
         results = []
         for seed in range(first, first + count):

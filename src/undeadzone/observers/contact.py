@@ -71,10 +71,10 @@ from undeadzone.util.arrays import (
 FRICTION = ("friction", "f")  # Coulomb's, of motors and of links, as the plant names it
 # Further numbers of gears that can be estimated, and the least that each can be.
 SIGNED = dict.fromkeys(("asymmetry", "pull", "spring", "hardening", WEAR), -np.inf)
-FURTHER = SIGNED | {"viscous": 0.0, "winding": 0.0, "drag": 0.0}
+FURTHER = SIGNED | {"viscous": 0.0, "winding": 0.0, "drag": 0.0, "inertia": 0.0}
 DRIFT = (3e-5, 4.5e-4)  # of half gaps, coupled and joint by joint [rad / sqrt(s)]
 OPEN = 0.07  # deviation to which half gaps drift, over their claimed range
-WANDERING = 5e-4  # random walk of an encoder's zero about the gears' centre [rad / sqrt(s)]
+WANDERING = 2e-3  # random walk of an encoder's zero about the gears' centre [rad / sqrt(s)]
 LOADED = 0.1  # of a payload, over its claimed range [1 / sqrt(s)]
 MOST_COUPLED = 2  # joints with gaps, beyond which there are too many combinations
 RESOLVED = 0.8  # largest product of a step of integration and the frequency of contact
@@ -107,7 +107,7 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         payload: claimed range [lo, hi] of the payload [kg], within which it may change by a random
             walk of 0.1 of the range per sqrt(s); default: that of the model.
         centre: standard deviation of the gears' centre about the model's, one or one per joint
-            [rad]: of an encoder's zero, and of its eccentricity, for which the centre walks by 5e-4
+            [rad]: of an encoder's zero, and of its eccentricity, for which the centre walks by 2e-3
             rad/sqrt(s); 0: the zero was found at the link.
         friction: standard deviation of Coulomb friction of motors and links, as a share of the
             model's.
@@ -124,8 +124,8 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         compliance: standard deviation of the place to which a flank gives way [rad].
         unknown: further numbers of the gears that are estimated, each with its range [lo, hi] or
             one per joint: winding [rad/(N m)], asymmetry, pull [N m], spring [N m/rad], hardening
-            [N m/rad^3], viscous, drag [N m s/rad], and wear, the rate at which half a gap grows
-            [rad/s].
+            [N m/rad^3], viscous, drag [N m s/rad], inertia of the motor [kg m^2], and wear, the
+            rate at which half a gap grows [rad/s].
         starts: how many filters a joint has, of which each counts by how well it foretold the
             readings: they begin with all of the range of half the gap, with its lower and with its
             upper half (1 to 3).
@@ -469,7 +469,7 @@ def _start_contact_filter(setup: Setup, q: Params) -> State:
     half = Layout(setup.gears.joint_count).slice_of("half") if setup.ones else slice(0)
     low, high = (np.asarray(limit)[half] for limit in (q.modes.low, q.modes.high))
     jumps = Jumps(np.zeros(1), (low + high) / 2, (high - low) ** 2 / 12, np.zeros(low.size))
-    return State(q.start, odds, Sums(none, none, np.ones(setup.model.p)), coupling, jumps)
+    return State(q.start, odds, Sums(none, none, none + 1.0), coupling, jumps)
 
 
 def _step_contact_filter(
