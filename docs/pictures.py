@@ -17,11 +17,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from matplotlib.animation import FuncAnimation, PillowWriter
 
 import undeadzone as uz
 import undeadzone_arena
 from undeadzone.report import animation, ink, run_figures, style
-from undeadzone.results.run import Run
+from undeadzone.results.run import FRAMES, Run
 from undeadzone.simulation.simulate import beside
 from undeadzone_arena.contest.page import arena_figures as of_contest
 from undeadzone_design.report import gain_figures
@@ -36,6 +37,7 @@ DOCS: Final = Path(__file__).parent
 FIGURES: Final = DOCS / "figures"
 EXAMPLES: Final = DOCS.parent / "examples"
 TRADES: Final = DOCS / "trades"
+SKIPPED: Final = 2  # every how manieth frame a film shows
 FEW: Final = 400  # points of a curve in a small picture
 LOGS: Final = ("load_cell", "valve", "hobby_servo", "two_encoders", "mount")
 CODE: Final = re.compile(r"```python\n(.*?)```", re.S)
@@ -46,6 +48,29 @@ def compared(example: str) -> tuple[Run, Run]:
     """The run of an example, and of the observer that stands beside it."""
     scenario = uz.read(EXAMPLES / f"{example}.toml")
     return beside(scenario, uz.simulate(scenario))
+
+
+def film(*runs: Run) -> FuncAnimation:
+    """The motion of an arm in a plane, with two observers, and the last 2 s of the tip's way."""
+    figure, panels = style.create_panels([["arm"]], runs[0].info.title, 6.4, 6.0)
+    axes = panels["arm"]
+    arms = animation.build_arms(*runs)
+    lines = [
+        (axes.plot([], [], "o-", color=arm.colour, label=arm.label)[0], axes.plot([], [])[0])
+        for arm in arms
+    ]
+    style.finish_panel(axes, "The tip, and its way", "y [m]", "x [m]")
+    reach = max(float(np.abs(arm.poses).max()) for arm in arms)
+    axes.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
+
+    def show(frame: int) -> None:
+        """Move each arm to its pose in a frame."""
+        for (line, trail), arm in zip(lines, arms, strict=True):
+            line.set_data(*arm.poses[frame, :, :2].T)
+            trail.set_data(*arm.poses[max(0, frame - 2 * FRAMES) : frame + 1, -1, :2].T)
+
+    frames = range(0, len(arms[0].poses), SKIPPED)
+    return FuncAnimation(figure, show, frames, cache_frame_data=False)
 
 
 def gears() -> Figure:
@@ -269,7 +294,7 @@ PICTURES: Final[dict[str, Callable[[], Figure]]] = {
 def draw(name: str) -> None:
     """Write a picture, or the small ones of a folder."""
     if name == "two_link":
-        animation.write_movie(*compared(name), FIGURES / "two_link.gif")
+        film(*compared(name)).save(FIGURES / "two_link.gif", PillowWriter(fps=FRAMES / SKIPPED))
     elif name == "records":
         write_records()
     elif name in ("trades", "wrong"):

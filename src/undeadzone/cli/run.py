@@ -9,10 +9,8 @@ import click
 
 import undeadzone as uz
 from undeadzone.cli.common import (
-    WRITTEN,
     build_origin,
     force_option,
-    require_writable,
     shell_command,
     value_option,
 )
@@ -24,7 +22,6 @@ from undeadzone.cli.output import (
     export_command,
     files_line,
     next_line,
-    prepare_figures,
     require_own_table,
 )
 from undeadzone.errors import InputError
@@ -48,16 +45,12 @@ OF_ENSEMBLE = (".npz", ".parquet")  # files that hold runs, no scenario
     "Show a run of an ensemble, whose file stands for SCENARIO.toml.",
     type=int,
 )
-@value_option(
-    "--animation", "FILE", "Write an arm's motion as .gif (or .mp4, with ffmpeg) too.", type=WRITTEN
-)
 @csv_option
 @force_option
 @add_scenario_options
 def run(
     scenario: Path,
     replay: int | None,
-    animation: Path | None,
     as_csv: bool,
     force: bool,
     output: Output,
@@ -76,12 +69,6 @@ def run(
     undeadzone run DIR/runs.npz --replay NUMBER repeats a run of an ensemble with its own numbers
     and noise (default folder: run-NUMBER-results), and reports whether every bit agrees.
     """
-    if animation is not None:
-        prepare_figures()
-        from undeadzone.report.animation import require_movie
-
-        require_movie(animation)
-        require_writable(animation.parent)
     rival: uz.Run | None = None
     deviation: float | None = None
     follow: dict[str, str] = {}
@@ -89,7 +76,7 @@ def run(
     folder = output.choose_folder(f"{name}-results", as_csv)
     require_own_table(folder, "run.csv", force)
     if replay is None:
-        loaded_scenario = _read_scenario(scenario, animation is not None, confine)
+        loaded_scenario = _read_scenario(scenario, confine)
         result, rival = _simulate_and_compare(loaded_scenario)
         follow = _advise_after_run(scenario, loaded_scenario, result)
     else:
@@ -109,8 +96,6 @@ def run(
             from undeadzone.results import mjcf
 
             written += mjcf.write_gears(mjcf.joints_from_run(result), folder)
-    if animation is not None:
-        written.append(_write_film(result, rival, animation))
     files = files_line(written) | (left_out if folder is not None else {})
     output.print_result(
         lambda: _outcome_to_json(result, rival, replay, deviation),
@@ -144,12 +129,11 @@ def _advise_after_run(path: Path, scenario: uz.Scenario, run: uz.Run) -> dict[st
     return next_line(*[narrower] * bool(open_assumptions), check)
 
 
-def _read_scenario(path: Path, animated: bool, confine: Path | None) -> uz.Scenario:
+def _read_scenario(path: Path, confine: Path | None) -> uz.Scenario:
     """Return the scenario that is to run. Raises InputError.
 
     Args:
         path: of the scenario.
-        animated: whether a film is requested, which only an arm's run gives.
         confine: a folder outside of which the scenario may name no file (None: any).
     """
     if path.suffix in OF_ENSEMBLE:
@@ -157,10 +141,7 @@ def _read_scenario(path: Path, animated: bool, confine: Path | None) -> uz.Scena
             f"{path}: not a scenario. To see one of the runs of an ensemble add --replay and its "
             "number"
         )
-    scenario = uz.read(path, confine)
-    if animated and scenario.plant.arm is None:
-        raise InputError("animation: this plant is not an arm. Leave the option out")
-    return scenario
+    return uz.read(path, confine)
 
 
 def _simulate_and_compare(scenario: uz.Scenario) -> tuple[uz.Run, uz.Run | None]:
@@ -183,14 +164,6 @@ def _count_simulated_steps(scenario: uz.Scenario) -> int:
     return observers * count_progress_steps(scenario) + count_progress_steps(
         scenario, check_step=False
     )
-
-
-def _write_film(result: uz.Run, rival: uz.Run | None, path: Path) -> Path:
-    """Write the film of an arm's run and return its path."""
-    from undeadzone.report.animation import count_frames, write_movie
-
-    with progress("drawing", count_frames(result), "frames") as advance:
-        return write_movie(result, rival, path, advance)
 
 
 def _outcome_to_json(

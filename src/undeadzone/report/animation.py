@@ -1,38 +1,23 @@
-"""Animation of an arm: a drawing that plays inside a page, or a GIF or MP4 file.
-
-The page fetches nothing for it.
-"""
+"""Animation of an arm: a drawing that plays inside a page, which fetches nothing for it."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
 from importlib.resources import files
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from undeadzone.errors import FileError, InputError
 from undeadzone.report import ink
 from undeadzone.report.html import Html, format_html
-from undeadzone.report.style import escape_formulas
 from undeadzone.results.run import FRAMES, Run
 from undeadzone.util.arrays import Floats
-from undeadzone.util.files import replace_file
-from undeadzone.util.progress import ignore_progress
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-    from PIL.Image import Image
+    pass
 
-MOVIES = (".gif", ".mp4")
-DPI = 80  # of a file
-COLOURS = 32  # of a GIF
-SKIPPED = 2  # every how manieth frame a file shows
 TILT = 0.35  # [rad] by which an arm in space is seen from above
 SIDEWAYS = (0.5, 0.9, -0.9, -0.5)  # directions of an arm's path [rad], 0: right in the drawing
-TRAIL = 2.0  # [s] of the tip's way that a file shows
 
 _STYLE = "display:block;width:100%;max-width:880px;border:1px solid var(--line);border-radius:6px"
 _CANVAS = (
@@ -74,7 +59,7 @@ def animation_canvas(run: Run, rival: Run | None = None) -> Html:
 
     Arms in space turn under the mouse.
     """
-    arms = _build_arms(run, rival)
+    arms = build_arms(run, rival)
     extent = float(np.ptp(arms[-1].poses[:, :, :2], axis=(0, 1)).max())  # [m] of the run's own arm
     grid = _grid_spacing(extent)
     data = _script_data(run, arms, grid)
@@ -117,188 +102,7 @@ def _animation_legend(arms: list[Arm], grid: float, spatial: bool) -> str:
     return f'<p class="note">{"&ensp;".join(keys)}&ensp;grid {grid:g} m{hint}</p>'
 
 
-def require_movie(path: Path) -> None:
-    """Raise FileError if an animation with this name cannot be written."""
-    suffix = path.suffix.lower()
-    if suffix not in MOVIES:
-        raise FileError(
-            f"{path}: cannot write an animation with this name. "
-            f"It must end in {' or '.join(MOVIES)}"
-        )
-    if suffix == ".mp4":
-        from matplotlib.animation import FFMpegWriter
-
-        if not FFMpegWriter.isAvailable():
-            raise FileError(
-                f"{path}: cannot write MP4: ffmpeg is not installed. Write a .gif instead"
-            )
-
-
-def write_movie(
-    run: Run, rival: Run | None, path: Path, progress: Callable[[int], None] = ignore_progress
-) -> Path:
-    """Write the motion as `.gif`, or as `.mp4` if ffmpeg is installed. Return the path.
-
-    Args:
-        run: of an arm
-        rival: another run of it, displayed beside it
-        path: the file
-        progress: called with 1 for each frame done
-
-    Raises:
-        FileError: the file cannot be written
-        InputError: the plant is not an arm
-    """
-    require_movie(path)
-    if run.poses is None:
-        raise InputError("animation: this plant is not an arm. Leave the option out")
-    stage = _build_stage(run, _build_arms(run, rival))
-    _draw_frame(stage, 0)
-    stage.figure.draw_without_rendering()
-    stage.figure.set_layout_engine("none")  # laid out once, for all frames
-
-    frames = range(0, max(len(arm.poses) for arm in stage.arms), SKIPPED)
-    write = _write_gif if path.suffix.lower() == ".gif" else _write_mp4
-    with replace_file(path) as temporary:
-        write(stage, frames, temporary, progress)
-    return path
-
-
-def _write_mp4(stage: Stage, frames: range, path: Path, progress: Callable[[int], None]) -> None:
-    """Write an MP4 of some frames. Arguments as for `_write_gif`."""
-    from matplotlib.animation import FFMpegWriter
-
-    speed: Any = FRAMES / SKIPPED
-    writer = FFMpegWriter(fps=speed)
-    with writer.saving(stage.figure, path, DPI):
-        for frame in frames:
-            _draw_frame(stage, frame)
-            writer.grab_frame()
-            progress(1)
-
-
-def _write_gif(stage: Stage, frames: range, path: Path, progress: Callable[[int], None]) -> None:
-    """Write a GIF of some frames, in few colours. Each picture keeps the unchanged parts.
-
-    Its comment is the run's title.
-
-    Args:
-        stage: the figure, and what moves on it.
-        frames: the frames.
-        path: the file.
-        progress: called with 1 for each frame done.
-    """
-    from PIL.Image import Dither
-
-    palette = _render_picture(stage, frames[-1]).quantize(COLOURS)
-
-    def pictures() -> Iterator[Image]:
-        """Yield the picture of each frame, in few colours."""
-        for frame in frames:
-            picture = _render_picture(stage, frame)
-            progress(1)
-            yield picture.quantize(palette=palette, dither=Dither.NONE)
-
-    first, *others = pictures()
-    first.save(
-        path,
-        format="GIF",
-        save_all=True,
-        append_images=others,
-        duration=round(1000 * SKIPPED / FRAMES),
-        loop=0,
-        comment=stage.title.encode(),
-    )
-
-
-def _render_picture(stage: Stage, frame: int) -> Image:
-    """Return the picture of the figure at a frame."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from PIL.Image import fromarray
-
-    _draw_frame(stage, frame)
-    canvas: Any = FigureCanvasAgg(stage.figure)
-    canvas.draw()
-    return fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
-
-
-class Stage(NamedTuple):
-    """Figure on which arms move: a line and a trail of the tip for each arm, its title."""
-
-    figure: Figure
-    axes: Any
-    arms: list[Arm]
-    lines: list[Any]
-    trails: list[Any]
-    spatial: bool
-    title: str
-
-
-def _build_stage(run: Run, arms: list[Arm]) -> Stage:
-    """Return the figure with the path and its limits, and lines without points yet."""
-    from matplotlib.figure import Figure
-
-    spatial = _is_spatial(run)
-    figure = Figure(figsize=(6.4, 6.0), dpi=DPI, layout="constrained")
-    axes: Any = figure.add_subplot(projection="3d" if spatial else None)
-    dimensions = 3 if spatial else 2
-    path = _tip_path(run)[:, :dimensions]
-    axes.plot(*path.T, color=ink.REFERENCE, linewidth=4, alpha=0.4, label="path of the tip")
-    empty: list[list[float]] = [[]] * dimensions
-    lines = []
-    trails = []
-    for arm in arms:
-        lines += axes.plot(*empty, color=arm.colour, marker="o", markersize=4, linewidth=3)
-    for arm in arms:
-        trails += axes.plot(*empty, color=arm.colour, linewidth=1.2, alpha=0.7)
-    for line, arm in zip(lines, arms, strict=True):
-        line.set_label(escape_formulas(arm.label))
-    points = [arm.poses.reshape(-1, 3)[:, :dimensions] for arm in arms]
-    _apply_equal_limits(axes, np.vstack([path, *points]))
-    if spatial:
-        axes.view_init(elev=np.degrees(TILT), azim=np.degrees(-_view_turn(run)) - 90)
-        axes.set_box_aspect((1, 1, 1), zoom=1.15)
-    axes.grid(visible=True, alpha=0.4)
-    figure.legend(loc="outside lower center", fontsize=9, ncols=2, frameon=False)
-    return Stage(figure, axes, arms, lines, trails, spatial, escape_formulas(run.info.title))
-
-
-def _apply_equal_limits(axes: Any, points: Floats) -> None:
-    """Set equally scaled axes that contain all points, with their labels."""
-    low = points.min(axis=0)
-    high = points.max(axis=0)
-    middle = (low + high) / 2
-    reach = 0.53 * float(np.ptp(points, axis=0).max())
-    for name, centre in zip("xyz", middle, strict=False):
-        getattr(axes, f"set_{name}lim")(centre - reach, centre + reach)
-        getattr(axes, f"set_{name}label")(f"{name} [m]")
-    axes.locator_params(nbins=5)
-    axes.set_aspect("equal")
-
-
-def _draw_frame(stage: Stage, frame: int) -> None:
-    """Move every arm to its pose in a frame, with the last way of its tip."""
-    for line, trail, arm in zip(stage.lines, stage.trails, stage.arms, strict=True):
-        now = min(frame, len(arm.poses) - 1)
-        before = max(0, now - round(TRAIL * FRAMES))
-        _move_line(line, arm.poses[now], stage.spatial)
-        _move_line(trail, arm.poses[before : now + 1, -1], stage.spatial)
-    stage.axes.set_title(f"{stage.title}, t = {frame / FRAMES:.2f} s", fontsize=9)
-
-
-def _move_line(line: Any, points: Floats, spatial: bool) -> None:
-    """Set the points of a line (N x 3)."""
-    line.set_data(*points[:, :2].T)
-    if spatial:
-        line.set_3d_properties(points[:, 2])
-
-
-def count_frames(run: Run) -> int:
-    """Return the number of frames that a file shows of a run."""
-    return 0 if run.poses is None else -(-len(run.poses) // SKIPPED)
-
-
-def _build_arms(run: Run, rival: Run | None) -> list[Arm]:
+def build_arms(run: Run, rival: Run | None) -> list[Arm]:
     """Return the arms on display, each until it diverged, the run's own last, above the rival's."""
     own = _build_arm(run, ink.ESTIMATE)
     return [own] if rival is None else [_build_arm(rival, ink.PRINTED), own]

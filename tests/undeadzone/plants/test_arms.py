@@ -23,7 +23,7 @@ from documents import EXAMPLES
 from requirements import import_package
 from scenes import scene, tables_of
 from undeadzone.compile import interpret
-from undeadzone.errors import FileError, InputError, StepError
+from undeadzone.errors import InputError, StepError
 from undeadzone.nonlinearities.sensor import quantise, side
 from undeadzone.plants.build import system
 from undeadzone.plants.options import URDF, OneLink, Plant, TwoLink
@@ -415,27 +415,6 @@ def test_what_a_title_says_cannot_leave_the_script(both: tuple[Run, Run]) -> Non
     assert "b" not in found.tags
 
 
-def test_a_gif_is_written_and_other_names_are_refused(
-    both: tuple[Run, Run], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    image = import_package("PIL.Image")
-    frames: list[int] = []
-    path = animation.write_movie(both[0], both[1], tmp_path / "arm.gif", frames.append)
-    with image.open(path) as gif:
-        assert gif.n_frames == sum(frames) == animation.count_frames(both[0]) > 2
-        assert gif.info["duration"] == 1000 * animation.SKIPPED / FRAMES
-    with pytest.raises(FileError, match=r"It must end in \.gif or \.mp4"):
-        animation.write_movie(both[0], None, tmp_path / "arm.txt")
-    monkeypatch.setenv("PATH", str(tmp_path))
-    with pytest.raises(FileError, match="ffmpeg is not installed"):
-        animation.write_movie(both[0], None, tmp_path / "arm.mp4")
-    with pytest.raises(InputError, match="this plant is not an arm"):
-        animation.write_movie(
-            dataclasses.replace(both[0], poses=None), None, tmp_path / "other.gif"
-        )
-    assert [file.name for file in tmp_path.iterdir()] == ["arm.gif"]
-
-
 # --- The command
 
 
@@ -452,23 +431,6 @@ def test_a_comparison_is_reported_in_json(scenario: Path) -> None:
     result = json.loads(done.stdout)
     assert result["rms_tip"] < result["compare"]["rms_tip"]
     assert result["compare"]["method"] == "extended"
-
-
-@pytest.mark.parametrize(
-    ("name", "animation", "words"),
-    [
-        ("paper_5sin", "a.gif", "this plant is not an arm"),
-        ("two_link", "a.txt", "must end in .gif or .mp4"),
-    ],
-)
-def test_an_animation_that_cannot_be_is_refused_before_the_run(
-    name: str, animation: str, words: str, tmp_path: Path
-) -> None:
-    done = command("run", EXAMPLES / f"{name}.toml", "--animation", animation, cwd=tmp_path)
-    assert done.returncode == 2
-    assert words in done.stderr
-    assert len(done.stderr.splitlines()) == 1
-    assert not list(tmp_path.iterdir())
 
 
 def test_observers_are_labelled_by_method_or_by_what_differs() -> None:
