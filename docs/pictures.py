@@ -56,7 +56,7 @@ def film(*runs: Run) -> FuncAnimation:
     axes = panels["arm"]
     arms = animation.build_arms(*runs)
     lines = [
-        (axes.plot([], [], "o-", color=arm.colour, label=arm.label)[0], axes.plot([], [])[0])
+        (axes.plot([], [], "o-", color=arm.colour, label=arm.name)[0], axes.plot([], [])[0])
         for arm in arms
     ]
     style.finish_panel(axes, "The tip, and its way", "y [m]", "x [m]")

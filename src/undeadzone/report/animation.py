@@ -38,20 +38,11 @@ class Arm(NamedTuple):
         name: of its run.
         colour: its colour.
         poses: positions of its joints (frames x points x 3) [m].
-        error: rms distance of its tip from the path over the last 2 s [m].
     """
 
     name: str
     colour: str
     poses: Floats
-    error: float
-
-    @property
-    def label(self) -> str:
-        """Return the arm's name, and the distance of its tip from the path at the end."""
-        far = self.error >= 0.1
-        size = f"{self.error:.2g} m" if far else f"{1e3 * self.error:.2g} mm"
-        return f"{self.name}: tip {size} off at the end"
 
 
 def animation_canvas(run: Run, rival: Run | None = None) -> Html:
@@ -114,7 +105,7 @@ def _build_arm(run: Run, colour: str) -> Arm:
     end = len(run.poses)
     if run.divergence_time is not None:
         end = max(1, int(run.divergence_time * FRAMES))
-    return Arm(run.observer_name, colour, run.poses[:end], run.rms_tip or 0.0)
+    return Arm(run.observer_name, colour, run.poses[:end])
 
 
 def _tip_path(run: Run) -> Floats:

@@ -1,23 +1,23 @@
 """Sampling designs: points of the unit cube as a function of (seed, run) alone.
 
-No table is kept. A Latin hypercube and Saltelli's design depend on the number of runs too.
+A Latin hypercube and Saltelli's design depend on the number of runs too.
 """
 
 from __future__ import annotations
 
-from typing import Any, Final
+import functools
+from typing import Final
 
 import numpy as np
 
 from undeadzone.errors import InputError
-from undeadzone.util.arrays import Floats
+from undeadzone.util.arrays import Floats, Integers
 
 # Added to the seed, which is below 2^63: these numbers differ from those of the noise.
 STREAM: Final = 1 << 64
 # kinds of random words of a column
 NUMBERS = 0
-KEYS = 1
-ROUNDS: Final = 10  # of the cipher that permutes runs
+ORDER = 1
 BITS: Final = 32  # of a Sobol point
 
 
@@ -50,62 +50,24 @@ def design_points(
     return np.stack(columns, axis=1) if columns else np.empty((count, 0))
 
 
-def _random_words(seed: int, kind: int, column: int, first: int, count: int) -> Any:
-    """Return words first .. first + count (64 bits each) of the stream of a column."""
-    generator = np.random.Philox(key=STREAM + seed, counter=[first // 4, 0, column, kind])
-    return generator.random_raw(count + first % 4)[first % 4 :]
-
-
 def _uniform_column(seed: int, first: int, count: int, column: int) -> Floats:
     """Return random odd multiples of 2^-53 (count): never 0 or 1."""
-    return ((_random_words(seed, NUMBERS, column, first, count) >> np.uint64(12)) + 0.5) * 2.0**-52
+    generator = np.random.Philox(key=STREAM + seed, counter=[first // 4, 0, column, NUMBERS])
+    words = generator.random_raw(count + first % 4)[first % 4 :]
+    return ((words >> np.uint64(12)) + 0.5) * 2.0**-52
 
 
 def _stratify_column(u: Floats, seed: int, first: int, column: int, runs: int) -> Floats:
     """Return a point of each run in its own of `runs` equal intervals, at the share u."""
-    keys = _random_words(seed, KEYS, column, 0, ROUNDS)
-    interval = permute_indices(np.arange(first, first + u.size, dtype=np.uint64), runs, keys)
+    interval = permute_runs(seed, column, runs)[first : first + u.size]
     return np.minimum((interval + u) / runs, np.nextafter(1.0, 0.0))
 
 
-def permute_indices(index: Any, size: int, keys: Any) -> Any:
-    """Return the image of each index under a permutation of 0 .. size - 1: a Feistel cipher.
-
-    The cipher permutes the numbers of an even count of bits. It is repeated until the result is
-    below `size`.
-
-    Args:
-        index: numbers below `size` (uint64).
-        size: of the permutation.
-        keys: which permutation it is (uint64, one per round).
-    """
-    half = np.uint64(max(1, (int(size - 1).bit_length() + 1) // 2))
-    places = _feistel_cipher(index, half, keys)
-    outside = places >= size
-    while outside.any():
-        places[outside] = _feistel_cipher(places[outside], half, keys)
-        outside = places >= size
-    return places
-
-
-def _feistel_cipher(value: Any, half: Any, keys: Any) -> Any:
-    """Return a permutation of the numbers of 2 `half` bits, by rounds that mix both halves."""
-    mask = (np.uint64(1) << half) - np.uint64(1)
-    left = value >> half
-    right = value & mask
-    for key in keys:
-        left, right = right, left ^ (_mix_bits(right ^ key) & mask)
-    return left << half | right
-
-
-def _mix_bits(word: Any) -> Any:
-    """Return the finaliser of SplitMix64, Steele et al. (2014), of a word.
-
-    Every bit of the word changes half of the bits.
-    """
-    word = (word ^ (word >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    word = (word ^ (word >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return word ^ (word >> np.uint64(31))
+@functools.lru_cache(maxsize=64)
+def permute_runs(seed: int, column: int, runs: int) -> Integers:
+    """Return a random permutation of 0 .. runs - 1 for a column of a design (runs)."""
+    generator = np.random.Philox(key=STREAM + seed, counter=[0, 0, column, ORDER])
+    return np.random.Generator(generator).permutation(runs)
 
 
 def _sobol_points(seed: int, first: int, count: int, entries: int) -> Floats:

@@ -158,7 +158,9 @@ def rank_correlations(X: Floats, y: Floats) -> tuple[Floats, Floats]:
     The partial one correlates the residuals of both after regression on the ranks of the other
     entries.
     """
-    ranks = np.column_stack(list(map(mean_ranks, (*X.T, y))))
+    from scipy.stats import rankdata
+
+    ranks = rankdata(np.column_stack([X, y]), axis=0)
     ranks -= ranks.mean(axis=0)
     size = np.sqrt((ranks**2).sum(axis=0))
     size = np.where(size > 0, size, 1.0)
@@ -166,12 +168,6 @@ def rank_correlations(X: Floats, y: Floats) -> tuple[Floats, Floats]:
     P = np.linalg.pinv(R, hermitian=True)  # the partial correlations, but for their scale
     scale = np.sqrt(np.diag(P)[:-1] * P[-1, -1])
     return R[:-1, -1], -P[:-1, -1] / np.where(scale > 0, scale, 1.0)
-
-
-def mean_ranks(x: Floats) -> Floats:
-    """Return ranks from 1 for the least. Equal numbers share their mean rank."""
-    _, place, count = np.unique(x, return_inverse=True, return_counts=True)
-    return (np.cumsum(count) - (count - 1) / 2)[place]
 
 
 def first_order_indices(X: Floats, y: Floats) -> Floats:

@@ -30,7 +30,6 @@ from undeadzone_studies.statistics.sensitivity import (
     estimate_sobol_indices,
     first_order_by_chance,
     first_order_indices,
-    mean_ranks,
     rank_correlations,
     saltelli_indices,
     sensitivities_of_runs,
@@ -238,11 +237,6 @@ def test_rank_correlations_are_those_of_textbooks() -> None:
         left_of_y = residual(others, goal)
         assert spearman[i] == pytest.approx(stats.spearmanr(X[:, i], y).statistic, abs=1e-12)
         assert partial_ones[i] == pytest.approx(np.corrcoef(left_of_x, left_of_y)[0, 1], abs=1e-9)
-
-
-def test_numbers_that_are_alike_share_their_ranks() -> None:
-    x = np.array([3.0, 1.0, 3.0, 2.0, 3.0, 1.0])
-    assert mean_ranks(x).tolist() == stats.rankdata(x).tolist() == [5, 1.5, 5, 3, 5, 1.5]
 
 
 def test_sensitivities_without_information_are_empty_or_0() -> None:
