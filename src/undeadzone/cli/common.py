@@ -19,9 +19,9 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from undeadzone.errors import InputError
+from undeadzone.util.files import SCHEMA as SCHEMA
 from undeadzone.util.files import convert_write_errors, read_text, require_folder
 from undeadzone.util.opening import bind_folder, require_beneath
-from undeadzone.util.schema import SCHEMA as SCHEMA
 from undeadzone.util.shown import Block
 from undeadzone.util.shown import format_blocks as text_of
 from undeadzone.util.text import escape_controls

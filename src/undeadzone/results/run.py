@@ -26,7 +26,7 @@ from undeadzone.results.signals import (
     output_names,
 )
 from undeadzone.util.arrays import Floats, to_json_value, to_scalar_or_list
-from undeadzone.util.schema import require_schema
+from undeadzone.util.files import require_schema
 from undeadzone.util.shown import Block, Rows
 from undeadzone.util.text import count_noun, interval_95, label_with_unit
 

@@ -35,8 +35,7 @@ from undeadzone.scenario.tune_table import Tune
 from undeadzone.signals.exosystem import Disturbance, Signal
 from undeadzone.util import shown, toml
 from undeadzone.util.arrays import Array, require_array
-from undeadzone.util.files import write_text
-from undeadzone.util.schema import SCHEMA
+from undeadzone.util.files import SCHEMA, write_text
 from undeadzone.util.toml import OptionTable
 
 VAGUE: Final = 3.0  # in largest widths: upper end of the default range of the widths

@@ -46,7 +46,7 @@ from undeadzone.simulation.identifiability import (
 from undeadzone.simulation.loop import Outputs
 from undeadzone.util import toml
 from undeadzone.util.arrays import Floats
-from undeadzone.util.schema import SCHEMA
+from undeadzone.util.files import SCHEMA
 
 LEARNT = 1 / 5  # of the declared deviation, above which a gap is not known
 WIDENED = 1.2  # factor of the deviation of a gap above that; 34 of 34 of fresh robots held with 1

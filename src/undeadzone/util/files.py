@@ -22,6 +22,23 @@ Name: TypeAlias = str | os.PathLike[str]  # of a file, as a program gives it
 LARGEST_TEXT: Final = 10_000_000  # [bytes] of a scenario, a design, a URDF
 LARGEST_TABLE: Final = 64_000_000  # [bytes] of a CSV file of signals
 LARGEST_RUN: Final = 4_000_000_000  # [bytes] of the signals of one run
+# Number of the meanings that keys have, in files and in JSON alike (docs/versions.md). It is raised
+# when a key goes or changes its meaning; keys may be added.
+SCHEMA: Final = 3
+
+
+def require_schema(schema: int | None, path: object) -> None:
+    """Raise FileError for a saved result of another schema.
+
+    Args:
+        schema: of the file (None: it has no number, as files had none up to schema 2).
+        path: of the file.
+    """
+    if schema != SCHEMA:
+        raise FileError(
+            f"{path}: expected schema = {SCHEMA}, found {schema}: another version of undeadzone "
+            "saved it. Make it anew"
+        )
 
 
 @contextmanager

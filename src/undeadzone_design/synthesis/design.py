@@ -18,8 +18,8 @@ from undeadzone.plants.system import System
 from undeadzone.scenario.problem import Problem, constant_gains, resolve_scenario, systems
 from undeadzone.scenario.schema import Scenario
 from undeadzone.util.arrays import Floats, require_number, require_seed
+from undeadzone.util.files import SCHEMA
 from undeadzone.util.progress import notebook_progress
-from undeadzone.util.schema import SCHEMA
 from undeadzone_design.synthesis import gain_search
 from undeadzone_design.synthesis.assessment import assess_identifiability, find_determined_states
 from undeadzone_design.synthesis.task import Candidate, build_task, score_candidate

@@ -33,7 +33,7 @@ from undeadzone.plants.system import sample_plant
 from undeadzone.results.run import Run
 from undeadzone.scenario.reader import convert
 from undeadzone.simulation.simulate import simulate
-from undeadzone.util.schema import SCHEMA
+from undeadzone.util.files import SCHEMA
 from undeadzone_design.synthesis.check import check
 
 RIGHT, LEFT, CENTRE = 1.0, 0.4, 0.3  # of a zone from -0.4 to 1.0

@@ -21,9 +21,8 @@ from undeadzone.errors import FileError, InputError, ProofError, ShapeError
 from undeadzone.linalg.matrices import Matrices
 from undeadzone.util import shown, toml
 from undeadzone.util.arrays import Floats, require_matrix, require_vector
-from undeadzone.util.files import read_text, unreadable_file, write_text
+from undeadzone.util.files import read_text, require_schema, unreadable_file, write_text
 from undeadzone.util.own_files import mark_toml
-from undeadzone.util.schema import require_schema
 from undeadzone.util.toml import OptionTable, require_short_keys
 
 Matrix = list[list[float]]
