@@ -23,9 +23,9 @@ SAYS = (NAMED, MEASURED, INDICATED, BOUNDED)  # grades with a number or a bound
 LEADS = {MEASURED: "Measured: ", INDICATED: "Indicated, not certain: "}
 
 
-SURE, LESS, SHOWS = 3.0, 0.9, 0.75  # deviations and share of the straight plant's rms, or a share
-# alone, below which an effect is worth a number
-SEEN = 1.96  # deviations, two-sided at 95 %
+SURE = 3.0  # deviations, from which an effect is seen: 5 % among 17 classes (Bonferroni) are 2.97
+LESS, SHOWS = 0.9, 0.75  # share of the straight plant's rms, below which a sure effect is worth a
+# number, and any effect
 
 INPUT, OUTPUT, TIME, NONE = range(4)  # ends of whose units numbers are
 STEPS = "steps of several sizes up and down past both edges, each held until the reading rests"
@@ -169,13 +169,13 @@ class Buys(NamedTuple):
     @property
     def is_worth(self) -> bool:
         """Return whether the effect improves the simulation so much that its number counts."""
-        is_sure = self.deviations > SURE and self.remaining < LESS * self.without
-        return is_sure or self.remaining < SHOWS * self.without
+        share = LESS if self.is_seen else SHOWS
+        return self.remaining < share * self.without
 
     @property
     def is_seen(self) -> bool:
-        """Return whether a test at 95 % finds the effect."""
-        return self.deviations > SEEN
+        """Return whether a test at 95 % finds the effect, whichever of all classes it is."""
+        return self.deviations > SURE
 
 
 Numbers = dict[str, Interval]

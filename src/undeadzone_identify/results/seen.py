@@ -10,7 +10,7 @@ import numpy as np
 
 from undeadzone_identify.logs.log import Log
 from undeadzone_identify.looks.first import Looks
-from undeadzone_identify.looks.map import APART, EXPLAINED, LEAST, FlatPart, RestMap
+from undeadzone_identify.looks.map import APART, EXPLAINED, LEAST, UNSURE, FlatPart, RestMap
 from undeadzone_identify.models.estimates import Interval
 from undeadzone_identify.results.account import (
     BOUNDED,
@@ -72,9 +72,14 @@ def _account_of_map(seen: RestMap, by: str, units: tuple[str, str]) -> Account:
     if effects:
         edges = chain.from_iterable((part.left, part.right) for part in seen.flats)
         rows = min(edge.rows for edge in filter(None, edges))
-        grade = MEASURED if rows >= ENOUGH else INDICATED
         level = f"the reading rests at {seen.flats[0].level:.4g}"
-        return Account(grade, effects, f"{by}; {level}", units)
+        found = Account(INDICATED, effects, f"{by}; {level}", units)
+        widest = max(part.widest_interval for part in seen.flats)
+        is_apart = all(
+            one.low > 0 for of in effects.values() for key, one in of.items() if key == "width"
+        )
+        is_known = rows >= ENOUGH and widest < UNSURE * np.ptp(seen.x) and is_apart
+        return found._replace(grade=MEASURED) if is_known else found
     if seen.fold is not None:
         edge = Interval(seen.fold, seen.fold, seen.fold)
         return Account(INDICATED, {"fold": {"edge": edge}}, by, units)

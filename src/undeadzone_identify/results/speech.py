@@ -10,6 +10,7 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.stats import entropy
 
 from undeadzone.util.arrays import Flags, Floats
 from undeadzone.util.files import read_table
@@ -43,6 +44,7 @@ from undeadzone_identify.selection.lost_motion import LostMotionAnswer
 from undeadzone_identify.selection.widths import SIDES
 
 DYNAMICS = "plant and nonlinearity, fitted together"
+REPEATS = "the command repeats itself: it has fewer frequencies than the model has numbers"
 NO_BETTER = "a straight plant simulates held-out readings about as well"
 OTHER_END = "a band of the input, or friction, simulates held-out readings about as well"
 BOTH_POSITIONS = "one position along the other"
@@ -82,20 +84,54 @@ def account_of_answer(answer: Answer) -> Account:
         effects["input loss"] = {name: element.input[name] for name in known}
     if element is not None and element.zone is not None:
         effects["output loss"] = {"width": element.zone}
-    limits = {} if effects else _find_limits(answer)
     buys = _buys_of_word(answer) if answer.servo is None else None
     never = () if element is None else tuple(filter(element.lacks_edge, SIDES))
     unmet = answer.case.unreached or never
-    alike = _find_alike_at_input(answer)
-    doubts = [NO_BETTER] * (buys is not None and not buys.is_worth) + [OTHER_END] * bool(alike)
-    if doubts:
-        others = {EFFECT_OF[one.word]: one.numbers for one in alike}
-        return Account(
-            INDICATED, effects, DYNAMICS, units, buys, others, doubts=tuple(doubts), unmet=unmet
-        )
-    return Account(
-        NAMED, effects, DYNAMICS, units, buys, unmet=unmet, limits=limits, name=NAMES[word]
+    alike = find_alike_at_input(answer)
+    is_weak = buys is not None and not (buys.is_worth or buys.is_seen)
+    limits = _find_limits(answer) if is_weak or not effects else {}
+    doubts = (
+        (buys is not None and not buys.is_worth, NO_BETTER),
+        (bool(alike), OTHER_END),
+        (_repeats_itself(answer), REPEATS),
     )
+    found = Account(NAMED, effects, DYNAMICS, units, buys, unmet=unmet, limits=limits)
+    found = found.with_doubts(*(words for is_real, words in doubts if is_real))
+    if is_weak:
+        return found._replace(grade=BOUNDED, effects={}, buys=None, others=effects)
+    if not found.doubts:
+        return found._replace(name=NAMES[word])
+    others = {EFFECT_OF[one.word]: one.numbers for one in alike}
+    return found._replace(grade=INDICATED if effects else BOUNDED, others=others)
+
+
+def _repeats_itself(answer: Answer) -> bool:
+    """Return whether the input excites less than the numbers of the named class need.
+
+    A plant with k numbers needs an input that is persistently exciting of order k. A sine is so of
+    order 2, whatever its length. A servo's gap is seen where it is crossed.
+    """
+    is_gap = answer.servo is not None and answer.verdict in MEMORY
+    order = sum(map(order_of_excitation, answer.case.grid.u.T))
+    return not is_gap and order < 2 * answer.case.chosen.n + 1
+
+
+def order_of_excitation(u: Floats) -> float:
+    """Return the effective order to which an input is persistently exciting.
+
+    It is the effective rank of the input's covariance: the number of spectral lines, by the entropy
+    of the power in them, and two for each. Hann's window alone makes 2.38 lines of one.
+
+    Args:
+        u: input (N).
+
+    References:
+        J. C. Willems, P. Rapisarda, I. Markovsky, B. De Moor (2005),
+        doi:10.1016/j.sysconle.2004.09.003; O. Roy, M. Vetterli (2007), doi:10.5281/zenodo.40328
+    """
+    line = np.square([0.5, 1.0, 0.5])
+    power = np.abs(np.fft.rfft((u - u.mean()) * np.hanning(u.size))) ** 2
+    return float(2 * np.exp(entropy(power) - entropy(line)))
 
 
 def account_of_motion(motion: LostMotionAnswer) -> Account:
@@ -126,12 +162,7 @@ def _open(answer: Answer, units: tuple[str, str]) -> Account:
     return Account(OPEN, {}, DYNAMICS, units, others=others, doubts=tuple(answer.reasons))
 
 
-def knows_the_end(answer: Answer) -> bool:
-    """Return whether a zone of the sensor that is named simulates better than one of the input."""
-    return not _find_alike_at_input(answer)
-
-
-def _find_alike_at_input(answer: Answer) -> list[Compared]:
+def find_alike_at_input(answer: Answer) -> list[Compared]:
     """Return the elements of the input that simulate as well as a zone of the sensor, if named."""
     named = _compare(answer, answer.verdict) if EFFECT_OF.get(answer.verdict) == LOSS else None
     if named is None:
@@ -311,7 +342,7 @@ def _counts(answer: Answer, one: Compared, line: Compared) -> bool:
         return False
     own, odds = one.compare_to(line, answer.scale), answer.found.odds
     is_likely = odds.get("none", 1.0) < UNLIKELY < odds.get(one.word, 0.0)
-    is_worth = (own.is_worth and own.is_seen) or (is_likely and own.deviations > 0)
+    is_worth = own.is_seen and (own.is_worth or is_likely)
     return is_worth and not _moves_below_friction(answer, one)
 
 
