@@ -315,21 +315,20 @@ class _Header(NamedTuple):
         """Return the column of times; none if there is none. Raises FileError."""
         if "t" in self.chosen:
             return [self.column_of_name("t")]
-        named = list(map(self.column_of_name, self.chosen))
-        free = self.moves() & ~np.isin(np.arange(len(self.titles)), named)
-        ranks = np.where(free, list(map(time_rank, self.titles)), -1)
+        ranks = np.where(self.moves(), list(map(time_rank, self.titles)), -1)
         best = np.flatnonzero((ranks >= 0) & (ranks == ranks[ranks >= 0].min(initial=99)))
         if self.values is not None:
             change = np.diff(self.values[:, best], axis=0)
             runs = np.maximum(np.mean(change >= 0, axis=0), np.mean(change <= 0, axis=0)) > 0.9
             best = best[runs] if runs.any() else best[:1][ranks[best[:1]] < VAGUE]
-            unknown = [k for k in self.may_count() if free[k] and not self.titles[k].unit]
+            unknown = [k for k in self.may_count() if not self.titles[k].unit]
             if not best.size and self.moves().sum() > 2:
                 best = np.array([k for k in unknown if is_regular_time(self.values[:, k])], int)
         if best.size > 1 and not self.is_open:
             many = f"several columns are named {self.titles[best[0]].name!r}"
             raise FileError(f'{self.source}: {many}; columns="t=NUMBER"')
-        return best[:1].tolist()
+        named = list(map(self.column_of_name, self.chosen))
+        return list(itertools.filterfalse(named.__contains__, best.tolist()))[:1]
 
     def find_signals(
         self, time: list[int], p: int | None, m: int | None
