@@ -65,7 +65,7 @@ from undeadzone_identify.results.seen import (
     needs_no_plant,
     rests_in_holds,
 )
-from undeadzone_identify.results.speech import EFFECT_OF, knows_the_end
+from undeadzone_identify.results.speech import EFFECT_OF, find_alike_at_input
 from undeadzone_identify.selection import orders
 from undeadzone_identify.selection.adequacy import (
     DEPENDS,
@@ -339,7 +339,9 @@ def _identify_logs(
         swing = _find_swing(logs, one) if is_plain and is_long else None
         if swing is not None:
             return IdentifiedLoop(tuple(logs), swing)
-        spoken = choose_account(one.account, seen, looks, lambda: knows_the_end(one.answer))
+        spoken = choose_account(
+            one.account, seen, looks, lambda: not find_alike_at_input(one.answer)
+        )
         return dataclasses.replace(one, spoken=spoken)
     answers_no = isinstance(failure, InformationError) or not logs[0].has_clock  # a table
     if seen is None and is_one and is_plain and answers_no:

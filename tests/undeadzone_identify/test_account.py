@@ -27,6 +27,7 @@ from undeadzone_identify.results.account import (
     Account,
     Buys,
 )
+from undeadzone_identify.results.speech import order_of_excitation
 
 QUICK = ("--order", "1", "--delay", "0")
 STEP = 0.05
@@ -45,6 +46,11 @@ def lag(u: Floats) -> Floats:
     return np.asarray(lfilter([0, 0.1], [1, -0.9], u))
 
 
+def columns(u: Floats, y: Floats) -> dict[str, Floats]:
+    """Columns of a log of an input and its readings."""
+    return {"t [s]": STEP * np.arange(u.size), "u [V]": u, "y [mm]": y}
+
+
 def table() -> dict[str, Floats]:
     """Commands and readings of a bench: a band from -0.3 to 0.5."""
     u = np.tile(np.linspace(-2, 2, 41), 2)
@@ -55,22 +61,19 @@ def table() -> dict[str, Floats]:
 def sensor_zone() -> dict[str, Floats]:
     """Readings of a sensor with a zone from -0.1 to 0.2."""
     rng, u, z = driven(800)
-    y = zone(z, 0.2, 0.1) + 0.01 * rng.standard_normal(z.size)
-    return {"t [s]": STEP * np.arange(u.size), "u [V]": u, "y [mm]": y}
+    return columns(u, zone(z, 0.2, 0.1) + 0.01 * rng.standard_normal(z.size))
 
 
 def curved_actuator() -> dict[str, Floats]:
-    """An actuator whose curve no class holds."""
-    rng, u, _ = driven(800)
-    y = lag(np.tanh(2 * u)) + 0.02 * rng.standard_normal(u.size)
-    return {"t [s]": STEP * np.arange(u.size), "u [V]": u, "y [mm]": y}
+    """An actuator whose curve no class holds, seen by three deviations."""
+    rng, u, _ = driven(1600)
+    return columns(u, lag(np.tanh(3 * u)) + 0.05 * rng.standard_normal(u.size))
 
 
 def straight() -> dict[str, Floats]:
     """Readings of a lag alone."""
     rng, u, z = driven(800)
-    y = z + 0.01 * rng.standard_normal(z.size)
-    return {"t [s]": STEP * np.arange(u.size), "u [V]": u, "y [mm]": y}
+    return columns(u, z + 0.01 * rng.standard_normal(z.size))
 
 
 def two_positions() -> dict[str, Floats]:
@@ -85,7 +88,7 @@ def two_positions() -> dict[str, Floats]:
 def noise_alone() -> dict[str, Floats]:
     """Readings to which the input does nothing."""
     rng, u, _ = driven(800)
-    return {"t [s]": STEP * np.arange(u.size), "u [V]": u, "y [mm]": rng.standard_normal(u.size)}
+    return columns(u, rng.standard_normal(u.size))
 
 
 class Told(NamedTuple):
@@ -177,7 +180,7 @@ def test_the_account_has_its_grade_its_truth_and_its_exit_code(answered: Answere
         value, low, high = answer["effects"][told.effect][name]
         assert low <= truth <= high
         assert low <= value <= high
-    assert answered.code == (0 if told.grade in SAYS else 1)
+    assert answered.code == (told.grade not in SAYS)
 
 
 def test_screen_page_and_json_say_the_same(answered: Answered) -> None:
@@ -208,6 +211,12 @@ def test_code_is_printed_of_what_is_certain_and_the_next_log_of_what_is_not(
         assert grade in (NAMED, MEASURED)
         assert effects
     assert ("log.toml" in answered.text) == (answered.told.make is sensor_zone)
+
+
+def test_a_sine_excites_two_numbers_and_steps_many() -> None:
+    """Of 7.3 periods, and of 80 levels (Willems 2005)."""
+    sine = np.sin(np.arange(900) / 20)
+    assert order_of_excitation(sine) < 2.2 < 20 < order_of_excitation(driven(800)[1])
 
 
 def test_a_null_has_the_largest_effects_that_could_hide(answered: Answered) -> None:

@@ -327,7 +327,8 @@ class _Header(NamedTuple):
         if best.size > 1 and not self.is_open:
             many = f"several columns are named {self.titles[best[0]].name!r}"
             raise FileError(f'{self.source}: {many}; columns="t=NUMBER"')
-        return best[:1].tolist()
+        named = list(map(self.column_of_name, self.chosen))
+        return list(itertools.filterfalse(named.__contains__, best.tolist()))[:1]
 
     def find_signals(
         self, time: list[int], p: int | None, m: int | None

@@ -93,7 +93,12 @@ class FlatPart(NamedTuple):
     @property
     def widest_interval(self) -> float:
         """Return the width of the widest interval of an edge."""
-        return max(2 * edge.interval.half_width for edge in self[2:] if edge)
+        return max(2 * edge.interval.half_width for edge in filter(None, self[2:]))
+
+    @property
+    def fewest_rows(self) -> int:
+        """Return the least number of moving levels beyond an edge."""
+        return min(edge.rows for edge in filter(None, self[2:]))
 
     def place(self, base: Floats, height: Floats) -> FlatPart:
         """Return the part in units of the log, from their origin."""

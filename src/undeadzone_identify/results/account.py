@@ -9,7 +9,10 @@ from __future__ import annotations
 from itertools import starmap
 from typing import Any, NamedTuple
 
+import msgspec
+
 from undeadzone.util.arrays import to_json_value
+from undeadzone.util.files import read_table
 from undeadzone_identify.models.estimates import Interval
 from undeadzone_identify.results.formats import describe_interval, unit_suffix
 
@@ -19,133 +22,35 @@ INDICATED = "indicated"  # the likeliest number, with the doubts that are printe
 BOUNDED = "bounded"  # nothing was found: the largest effects that could hide
 OPEN = "open"  # neither a number nor a bound
 GRADES = (NAMED, MEASURED, INDICATED, BOUNDED, OPEN)
-SAYS = (NAMED, MEASURED, INDICATED, BOUNDED)  # grades with a number or a bound
+SAYS = GRADES[:-1]  # grades with a number or a bound
 LEADS = {MEASURED: "Measured: ", INDICATED: "Indicated, not certain: "}
 
 
-SURE, LESS, SHOWS = 3.0, 0.9, 0.75  # deviations and share of the straight plant's rms, or a share
-# alone, below which an effect is worth a number
-SEEN = 1.96  # deviations, two-sided at 95 %
+SURE = 3.0  # deviations, from which an effect is seen: 5 % among 17 classes (Bonferroni) are 2.97
+LESS, SHOWS = 0.9, 0.75  # share of the straight plant's rms, below which a sure effect is worth a
+# number, and any effect
 
-INPUT, OUTPUT, TIME, NONE = range(4)  # ends of whose units numbers are
+ENDS = ("input", "output", "time", "none")  # whose units numbers have
 STEPS = "steps of several sizes up and down past both edges, each held until the reading rests"
-TURNS = "ten slow reversals or more, in both directions"
-AGAIN = "a longer stretch without a change of the set point"
 
 
-class Effect(NamedTuple):
+class Effect(msgspec.Struct, frozen=True):
     """Effect of a nonlinearity, whatever its cause.
 
     Attributes:
         words: what happens.
         remedy: what helps against it; empty if nothing does.
-        end: whose unit its numbers have: INPUT, OUTPUT, TIME or NONE.
+        end: whose unit its numbers have, of ENDS.
         record: what to record next if it is not certain.
     """
 
     words: str
     remedy: str
-    end: int
+    end: str
     record: str = STEPS
 
 
-KEEP = "keep commands inside these limits"
-ADD_EDGE = "count the part of a command that shall move it from the edge on its side"
-ADD_GAP = "add the gap after each reversal of the command"
-EFFECTS = {
-    "input loss": Effect("a band of the input moves nothing", ADD_EDGE, INPUT),
-    "input threshold": Effect(
-        "the output starts at a threshold of the input",
-        "command at least the threshold, and nothing beyond it is shifted",
-        INPUT,
-    ),
-    "input reversal": Effect(
-        "motion is lost after each reversal of the input", ADD_GAP, INPUT, TURNS
-    ),
-    "input shape": Effect("the input acts along a curve", "invert the curve", INPUT),
-    "input rate": Effect(
-        "the input acts at a limited rate", "command no faster than the limit", INPUT
-    ),
-    "stick": Effect(
-        "if it sticks",
-        "see to packing, positioner and size of the actuator: tuning does not cure it, a dead band"
-        " of the controller as wide as the swing of PV - SP only rests it",
-        INPUT,
-        "the controller in manual, its output up and down by 1, 2 and 4 %, each step held",
-    ),
-    "output loss": Effect(
-        "a band of the output is not read",
-        "take a silent reading as an interval, and add the edge to every other reading",
-        OUTPUT,
-    ),
-    "output threshold": Effect(
-        "the reading is silent up to a threshold",
-        "take a silent reading as an interval. Other readings are right as they are",
-        OUTPUT,
-    ),
-    "output reversal": Effect(
-        "motion is lost between output and reading at each reversal",
-        "add half of the gap to the reading, against the direction of motion",
-        OUTPUT,
-        TURNS,
-    ),
-    "output range": Effect("the reading ends at limits", "discard readings at the limits", OUTPUT),
-    "output shape": Effect("the reading follows a curve", "invert the curve", OUTPUT),
-    "loss": Effect(
-        "the reading rests over a band of the command, at which end cannot be decided here",
-        ADD_EDGE,
-        INPUT,
-    ),
-    "low end": Effect(
-        "at one end of the commands the reading stays at its least value", KEEP, INPUT
-    ),
-    "high end": Effect(
-        "at one end of the commands the reading stays at its largest value", KEEP, INPUT
-    ),
-    "curve": Effect(
-        "the reading follows a curve of the command",
-        "take the command for a reading from the map, straight between its levels",
-        OUTPUT,
-    ),
-    "ways": Effect("the way up lies beside the way down", ADD_GAP, INPUT, TURNS),
-    "fold": Effect("a reading stands for two commands beyond a fold", KEEP, INPUT),
-    "friction": Effect(
-        "friction resists the motion",
-        "feed its level forward in the direction of motion",
-        INPUT,
-        TURNS,
-    ),
-    "free play": Effect(
-        "the position rests anywhere in a gap at one goal",
-        "no command helps: measure behind the gear, or load one side",
-        OUTPUT,
-        "many rests at one goal, with the load on either side",
-    ),
-    "outside": Effect(
-        "an oscillation from outside swings the loop",
-        "look for another loop of this period upstream",
-        TIME,
-        AGAIN,
-    ),
-    "limit": Effect(
-        "OP rests at its limit",
-        "see to the size of the valve, the set point and the limits of the controller's output",
-        INPUT,
-        "an hour in which OP is between its limits",
-    ),
-    "noise": Effect(
-        "PV is noise or moves in few levels",
-        "see to the transmitter: damping, range, and its low cut-off in % of span",
-        OUTPUT,
-        AGAIN,
-    ),
-    "tuning": Effect(
-        "the loop is tuned too tightly",
-        "divide the gain of the controller",
-        NONE,
-        AGAIN,
-    ),
-}
+EFFECTS = msgspec.convert(read_table(__file__)["effects"], dict[str, Effect])
 
 
 class Buys(NamedTuple):
@@ -169,13 +74,12 @@ class Buys(NamedTuple):
     @property
     def is_worth(self) -> bool:
         """Return whether the effect improves the simulation so much that its number counts."""
-        is_sure = self.deviations > SURE and self.remaining < LESS * self.without
-        return is_sure or self.remaining < SHOWS * self.without
+        return self.remaining < (SHOWS, LESS)[self.is_seen] * self.without
 
     @property
     def is_seen(self) -> bool:
-        """Return whether a test at 95 % finds the effect."""
-        return self.deviations > SEEN
+        """Return whether a test at 95 % finds the effect, whichever of all classes it is."""
+        return self.deviations > SURE
 
 
 Numbers = dict[str, Interval]
@@ -235,7 +139,7 @@ class Account(NamedTuple):
 
     def unit_of(self, effect: str) -> str:
         """Return the unit of an effect's numbers."""
-        return (*self.units, "s", "1")[EFFECTS[effect].end]
+        return (*self.units, "s", "1")[ENDS.index(EFFECTS[effect].end)]
 
     def headline(self) -> str:
         """Return grade, effects and numbers in one line."""

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from itertools import chain
 
 import numpy as np
 
 from undeadzone_identify.logs.log import Log
 from undeadzone_identify.looks.first import Looks
-from undeadzone_identify.looks.map import APART, EXPLAINED, LEAST, FlatPart, RestMap
+from undeadzone_identify.looks.map import APART, EXPLAINED, LEAST, UNSURE, FlatPart, RestMap
 from undeadzone_identify.models.estimates import Interval
 from undeadzone_identify.results.account import (
     BOUNDED,
     EFFECTS,
     INDICATED,
-    INPUT,
     MEASURED,
     NAMED,
     OPEN,
@@ -66,15 +64,15 @@ def _account_of_map(seen: RestMap, by: str, units: tuple[str, str]) -> Account:
     """Return the account of a map at rest: its parts, else a bound."""
     by = f"{by} ({seen.x.size} levels of the command)"
     parts = list(map(_effect_of_part, seen.flats))
-    effects: dict[str, Numbers] = {}
-    for effect, numbers in parts:
-        effects.setdefault(effect, numbers)
+    effects = dict(parts + parts[::-1])  # the first of each
     if effects:
-        edges = chain.from_iterable((part.left, part.right) for part in seen.flats)
-        rows = min(edge.rows for edge in filter(None, edges))
-        grade = MEASURED if rows >= ENOUGH else INDICATED
+        rows = min(part.fewest_rows for part in seen.flats)
         level = f"the reading rests at {seen.flats[0].level:.4g}"
-        return Account(grade, effects, f"{by}; {level}", units)
+        found = Account(INDICATED, effects, f"{by}; {level}", units)
+        widest = max(part.widest_interval for part in seen.flats)
+        width = effects.get("loss", {}).get("width", UNMET)
+        is_known = rows >= ENOUGH and widest < UNSURE * np.ptp(seen.x) and width.low > 0
+        return found._replace(grade=MEASURED) if is_known else found
     if seen.fold is not None:
         edge = Interval(seen.fold, seen.fold, seen.fold)
         return Account(INDICATED, {"fold": {"edge": edge}}, by, units)
@@ -129,8 +127,7 @@ def needs_no_plant(seen: Account, looks: Looks) -> bool:
     if one is None or one.rows.how == "holds":
         return False
     has_shape = bool(one.flats) or one.fold is not None  # and no lag has one
-    is_seen = has_shape and seen.grade in (MEASURED, INDICATED)
-    return is_seen or one.rows.how == "table"
+    return has_shape or one.rows.how == "table"
 
 
 def rests_in_holds(looks: Looks) -> bool:
@@ -169,9 +166,10 @@ def choose_account(
         fitted = fitted._replace(grade=OPEN, effects={}, others={})
     if seen is not None and fitted.grade == OPEN and seen.grade == BOUNDED:
         return seen
-    still = {INPUT: looks.stillness}
-    bounds = fitted.limits.items()
-    limits = {key: max(bound, still.get(EFFECTS[key].end, 0.0)) for key, bound in bounds}
+    limits = {
+        key: max(bound, looks.stillness * (EFFECTS[key].end == "input"))
+        for key, bound in fitted.limits.items()
+    }
     return fitted._replace(limits=limits)
 
 

@@ -7,9 +7,11 @@ in the fit are simulated better with it than by a straight plant, by a paired co
 from __future__ import annotations
 
 import math
+from itertools import compress
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.stats import entropy
 
 from undeadzone.util.arrays import Flags, Floats
 from undeadzone.util.files import read_table
@@ -43,6 +45,7 @@ from undeadzone_identify.selection.lost_motion import LostMotionAnswer
 from undeadzone_identify.selection.widths import SIDES
 
 DYNAMICS = "plant and nonlinearity, fitted together"
+REPEATS = "the command repeats itself: it has fewer frequencies than the model has numbers"
 NO_BETTER = "a straight plant simulates held-out readings about as well"
 OTHER_END = "a band of the input, or friction, simulates held-out readings about as well"
 BOTH_POSITIONS = "one position along the other"
@@ -82,20 +85,51 @@ def account_of_answer(answer: Answer) -> Account:
         effects["input loss"] = {name: element.input[name] for name in known}
     if element is not None and element.zone is not None:
         effects["output loss"] = {"width": element.zone}
-    limits = {} if effects else _find_limits(answer)
     buys = _buys_of_word(answer) if answer.servo is None else None
     never = () if element is None else tuple(filter(element.lacks_edge, SIDES))
     unmet = answer.case.unreached or never
-    alike = _find_alike_at_input(answer)
-    doubts = [NO_BETTER] * (buys is not None and not buys.is_worth) + [OTHER_END] * bool(alike)
-    if doubts:
-        others = {EFFECT_OF[one.word]: one.numbers for one in alike}
-        return Account(
-            INDICATED, effects, DYNAMICS, units, buys, others, doubts=tuple(doubts), unmet=unmet
-        )
-    return Account(
-        NAMED, effects, DYNAMICS, units, buys, unmet=unmet, limits=limits, name=NAMES[word]
-    )
+    alike = find_alike_at_input(answer)
+    is_better = buys is None or buys.is_worth
+    is_weak = buys is not None and not (is_better or buys.is_seen)
+    limits = _find_limits(answer) if is_weak or not effects else {}
+    is_real = not is_better, bool(alike), _repeats_itself(answer)
+    found = Account(NAMED, effects, DYNAMICS, units, buys, unmet=unmet, limits=limits)
+    found = found.with_doubts(*compress((NO_BETTER, OTHER_END, REPEATS), is_real))
+    if is_weak:
+        return found._replace(grade=BOUNDED, effects={}, buys=None, others=effects)
+    if not found.doubts:
+        return found._replace(name=NAMES[word])
+    others = {EFFECT_OF[one.word]: one.numbers for one in alike}
+    return found._replace(grade=(BOUNDED, INDICATED)[bool(effects)], others=others)
+
+
+def _repeats_itself(answer: Answer) -> bool:
+    """Return whether the input excites less than the numbers of the named class need.
+
+    A plant with k numbers needs an input that is persistently exciting of order k. A sine is so of
+    order 2, whatever its length. A servo's gap is seen where it is crossed.
+    """
+    if answer.servo is not None and answer.verdict in MEMORY:
+        return False
+    return sum(map(order_of_excitation, answer.case.grid.u.T)) < 2 * answer.case.chosen.n + 1
+
+
+def order_of_excitation(u: Floats) -> float:
+    """Return the effective order to which an input is persistently exciting.
+
+    It is the effective rank of the input's covariance: the number of spectral lines, by the entropy
+    of the power in them, and two for each. Hann's window alone makes 2.38 lines of one.
+
+    Args:
+        u: input (N).
+
+    References:
+        J. C. Willems, P. Rapisarda, I. Markovsky, B. De Moor (2005),
+        doi:10.1016/j.sysconle.2004.09.003; effective rank: O. Roy, M. Vetterli (2007)
+    """
+    line = np.square([0.5, 1.0, 0.5])
+    power = np.abs(np.fft.rfft((u - u.mean()) * np.hanning(u.size))) ** 2
+    return float(2 * np.exp(entropy(power) - entropy(line)))
 
 
 def account_of_motion(motion: LostMotionAnswer) -> Account:
@@ -105,18 +139,17 @@ def account_of_motion(motion: LostMotionAnswer) -> Account:
         motion: the answer to a log of two positions.
     """
     units = (motion.log.input_unit, motion.log.output_units[0])
-    effects: dict[str, Numbers] = {}
+    found = Account(NAMED, {}, BOTH_POSITIONS, units)
     if motion.verdict == "play":
-        numbers = {"gap": motion.gap}
-        name = "Lost motion, gap and friction together" if motion.is_goal else NAMES["play"]
+        numbers, name = {"gap": motion.gap}, NAMES["play"]
         if motion.parts is not None:
             numbers = {"gap": motion.parts.gap, "friction": motion.parts.friction}
-            name = NAMES["play"]
-        return Account(NAMED, {"input reversal": numbers}, BOTH_POSITIONS, units, name=name)
+        elif motion.is_goal:
+            name = "Lost motion, gap and friction together"
+        return found._replace(effects={"input reversal": numbers}, name=name)
     if motion.verdict == "none":
-        limits = {"input reversal": motion.gap.high}
-        return Account(BOUNDED, effects, BOTH_POSITIONS, units, limits=limits)
-    return Account(OPEN, effects, BOTH_POSITIONS, units, doubts=tuple(motion.reasons))
+        return found._replace(grade=BOUNDED, limits={"input reversal": motion.gap.high})
+    return found._replace(grade=OPEN, doubts=tuple(motion.reasons))
 
 
 def _open(answer: Answer, units: tuple[str, str]) -> Account:
@@ -126,12 +159,7 @@ def _open(answer: Answer, units: tuple[str, str]) -> Account:
     return Account(OPEN, {}, DYNAMICS, units, others=others, doubts=tuple(answer.reasons))
 
 
-def knows_the_end(answer: Answer) -> bool:
-    """Return whether a zone of the sensor that is named simulates better than one of the input."""
-    return not _find_alike_at_input(answer)
-
-
-def _find_alike_at_input(answer: Answer) -> list[Compared]:
+def find_alike_at_input(answer: Answer) -> list[Compared]:
     """Return the elements of the input that simulate as well as a zone of the sensor, if named."""
     named = _compare(answer, answer.verdict) if EFFECT_OF.get(answer.verdict) == LOSS else None
     if named is None:
@@ -151,7 +179,7 @@ def _named_numbers(answer: Answer) -> Numbers:
     if word == "saturation":
         fit = fit_of(answer.case, answer.found, word)
         return {} if fit is None else _find_ends(fit, answer.scale)
-    names = ("right", "left", "width")
+    names = (*SIDES, "width")
     there = {name: getattr(answer, name) for name in names if getattr(answer, name) is not None}
     if word in (*MEMORY, *VALVE):
         there = {"gap": there["width"]} if "width" in there else {}
@@ -179,10 +207,6 @@ class Compared(NamedTuple):
     def rms(self) -> float:
         """Return the rms of the held-out errors, scaled, but for a common factor."""
         return root_mean_square(self.error)
-
-    def has_readings_of(self, other: Compared) -> bool:
-        """Return whether both are of the same readings: a class may be fitted to a part."""
-        return self.error.size == other.error.size
 
     def deviations_before(self, other: Compared) -> float:
         """Return by how many standard deviations it is better than another model."""
@@ -270,10 +294,7 @@ def _buys_of_word(answer: Answer) -> Buys | None:
     if answer.verdict in ("none", "saturation"):
         return None
     named = _compare(answer, answer.verdict)
-    if named is None:
-        return None
-    line = _compare(answer, "none", named.error.size)
-    if line is None:
+    if named is None or (line := _compare(answer, "none", named.error.size)) is None:
         return None
     return named.compare_to(line, answer.scale)
 
@@ -287,9 +308,8 @@ def _account_of_fits(answer: Answer, units: tuple[str, str]) -> Account:
     counting = [one for one in there if one is not None and _counts(answer, one, line)]
     if not counting:
         return _bound(answer, units, line)
-    positive = sorted(counting, key=lambda one: one.rms)
-    best = positive[0]
-    close = [one for one in positive if best.is_hardly_before(one)]
+    best, *_ = counting = sorted(counting, key=lambda one: one.rms)
+    close = [one for one in counting if best.is_hardly_before(one)]
     first = next((one for one in close if one.numbers and not best.is_curve_for_zone(one)), best)
     others: dict[str, Numbers] = {}
     for one in close:
@@ -304,14 +324,15 @@ def _account_of_fits(answer: Answer, units: tuple[str, str]) -> Account:
 def _counts(answer: Answer, one: Compared, line: Compared) -> bool:
     """Return whether a model is worth its number: by held-out data, or by odds without a line.
 
-    It has the readings of the straight plant, and one element alone.
+    It has the readings of the straight plant, and one element alone: a class may be fitted to a
+    part.
     """
     is_double = getattr(one.fit.model, "shape", None) is limited_zone_map
-    if is_double or not one.has_readings_of(line) or not one.is_positive:
+    if is_double or one.error.size != line.error.size or not one.is_positive:
         return False
     own, odds = one.compare_to(line, answer.scale), answer.found.odds
     is_likely = odds.get("none", 1.0) < UNLIKELY < odds.get(one.word, 0.0)
-    is_worth = (own.is_worth and own.is_seen) or (is_likely and own.deviations > 0)
+    is_worth = own.is_seen and (own.is_worth or is_likely)
     return is_worth and not _moves_below_friction(answer, one)
 
 
@@ -328,13 +349,13 @@ def _moves_below_friction(answer: Answer, one: Compared) -> bool:
 def _bound(answer: Answer, units: tuple[str, str], line: Compared) -> Account:
     """Return bounds of what could hide where a straight plant explains the log, else nothing."""
     y = line.fit.squares.data.y[line.test]
-    left = line.error[line.test].std() / max(float(y.std()), 1e-300)
-    reasons = tuple(answer.reasons)
+    left = line.error[line.test].std() / (y.std() or 1e-300)
+    found = _open(answer, units)
     if left > 1 - EXPLAINED or any(one.is_real for one in answer.found.remainders):
         said = f"the input explains {100 * max(1 - left, 0.0):.0f} % of the held-out readings"
-        return Account(OPEN, {}, DYNAMICS, units, doubts=(said, *reasons))
+        return found.with_doubts(said)
     limits = _find_limits(answer)
-    return Account(BOUNDED if limits else OPEN, {}, DYNAMICS, units, doubts=reasons, limits=limits)
+    return found._replace(grade=BOUNDED if limits else OPEN, others={}, limits=limits)
 
 
 def _find_limits(answer: Answer) -> dict[str, float]:
