@@ -443,7 +443,7 @@ def _bound(nodes: Floats, levels: Levels, noise: float) -> float:
     """
     x, v, _ = levels
     slope = np.abs(np.diff(np.interp(x, *nodes)) / np.diff(x))
-    moving = slope > MOVING * np.median(slope)
+    moving = slope >= MOVING * np.median(slope)
     widths = np.maximum(4 * np.diff(x), max(HIDES * noise, LEAST) / np.maximum(slope, 1e-9))
     bent = max(float(np.std(v - np.polyval(np.polyfit(x, v, 1), x))), KNOWN)
     ends = max(  # a flat end is as long at most
