@@ -66,8 +66,8 @@ def sensor_zone() -> dict[str, Floats]:
 
 def curved_actuator() -> dict[str, Floats]:
     """An actuator whose curve no class holds, seen by three deviations."""
-    rng, u, _ = driven(1600)
-    return columns(u, lag(np.tanh(3 * u)) + 0.05 * rng.standard_normal(u.size))
+    rng, u, _ = driven(1200)
+    return columns(u, lag(np.tanh(3 * u)) + 0.02 * rng.standard_normal(u.size))
 
 
 def straight() -> dict[str, Floats]:

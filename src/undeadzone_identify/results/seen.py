@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from operator import attrgetter
 
 import numpy as np
 
@@ -66,10 +67,10 @@ def _account_of_map(seen: RestMap, by: str, units: tuple[str, str]) -> Account:
     parts = list(map(_effect_of_part, seen.flats))
     effects = dict(parts + parts[::-1])  # the first of each
     if effects:
-        rows = min(part.fewest_rows for part in seen.flats)
+        rows = min(map(attrgetter("fewest_rows"), seen.flats))
         level = f"the reading rests at {seen.flats[0].level:.4g}"
-        found = Account(INDICATED, effects, f"{by}; {level}", units)
-        widest = max(part.widest_interval for part in seen.flats)
+        found = Account(INDICATED, effects, f"{by}, {level}", units)
+        widest = max(map(attrgetter("widest_interval"), seen.flats))
         width = effects.get("loss", {}).get("width", UNMET)
         is_known = rows >= ENOUGH and widest < UNSURE * np.ptp(seen.x) and width.low > 0
         return found._replace(grade=MEASURED) if is_known else found

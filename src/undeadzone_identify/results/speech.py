@@ -367,7 +367,6 @@ def _find_limits(answer: Answer) -> dict[str, float]:
             continue
         numbers = _numbers_of_word(answer, word, fit)
         widest = numbers.get("width", numbers.get("gap"))
-        top = 0.0 if widest is None else widest.high - min(widest.value, 0.0)
-        if 0 < top < math.inf:
+        if widest is not None and 0 < (top := widest.high - min(widest.value, 0.0)) < math.inf:
             limits[EFFECT_OF[word]] = float(top)
     return limits

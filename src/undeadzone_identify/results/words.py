@@ -95,8 +95,8 @@ def describe_crossings(answer: Answer, unit: str) -> str:
     gaps = crossing_columns(answer)["gap"]
     middle, low, high = np.quantile(gaps, [0.5, 0.1, 0.9])
     return (
-        f"all {gaps.size}: median {middle:.4g}{unit}, 80 % within {low:.4g} to {high:.4g}{unit};"
-        " each is in the JSON"
+        f"all {gaps.size}: median {middle:.4g}{unit}, 80 % within {low:.4g} to {high:.4g}{unit}."
+        " Each is in the JSON"
     )
 
 

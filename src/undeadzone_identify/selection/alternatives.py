@@ -739,7 +739,7 @@ def _in_numbers(case: Case, found: Findings) -> Findings:
     if _may_be_neutral(one):
         reason = (
             f"{CANNOT_TELL} {MODELS[word]} from a straight line: the 95 % intervals of its numbers"
-            f" hold one ({description}); record for longer, or with a larger input"
+            f" hold one ({description}). Record for longer, or with a larger input"
         )
         return found.without_name("undecided", reason)
     return found._replace(verdict=verdict._replace(reasons=[description]))
