@@ -45,7 +45,9 @@ from undeadzone_identify.selection.lost_motion import LostMotionAnswer
 from undeadzone_identify.selection.widths import SIDES
 
 DYNAMICS = "plant and nonlinearity, fitted together"
-REPEATS = "the command repeats itself: it has fewer frequencies than the model has numbers"
+REPEATS = "the command is a sine, or nearly: more than one model follows it"
+LEAST_ORDER = 3.0  # numbers of the least plant with memory: gain, lag, level
+LOBE = 3  # periods in a record, below which the lobe of a line by Hann reaches a constant
 NO_BETTER = "a straight plant simulates held-out readings about as well"
 OTHER_END = "a band of the input, or friction, simulates held-out readings about as well"
 BOTH_POSITIONS = "one position along the other"
@@ -104,32 +106,36 @@ def account_of_answer(answer: Answer) -> Account:
 
 
 def _repeats_itself(answer: Answer) -> bool:
-    """Return whether the input excites less than the numbers of the named class need.
+    """Return whether the input excites less than any plant and an element need.
 
-    A plant with k numbers needs an input that is persistently exciting of order k. A sine is so of
-    order 2, whatever its length. A servo's gap is seen where it is crossed.
+    A plant with k numbers needs an input that is persistently exciting of order k. The least plant
+    with memory has three: gain, lag and level. A sine is so of order 2, whatever its length. A
+    servo's gap is seen where it is crossed.
     """
     if answer.servo is not None and answer.verdict in MEMORY:
         return False
-    return sum(map(order_of_excitation, answer.case.grid.u.T)) < 2 * answer.case.chosen.n + 1
+    return sum(map(order_of_excitation, answer.case.grid.u.T)) < LEAST_ORDER
 
 
 def order_of_excitation(u: Floats) -> float:
     """Return the effective order to which an input is persistently exciting.
 
     It is the effective rank of the input's covariance: the number of spectral lines, by the entropy
-    of the power in them, and two for each. Hann's window alone makes 2.38 lines of one.
+    of the power in them, and two for each. Hann's window alone makes 2.38 lines of one. A line of
+    few periods is none: the order is infinite, as the record ends before it repeats.
 
     Args:
         u: input (N).
 
     References:
         J. C. Willems, P. Rapisarda, I. Markovsky, B. De Moor (2005),
-        doi:10.1016/j.sysconle.2004.09.003; effective rank: O. Roy, M. Vetterli (2007)
+        doi:10.1016/j.sysconle.2004.09.003
+        O. Roy, M. Vetterli (2007), effective rank
     """
     line = np.square([0.5, 1.0, 0.5])
     power = np.abs(np.fft.rfft((u - u.mean()) * np.hanning(u.size))) ** 2
-    return float(2 * np.exp(entropy(power) - entropy(line)))
+    order = 2 * np.exp(entropy(power) - entropy(line))
+    return float(order) if np.argmax(power) >= LOBE else math.inf
 
 
 def account_of_motion(motion: LostMotionAnswer) -> Account:
