@@ -334,7 +334,15 @@ def _fit_part(
         return None
     ends = {-1: n - first, 1: end}
     edges = {
-        way: _edge(views[way], side, ends[way], end - first, level, legs, way)
+        way: _edge(
+            views[way],
+            side,
+            ends[way],
+            end - first,
+            level,
+            legs,
+            way,
+        )
         for way, side in fits.items()
     }
     before, after = edges.get(-1), edges.get(1)

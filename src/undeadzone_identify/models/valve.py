@@ -81,7 +81,14 @@ def valve_positions(u: Floats, valves: Floats, account: str) -> Floats:
     kernel = build_valve_kernel(account)
     begin = u[0] * np.append(ACCOUNTS[account][1], np.ones(len(MEMORY)))
     moves = np.column_stack([u, np.append(u[0], u[:-1])])
-    return lanes.run_lanes(kernel, begin, moves, np.zeros(2), lane_params=valves, threads=1)[0]
+    return lanes.run_lanes(
+        kernel,
+        begin,
+        moves,
+        np.zeros(2),
+        lane_params=valves,
+        threads=1,
+    )[0]
 
 
 def split_valves(u: Floats, valves: Floats, *accounts: str) -> Iterator[Floats]:
@@ -360,7 +367,13 @@ class LoopLog:
             first: first sample that is predicted.
             stride: every how many samples are predicted.
         """
-        return Regression(self._readings, self.ok, order, first, stride)
+        return Regression(
+            self._readings,
+            self.ok,
+            order,
+            first,
+            stride,
+        )
 
     @property
     def coarse_stride(self) -> int:
@@ -437,7 +450,13 @@ class LoopLog:
             ("stiction", HE, RATIOS),
         ):
             pairs = np.cumprod(list(itertools.product(widths, ratios)), axis=1)
-            square = self._refine_grid(regression, coarse, lags, account, pairs)
+            square = self._refine_grid(
+                regression,
+                coarse,
+                lags,
+                account,
+                pairs,
+            )
             cost = _bic(square, size, numbers + BREAKS + 1 + (word == "stiction"))
             bic[word] = min(cost, bic.get(word, cost))
         return LoopFits(self, *structure, bic)

@@ -95,7 +95,15 @@ def account_of_answer(answer: Answer) -> Account:
     is_weak = buys is not None and not (is_better or buys.is_seen)
     limits = _find_limits(answer) if is_weak or not effects else {}
     is_real = not is_better, bool(alike), _repeats_itself(answer)
-    found = Account(NAMED, effects, DYNAMICS, units, buys, unmet=unmet, limits=limits)
+    found = Account(
+        NAMED,
+        effects,
+        DYNAMICS,
+        units,
+        buys,
+        unmet=unmet,
+        limits=limits,
+    )
     found = found.with_doubts(*compress((NO_BETTER, OTHER_END, REPEATS), is_real))
     if is_weak:
         return found._replace(grade=BOUNDED, effects={}, buys=None, others=effects)
@@ -122,7 +130,7 @@ def order_of_excitation(u: Floats) -> float:
 
     It is the effective rank of the input's covariance: the number of spectral lines, by the entropy
     of the power in them, and two for each. Hann's window alone makes 2.38 lines of one. A line of
-    few periods is none: the order is infinite, as the record ends before it repeats.
+    few periods does not count: the order is infinite, as the record ends before it repeats.
 
     Args:
         u: input (N).
@@ -162,7 +170,14 @@ def _open(answer: Answer, units: tuple[str, str]) -> Account:
     """Return the account without a number, with the reasons and what remains possible."""
     words = [word for word in answer.found.odds if word in EFFECT_OF][:OTHERS]
     others: dict[str, Numbers] = {EFFECT_OF[word]: {} for word in words}
-    return Account(OPEN, {}, DYNAMICS, units, others=others, doubts=tuple(answer.reasons))
+    return Account(
+        OPEN,
+        {},
+        DYNAMICS,
+        units,
+        others=others,
+        doubts=tuple(answer.reasons),
+    )
 
 
 def find_alike_at_input(answer: Answer) -> list[Compared]:
@@ -254,7 +269,13 @@ def _compare(answer: Answer, word: str, readings: int | None = None) -> Compared
     if fit is None:
         return None
     e, test = held_out_residual(fit, answer.case.options.held_out)
-    return Compared(word, fit, np.where(test, e, 0.0), test, _numbers_of_word(answer, word, fit))
+    return Compared(
+        word,
+        fit,
+        np.where(test, e, 0.0),
+        test,
+        _numbers_of_word(answer, word, fit),
+    )
 
 
 def _numbers_of_word(answer: Answer, word: str, fit: FittedModel[Any]) -> Numbers:
@@ -324,7 +345,15 @@ def _account_of_fits(answer: Answer, units: tuple[str, str]) -> Account:
             others.setdefault(effect, one.numbers)
     effects = {EFFECT_OF[first.word]: first.numbers}
     gain = first.compare_to(line, answer.scale)
-    return Account(INDICATED, effects, DYNAMICS, units, gain, others, tuple(answer.reasons))
+    return Account(
+        INDICATED,
+        effects,
+        DYNAMICS,
+        units,
+        gain,
+        others,
+        tuple(answer.reasons),
+    )
 
 
 def _counts(answer: Answer, one: Compared, line: Compared) -> bool:

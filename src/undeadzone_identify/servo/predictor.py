@@ -130,7 +130,13 @@ def contact_share(lane: Any, z: Any, v: Any, level: Any) -> Any:
 
 def drag_load(lane: Any, level: Any, z: Any) -> Any:
     """Return the level of the load after the motor has dragged it."""
-    return apply_backlash(ca, z, level, lane.gap / 2, lane.gap / 2)
+    return apply_backlash(
+        ca,
+        z,
+        level,
+        lane.gap / 2,
+        lane.gap / 2,
+    )
 
 
 def _propagate_covariance(lane: Any, P: Any, motion: _Motion) -> Any:
@@ -213,10 +219,25 @@ def _build_predictor(
     mean, upper, behind = ca.vertsplit(state, [0, MEAN, MEAN + COVARIANCE, state.numel()])
     acting = ca.dot(lane.taps, exogenous[: LATEST + 1])
     contact = contact_share(lane, mean[0], mean[1], behind[0])
-    motion = step_motor(lane, ca.vertsplit(mean), acting, lane.offset, contact)
+    motion = step_motor(
+        lane,
+        ca.vertsplit(mean),
+        acting,
+        lane.offset,
+        contact,
+    )
     P, F = _propagate_covariance(lane, _from_upper_part(upper), motion)
     *rest, counts = ca.vertsplit(exogenous[LATEST + 1 :])
-    after, seen = update(_Before(lane, state, ca.vertcat(*motion.x), P, F, rest))
+    after, seen = update(
+        _Before(
+            lane,
+            state,
+            ca.vertcat(*motion.x),
+            P,
+            F,
+            rest,
+        )
+    )
     if sums:
         total = ca.SX.sym("total")
         gained = ca.if_else(counts != 0, student_log_density(seen[0], seen[1]), 0.0)
@@ -324,7 +345,14 @@ def _hear_reading(before: _Before) -> tuple[Any, Any]:
     with_level = with_level - gain * own
     level = level + gain_own * error
     own = own - gain_own * own
-    return ca.vertcat(after, x[3], _upper_part(P), level, with_level, own), seen
+    return ca.vertcat(
+        after,
+        x[3],
+        _upper_part(P),
+        level,
+        with_level,
+        own,
+    ), seen
 
 
 def dead_zone_moments(mean: Any, variance: Any, half: Any) -> tuple[Any, Any, Any]:

@@ -187,7 +187,18 @@ def step_signal(
     y = ca.if_else(there, reading.y, 0.0)
     repeated = there * is_repeated(q, y, s.last) * (y != 0)
     used = there * (1 - repeated)
-    each = [read_signal(sensor, q, s, one, y, used, reading.side) for one in s.modes]
+    each = [
+        read_signal(
+            sensor,
+            q,
+            s,
+            one,
+            y,
+            used,
+            reading.side,
+        )
+        for one in s.modes
+    ]
     beliefs, likely, e, S, shares = zip(*each, strict=True)
     e, S = ca.vertcat(*e), ca.vertcat(*S)
     odds = s.odds * ca.vertcat(*likely)
@@ -233,7 +244,16 @@ def step_signal(
     is_silent = silent > 0.5
     shown = ca.if_else(is_silent, 0.0, z[0])
     innovation = ca.if_else(outside > 0.5, mean, 0.0)
-    estimate = build_estimate(z, shown, right, left, reading, q.slope, sensor.kind, innovation)
+    estimate = build_estimate(
+        z,
+        shown,
+        right,
+        left,
+        reading,
+        q.slope,
+        sensor.kind,
+        innovation,
+    )
     right_std, left_std = ca.vertsplit(ca.SX(q.most - q.least) / np.sqrt(12))
     return after, estimate._replace(
         **tests,
@@ -276,14 +296,26 @@ def read_signal(
     if sensor.kind != "jump":
         read += ca.if_else(y > 0, q.middle[0], -q.middle[1])
     e = read - mean[0]
-    moved, S = joseph_update(belief, h, e, s.R, 1.0)
+    moved, S = joseph_update(
+        belief,
+        h,
+        e,
+        s.R,
+        1.0,
+    )
     shift, less, chance = truncate_to_range(mean[0], cov[0, 0], -q.most[1], q.most[0])
     news = chance < ENOUGH
     cut = Gaussian(
         mean + news * shift * cov[:, 0], cov - mirror_upper(news * less * cov[:, 0] @ cov[0, :])
     )
     middle = (q.most[0] - q.most[1]) / 2 - mean[0]
-    lost, _ = joseph_update(belief, h, middle, ca.sum1(q.most) ** 2 / 12, 1.0)
+    lost, _ = joseph_update(
+        belief,
+        h,
+        middle,
+        ca.sum1(q.most) ** 2 / 12,
+        1.0,
+    )
     root = ca.sqrt(q.quiet)
     quiet = normal_density(y / q.slope / root) / root
     sided = 1.0
