@@ -426,16 +426,16 @@ def test_online_refuses_what_does_not_know_gears() -> None:
 def test_a_row_of_the_robots_bench_counts_known_gaps_alone() -> None:
     """A field that was renamed left the bench without a single row after 40 minutes."""
     yes, no = np.array([True, False]), np.array([False, True])
-    off, share = np.array([7.0, 0.2]), np.array([0.5, 1.0])
+    off = np.array([7.0, 0.2])
     runs = [
-        Outcome(False, yes, yes & no, yes, yes, off, share, np.array([0.5, 9.0]), yes, 1.5, 0.8),
-        Outcome(False, yes & no, no, yes | no, no, off, share, off, ~yes, 3.0, math.nan),
-        Outcome(True, ~yes, no, no, no, off, off, 2 * off, no, 99.0, 99.0),
+        Outcome(False, yes, yes & no, yes, yes, np.array([0.5, 9.0]), yes, 1.5, 0.8),
+        Outcome(False, yes & no, no, yes | no, no, off, ~yes, 3.0, math.nan),
+        Outcome(True, ~yes, no, no, no, 2 * off, no, 99.0, 99.0),
     ]
     cells = [cell.strip() for cell in line("leg", runs).strip("| ").split("|")]
-    assert cells[:5] == ["leg", "3 (1)", "1, 1, 0, 1, 1 of 4", "0.00, 0.50", "0"]
-    assert cells[5:7] == ["0.5; 0", "1.00, 1.00, 0.50"]
-    assert cells[7:] == ["2.2 (3.0)", "0.8 (0.8)"]
+    assert cells[:4] == ["leg", "3 (1)", "1, 1, 0, 1, 1 of 4", "0"]
+    assert cells[4:6] == ["0.5; 0", "1.00, 1.00, 0.50"]
+    assert cells[6:] == ["2.2 (3.0)", "0.8 (0.8)"]
 
 
 @pytest.mark.parametrize(
