@@ -17,7 +17,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from matplotlib.animation import FuncAnimation, PillowWriter
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from PIL.Image import Dither, fromarray
 
 import undeadzone as uz
 import undeadzone_arena
@@ -38,6 +39,8 @@ FIGURES: Final = DOCS / "figures"
 EXAMPLES: Final = DOCS.parent / "examples"
 TRADES: Final = DOCS / "trades"
 SKIPPED: Final = 2  # every how manieth frame a film shows
+COLOURS: Final = 32  # of a film
+COARSE: Final = 80  # resolution of a film [dots per inch]
 FEW: Final = 400  # points of a curve in a small picture
 LOGS: Final = ("load_cell", "valve", "hobby_servo", "two_encoders", "mount")
 CODE: Final = re.compile(r"```python\n(.*?)```", re.S)
@@ -50,27 +53,54 @@ def compared(example: str) -> tuple[Run, Run]:
     return beside(scenario, uz.simulate(scenario))
 
 
-def film(*runs: Run) -> FuncAnimation:
-    """The motion of an arm in a plane, with two observers, and the last 2 s of the tip's way."""
+def write_film(path: Path, *runs: Run) -> None:
+    """Write the motion of an arm in a plane, with two observers, and the last 2 s of the tip's way.
+
+    The comment of the GIF is the title of the first run.
+    """
     figure, panels = style.create_panels([["arm"]], runs[0].info.title, 6.4, 6.0)
     axes = panels["arm"]
     arms = animation.build_arms(*runs)
+    way: Any = runs[0].tip_r
+    axes.plot(*way[:, :2].T, color=ink.REFERENCE, alpha=0.4, label="path of the tip")
     lines = [
-        (axes.plot([], [], "o-", color=arm.colour, label=arm.name)[0], axes.plot([], [])[0])
+        (
+            axes.plot([], [], "o-", color=arm.colour, label=arm.name)[0],
+            axes.plot([], [], color=arm.colour)[0],
+        )
         for arm in arms
     ]
     style.finish_panel(axes, "The tip, and its way", "y [m]", "x [m]")
-    reach = max(float(np.abs(arm.poses).max()) for arm in arms)
+    reach = 1.1 * max(float(np.abs(arm.poses).max()) for arm in arms)
     axes.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
 
-    def show(frame: int) -> None:
-        """Move each arm to its pose in a frame."""
+    figure.set_dpi(COARSE)
+    figure.draw_without_rendering()
+    figure.set_layout_engine("none")  # laid out once, for all frames
+    canvas: Any = FigureCanvasAgg(figure)
+
+    def draw_frame(frame: int) -> Any:
+        """The picture of each arm in its pose in a frame."""
         for (line, trail), arm in zip(lines, arms, strict=True):
             line.set_data(*arm.poses[frame, :, :2].T)
             trail.set_data(*arm.poses[max(0, frame - 2 * FRAMES) : frame + 1, -1, :2].T)
 
+        canvas.draw()
+        return fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+
     frames = range(0, len(arms[0].poses), SKIPPED)
-    return FuncAnimation(figure, show, frames, cache_frame_data=False)
+    palette = draw_frame(frames[-1]).quantize(COLOURS)
+    first, *others = (
+        draw_frame(frame).quantize(palette=palette, dither=Dither.NONE) for frame in frames
+    )
+    first.save(
+        path,
+        save_all=True,
+        append_images=others,
+        duration=round(1000 * SKIPPED / FRAMES),
+        loop=0,
+        comment=runs[0].info.title.encode(),
+    )
 
 
 def gears() -> Figure:
@@ -294,7 +324,7 @@ PICTURES: Final[dict[str, Callable[[], Figure]]] = {
 def draw(name: str) -> None:
     """Write a picture, or the small ones of a folder."""
     if name == "two_link":
-        film(*compared(name)).save(FIGURES / "two_link.gif", PillowWriter(fps=FRAMES / SKIPPED))
+        write_film(FIGURES / "two_link.gif", *compared(name))
     elif name == "records":
         write_records()
     elif name in ("trades", "wrong"):
