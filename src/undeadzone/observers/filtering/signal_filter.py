@@ -2,8 +2,8 @@
 
 The state of a mode is `[z; z']`. From sample to sample the mode may change (interacting multiple
 models, Blom and Bar-Shalom 1988), and the readings choose: modes count by how well they foretell
-them. Each reading is on a side of the zone, silent, or wrong, and every
-mode takes the mixture of the three. docs/signal.md has the equations.
+them. Each reading is on a side of the zone, silent, or wrong, and every mode takes the mixture of
+the three. docs/signal.md has the equations.
 """
 
 from __future__ import annotations
@@ -45,6 +45,7 @@ from undeadzone.observers.filtering.prior import (
 )
 from undeadzone.plants.system import System
 from undeadzone.util.arrays import Floats
+from undeadzone.util.text import HALF_95
 
 # Motions of a step: those that noise may hide [its rms], and the fastest [largest reading].
 WALKS = (1 / 16, 1 / 4, 1.0)
@@ -60,11 +61,10 @@ RUN = 20.0  # readings in a row that repeat each other, from which a noisy senso
 BARELY = 0.02  # chance of the zone below which a silent sample is all that is known
 ENOUGH = 0.95  # and from which it tells nothing new
 START = 1e3  # deviation of the first z [outlier's reach]
-FAR = 1e30  # span before the first reading, which is no wrong one [z]
+FAR = 1e30  # span of wrong readings before the first, which so counts as right [z]
 TINY = 1e-12  # least probability of a wrong reading: some number is always likeliest
 LEAST = 1e-30  # sum of densities that divides; a float holds it
 UPPER = ca.Sparsity.upper(2)  # of a covariance, as states hold it
-SIGMAS = 1.96  # of the interval that is shown
 
 
 class Mode(NamedTuple):
@@ -83,7 +83,7 @@ class State(NamedTuple):
     """State of the filter from sample to sample.
 
     Attributes:
-        modes: their before the next reading (K).
+        modes: their beliefs before the next reading (K).
         odds: probabilities of the modes (K).
         R: learnt variance of a reading outside the zone (1) [z^2].
         known: readings that it rests on (1).
@@ -239,7 +239,7 @@ def step_signal(
     z, cov = mix_gaussians(ca.vertsplit(odds), beliefs)
     z[1] /= Ts
     spare = (1.0 - jumps) * ca.if_else(z[0] > 0, *ca.vertsplit(ca.SX(q.most - q.middle)))
-    far = SIGMAS * ca.sqrt(cov[0, 0]) + spare
+    far = HALF_95 * ca.sqrt(cov[0, 0]) + spare
     right, left = ca.vertsplit(ca.SX(q.middle))
     is_silent = silent > 0.5
     shown = ca.if_else(is_silent, 0.0, z[0])
