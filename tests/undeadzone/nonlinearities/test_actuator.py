@@ -266,10 +266,10 @@ def test_one_combination_is_lost_and_others_are_not() -> None:
     drives = [plant.B @ np.array([[-1.0, 0.0]]), plant.B @ np.array([[0.0, 1.0]])]
     hidden = unobservable_changes(plant, np.array([[True, True]]), drives=drives)
     gain = float((plant.C @ np.linalg.solve(-plant.A, plant.B))[0, 0])
-    assert hidden.is_combination_known(np.array([0, 0, 1, 1, 0, 0.0]))
-    assert hidden.is_combination_known(np.array([0, 0, 0, 0, 1, 1.0]))
-    assert hidden.is_combination_known(np.array([0, 0, 1, -1, gain, -gain]))
-    assert not hidden.is_combination_known(np.array([0, 0, 1, -1, -gain, gain]))
+    assert hidden.is_pair_known({2: (1.0, 1.0)})
+    assert hidden.is_pair_known({4: (1.0, 1.0)})
+    assert hidden.is_pair_known({2: (1.0, -1.0), 4: (gain, -gain)})
+    assert not hidden.is_pair_known({2: (1.0, -1.0), 4: (-gain, gain)})
     assert drive.slope_right == 1
 
 

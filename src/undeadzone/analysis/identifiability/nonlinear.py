@@ -27,15 +27,13 @@ from undeadzone.analysis.identifiability.information import EXACT, edge_scale
 from undeadzone.analysis.identifiability.linear import (
     describe_rare_exactness,
     describe_unreached_edges,
-    describe_vague_widths,
-    largest_deviations,
 )
 from undeadzone.analysis.identifiability.linearised_run import (
     LinearisedRun,
     linearise_run,
     symmetric,
 )
-from undeadzone.nonlinearities.sensor import DIRECTIONS, Zone
+from undeadzone.nonlinearities.sensor import Zone
 from undeadzone.plants.system import System
 from undeadzone.util.arrays import Floats, Integers
 
@@ -143,23 +141,20 @@ def width_identifiability_along(
     }
     judged = []
     for i, (right, left) in enumerate(zip(sensor.right, sensor.left, strict=True)):
-        std = known.output_deviations(i)
-        most = largest_deviations(right, left, float(np.ptp(z[:, i])))
         shift = partial(_describe_state_shift, model, known, i)
         confounded = linear.confounding_reason(known.hidden, visited[i], i, causes, shift)
         reasons = (
             *describe_unreached_edges(schedule, visited, i),
             *filter(None, [confounded]),
-            *describe_vague_widths(std, most, right, left),
             *describe_rare_exactness(schedule, i),
         )
-        enough = {name: std[name] <= most[name] for name in DIRECTIONS}
-        widths = np.array([right, left])
-        found = known.hidden, known.covariance, i, widths
+        found = known.hidden, known.covariance, i, np.array([right, left])
         second = indistinguishable_widths(*found, known.follow, constants)
-        judged.append(
-            linear.WidthIdentifiability(**enough, reasons=reasons, std=std, second=second)
-        )
+        flags = known.hidden.width_flags(i)
+        verdict = linear.WidthIdentifiability(**flags, reasons=reasons, second=second)
+        std = known.output_deviations(i)
+        swing = float(np.ptp(z[:, i]))
+        judged.append(linear.limit_to_deviations(verdict, std, right, left, swing))
     return judged
 
 
