@@ -113,9 +113,8 @@ def design(
     if folder is not None and output.figures:
         from undeadzone_design.report.gains_page import write_gains
 
-        assessment = judged.assessment._replace(listens=())  # `check` prints these
-        attempts = attack_gains(assessment, seed)
-        written += write_gains(assessment, attempts, folder, result, build_origin(scenario, seed))
+        attempts = attack_gains(judged.assessment, seed)
+        written += write_gains(judged, attempts, folder, result, build_origin(scenario, seed))
     output.print_result(
         lambda: _design_to_json(result, judged),
         lambda: _design_to_blocks(result, judged),

@@ -13,18 +13,16 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from undeadzone.analysis.certificate.design_file import Design, Knowledge
+from undeadzone.analysis.certificate.design_file import Design
 from undeadzone.analysis.certificate.passivity import Certificate
-from undeadzone.analysis.identifiability.indistinguishable import (
-    describe_indistinguishable as in_words_of_truths,
-)
-from undeadzone.nonlinearities.sensor import DIRECTIONS
 from undeadzone.report import html
+from undeadzone.report.run_page import gain_tables
 from undeadzone.util.arrays import list_numbers
-from undeadzone.util.text import HALF_95, count_noun, label_with_unit
+from undeadzone.util.text import count_noun, label_with_unit
 from undeadzone_design.report.gain_figures import plot_ellipses, plot_front, root_locus
 from undeadzone_design.report.proof_figures import plot_courses, plot_positive_realness
 from undeadzone_design.synthesis.assessment import Assessment, Attacks, Gains
+from undeadzone_design.synthesis.check import Check
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -77,7 +75,7 @@ def draw_gain_figures(
 
 
 def write_gains(
-    of: Assessment,
+    found: Check,
     tried: Attacks | None,
     folder: Path,
     design: Design | None = None,
@@ -86,7 +84,8 @@ def write_gains(
     """Write the figures as SVG and report.html to a folder. Raises FileError.
 
     Args:
-        of, tried, design: see `figures`
+        found: the check of the gains
+        tried, design: see `figures`
         folder: folder of the files (created if needed)
         origin: data to compute the same again (None: unknown)
 
@@ -94,32 +93,30 @@ def write_gains(
         The paths of the files.
     """
 
-    text = partial(gains_page, of, tried, design=design, origin=origin)
-    return html.write_page(draw_gain_figures(of, tried, design), folder, text)
+    text = partial(gains_page, found, tried, design=design, origin=origin)
+    return html.write_page(draw_gain_figures(found.assessment, tried, design), folder, text)
 
 
 def gains_page(
-    of: Assessment,
+    found: Check,
     tried: Attacks | None,
     images: Mapping[str, bytes],
     design: Design | None = None,
     origin: html.Origin | None = None,
 ) -> str:
-    """Return the page of an assessment.
+    """Return the page of a check.
 
     Args:
-        of, tried, design, origin: see `write_gains`
+        found, tried, design, origin: see `write_gains`
         images: SVGs by the names of `figures`
     """
+    of = found.assessment
     pictures = html.encode_pictures(images, CAPTIONS)
     # The first picture is the front of a design, else the proof.
     leads = list(map(pictures.pop, list(pictures)[:1]))
-    sections = [html.build_section("The answer", _answer_table(of), *leads)]
-    if of.gains is None:
-        sections.append(
-            html.build_section("No rate", html.build_paragraph(_explain_missing_rate(of)))
-        )
-    else:
+    first, *rest = html.answer_tables(found.blocks())
+    sections = [html.build_section("The answer", first, *leads)]
+    if of.gains is not None:
         guarantee = [
             *guarantee_section(of.gains, tried),
             *html.pick_pictures(pictures, "nyquist", "lyapunov"),
@@ -128,44 +125,15 @@ def gains_page(
         sections.append(html.build_section("The gains", *gains_section(of.gains, design)))
         sections.append(html.build_section("What is guaranteed", *guarantee))
         sections.append(html.build_section("How fast", *speed))
-    knowledge = [*knowledge_section(of), *html.pick_pictures(pictures, "ellipse")]
+    knowledge = [*rest, *html.pick_pictures(pictures, "ellipse")]
     sections.append(html.build_section("Identifiable widths", *knowledge))
     if design is not None:
         sections.append(html.build_section("The trade", *trade_section(design)))
-    sections.append(html.build_section("What was asked", _problem_section(of, design)))
+    numbers = html.fold_numbers(found.summary())
+    sections.append(html.build_section("What was asked", _problem_section(of, design), numbers))
     kind = "Check" if design is None else "Design"
     title = f"{kind}: {of.problem.scenario.title}"
     return html.build_page(title, gains_verdict(of), *sections, origin=origin)
-
-
-def _explain_missing_rate(of: Assessment) -> str:
-    """Return the reason that the observer has no constant gains on a linear model."""
-    if of.problem.model.nonlinear:
-        return (
-            "The model is nonlinear: gains can be certified on a declared [region] "
-            "(check.json). Frequencies and rates are for linear models."
-        )
-    return "The observer has no constant gains L, gamma."
-
-
-def _answer_table(of: Assessment) -> html.Html:
-    """Return gains, their rate, identifiability, and the strength of the feedback."""
-    rows: list[tuple[str, Any]] = []
-    if of.gains is not None:
-        L = list_numbers(np.ravel(of.gains.L))
-        speed = of.gains.rates
-        rows = [("L, row by row [1/s]", L), ("γ [1/s]", list_numbers(of.gains.gamma))]
-        rows.append(("rate. Time constant", f"{speed.rate:.4g} 1/s; {speed.time_constant:.4g} s"))
-    for i, known in enumerate(of.known[:2]):
-        edges = html.join_html(
-            [_describe_direction(known, "right"), "and", _describe_direction(known, "left")]
-        )
-        rows.append(
-            (label_with_unit(f"d_r, d_l of output {i}", of.problem.scenario.units.output), edges)
-        )
-    return html.build_table(
-        ("what", "value"), [*rows, ("readings move z^", html.feedback_html(of.listens))]
-    )
 
 
 def _problem_section(of: Assessment, design: Design | None) -> html.Html:
@@ -230,14 +198,14 @@ def gains_verdict(of: Assessment) -> html.Html:
 
 def gains_section(gains: Gains, design: Design | None) -> list[html.Html]:
     """Return the gains, the nearest certified gains if these are not, and the use of a design."""
-    parts = [_gain_table(gains)]
+    parts = _gain_tables(gains)
     near = gains.nearest
     if near is not None:
         margin = near.certificate.margin
         rate = near.rates.rate
         words = f"The nearest certified gains, with margin {margin:.4g} and rate {rate:.4g} 1/s:"
         parts.append(html.build_paragraph(words))
-        parts.append(_gain_table(near))
+        parts += _gain_tables(near)
     if design is not None:
         use = (
             'In a scenario: [observer] method = "certified", design = "design.toml". '
@@ -247,11 +215,10 @@ def gains_section(gains: Gains, design: Design | None) -> list[html.Html]:
     return parts
 
 
-def _gain_table(gains: Gains) -> html.Html:
+def _gain_tables(gains: Gains) -> list[html.Html]:
     """Return L and gamma, a column for each output."""
-    head = ("[1/s]", *(f"output {j}" for j in range(gains.gamma.size)))
-    rows = [(f"L, x[{i}]", *map(float, row)) for i, row in enumerate(gains.L)]
-    return html.build_table(head, [*rows, ("γ", *map(float, gains.gamma))])
+    lists = {"L": gains.L.tolist(), "gamma": gains.gamma.tolist()}
+    return gain_tables(lists, list(map(str, range(gains.gamma.size))))
 
 
 def guarantee_section(gains: Gains, tried: Attacks | None) -> list[html.Html]:
@@ -335,40 +302,6 @@ def speed_section(gains: Gains) -> list[html.Html]:
         stays = "These errors stay along this reference, with any gains"
         parts.append(html.build_paragraph(f"{stays}: {errors}."))
     return parts
-
-
-def knowledge_section(assessment: Assessment) -> list[html.Html]:
-    """Return the section on the widths that an optimal estimator can identify.
-
-    It contains the accuracy of each width, reasons and remedies.
-    """
-    scenario = assessment.problem.scenario
-    unit = scenario.units.output
-    duration = scenario.simulation.duration
-    rows = []
-    for i, width in enumerate(assessment.known):
-        rows.append((i, *(_describe_direction(width, name) for name in DIRECTIONS)))
-    question = (
-        "Whether an optimal estimator can know it, and its "
-        f"{label_with_unit('95 % interval', unit)} after {duration:g} s at the scenario's noise:"
-    )
-    head = ("output", "d_r", "d_l", "width d_r + d_l", "centre (d_r − d_l)/2")
-    parts = [html.build_paragraph(question), html.build_table(head, rows)]
-    for widths in in_words_of_truths([width.second for width in assessment.known]):
-        parts.append(
-            html.build_paragraph(f"Readings would be the same, but for noise, with {widths}.")
-        )
-    for i, width in enumerate(assessment.known):
-        where = f"Output {i}: " if len(assessment.known) > 1 else ""
-        parts += [html.build_paragraph(f"{where}{reason}.") for reason in width.reasons]
-        parts += [html.build_paragraph(f"{where}What would help: {cure}.") for cure in width.cures]
-    return parts
-
-
-def _describe_direction(width: Knowledge, name: str) -> html.Html:
-    """Return the half 95 % interval of a direction (right, width, ...), or that it is unknown."""
-    interval = f"± {HALF_95 * width.std[name]:.2g}" if name in width.std else "yes"
-    return html.build_tag("span", *html.choose_verdict(getattr(width, name), interval))
 
 
 def trade_section(design: Design) -> list[html.Html]:
