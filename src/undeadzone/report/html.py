@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from html import escape
 from itertools import starmap
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from undeadzone import __version__
 from undeadzone.report.style import write_figure
@@ -137,11 +137,12 @@ def answer_tables(*results: Sequence[Block]) -> list[Html]:
     Args:
         results: blocks of a result, the first of them pairs, and of those to be compared with it.
     """
-    columns = [cast("Mapping[str, Any]", blocks[0]) for blocks in results]
+    columns: list[Any] = [blocks[0] for blocks in results]
+    others: list[Any] = [*results[0][1:]]
     head = ("what", "value", *["compared with"] * (len(columns) - 1))
     rows = [(name, *(column.get(name) for column in columns)) for name in columns[0]]
-    parts: list[Html] = [build_table(head, part) for part in (rows[:MOST], rows[MOST:]) if part]
-    for block in results[0][1:]:
+    parts = [build_table(head, part) for part in filter(None, (rows[:MOST], rows[MOST:]))]
+    for block in others:
         is_text = isinstance(block, str)
         parts.append(build_paragraph(block) if is_text else build_table(block[0], block[1:]))
     return parts
@@ -160,7 +161,10 @@ def _name_numbers(name: str, value: Any) -> list[tuple[str, Any]]:
         entries = {f"{name}[{k}]": each for k, each in enumerate(value)}
     else:
         return [(name.removeprefix("."), value)]
-    return [row for entry in entries.items() for row in _name_numbers(*entry)]
+    named: list[tuple[str, Any]] = []
+    for entry in entries.items():
+        named += _name_numbers(*entry)
+    return named
 
 
 def verdict_line(*parts: tuple[str, str]) -> Html:

@@ -93,7 +93,7 @@ def gain_tables(
         sampled: whether they are of one step.
     """
     unit = ", of one step" if sampled else " [1/s]"
-    heads = [name if not name.isdigit() else f"output {name}" for name in outputs]
+    heads = [f"output {name}".removeprefix("output " * (not name.isdigit())) for name in outputs]
     parts = [] if "L" in gains else [html.build_paragraph(_VARIABLE)]
     if "L" in gains:
         parts.append(html.build_table((f"L{unit}", *heads), _matrix_rows("x", gains["L"])))

@@ -22,7 +22,11 @@ from undeadzone.util.text import count_noun, label_with_unit
 from undeadzone_design.report.gain_figures import plot_ellipses, plot_front, root_locus
 from undeadzone_design.report.proof_figures import plot_courses, plot_positive_realness
 from undeadzone_design.synthesis.assessment import Assessment, Attacks, Gains
-from undeadzone_design.synthesis.check import Check
+from undeadzone_design.synthesis.check import (
+    Check,
+    describe_design_and_check,
+    list_design_numbers,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -40,12 +44,6 @@ CAPTIONS: Final = {
     "ellipse": "Region of 95 % of the estimates of an optimal estimator at the end of the "
     "scenario. A strip if a direction cannot be known.",
     "front": "Gains without a better one in everything. All are certified.",
-}
-SCORES: Final = {
-    "rate": "rate along the reference [1/s]",
-    "disturbance": "rms error per white disturbance of 1 per root second on the inputs",
-    "mismatch": "rms error per relative error in the entries of A and B",
-    "noise": "rms error per rms noise on z at every sample",
 }
 
 
@@ -114,7 +112,12 @@ def gains_page(
     pictures = html.encode_pictures(images, CAPTIONS)
     # The first picture is the front of a design, else the proof.
     leads = list(map(pictures.pop, list(pictures)[:1]))
-    first, *rest = html.answer_tables(found.blocks())
+    if design is None:
+        blocks, numbers = found.blocks(), found.summary()
+    else:
+        blocks = describe_design_and_check(design, found)
+        numbers = list_design_numbers(design, found)
+    first, *rest = html.answer_tables(blocks)
     sections = [html.build_section("The answer", first, *leads)]
     if of.gains is not None:
         guarantee = [
@@ -127,10 +130,8 @@ def gains_page(
         sections.append(html.build_section("How fast", *speed))
     knowledge = [*rest, *html.pick_pictures(pictures, "ellipse")]
     sections.append(html.build_section("Identifiable widths", *knowledge))
-    if design is not None:
-        sections.append(html.build_section("The trade", *trade_section(design)))
-    numbers = html.fold_numbers(found.summary())
-    sections.append(html.build_section("What was asked", _problem_section(of, design), numbers))
+    asked = _problem_section(of, design), html.fold_numbers(numbers)
+    sections.append(html.build_section("What was asked", *asked))
     kind = "Check" if design is None else "Design"
     title = f"{kind}: {of.problem.scenario.title}"
     return html.build_page(title, gains_verdict(of), *sections, origin=origin)
@@ -302,34 +303,3 @@ def speed_section(gains: Gains) -> list[html.Html]:
         stays = "These errors stay along this reference, with any gains"
         parts.append(html.build_paragraph(f"{stays}: {errors}."))
     return parts
-
-
-def trade_section(design: Design) -> list[html.Html]:
-    """Return the chosen gains beside the scenario's own and the fastest, and all gains of the
-    front.
-    """
-    points = {"chosen": design.best}
-    if design.present is not None:
-        points["yours"] = design.present
-    if len(design.front) > 1:
-        points["fastest"] = design.front[0]
-    rows = []
-    for name, words in SCORES.items():
-        rows.append((words, *(getattr(point, name) for point in points.values())))
-    parts = [html.build_table(("", *points), rows)]
-    parts += [
-        html.build_paragraph(f"{remark[:1].upper()}{remark[1:]}.") for remark in design.remarks
-    ]
-    if len(design.front) > 1:
-        parts.append(_front_table(design))
-    return parts
-
-
-def _front_table(design: Design) -> html.Html:
-    """Return every gain of the front and its scores."""
-    rows = []
-    for point in design.front:
-        scores = [getattr(point, name) for name in SCORES]
-        rows.append((list_numbers(np.ravel(point.L)), list_numbers(point.gamma), *scores))
-    title = f"The {len(design.front)} gains of the front"
-    return html.fold_section(title, html.build_table(("L", "γ", *SCORES), rows))

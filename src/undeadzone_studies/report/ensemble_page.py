@@ -85,7 +85,7 @@ def ensemble_page(
     `write_ensemble`.
     """
     pictures = html.encode_pictures(images, CAPTIONS)
-    blocks: Any = result.blocks(summary)
+    blocks: Any = result.blocks(dict(summary))
     _, shares, *tables = blocks
     shown = [html.build_table(head, rows) for head, *rows in tables]
     errors = shown[:1] if summary["metrics"] else [html.build_paragraph(LOST, "no")]

@@ -287,7 +287,7 @@ def test_what_a_design_writes(knee: tuple[Path, Done]) -> None:
         "What is guaranteed",
         "How fast",
         "Identifiable widths",
-        "The trade",
+        "mismatch",
         "eigenvalues of P, all positive",
     ):
         assert words in page.text
