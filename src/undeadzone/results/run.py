@@ -32,11 +32,11 @@ from undeadzone.util.text import count_noun, interval_95, label_with_unit
 
 LAST: Final = 2.0  # [s] over which errors are measured
 FRAMES: Final = 25  # per second, of an arm's poses
-ERRORS: Final = {  # over the end of a run: names on a terminal, and on a page
-    "rms_tracking": ("rms z - r", "rms of z − r"),
-    "rms_estimation": ("rms z - z^", "rms of z − z^"),
-    "rms_behind_play": ("rms y/m - r", "rms of y / m − r"),
-    "rms_tip": ("rms tip", "rms distance of the tip from its path"),
+ERRORS: Final = {  # over the end of a run: names in words
+    "rms_tracking": "rms z - r",
+    "rms_estimation": "rms z - z^",
+    "rms_behind_play": "rms y/m - r",
+    "rms_tip": "rms tip",
 }
 INEXACT: Final = 0.01  # of the largest |z|: an integration error above this is a failure
 
@@ -323,7 +323,7 @@ def final_error_rows(run: Run) -> list[Row]:
     last = f"last {run.lasting:g} s"
     unit = run.info.units.output
     rows = []
-    for key, (name, _) in ERRORS.items():
+    for key, name in ERRORS.items():
         value = getattr(run, key)
         of = unit
         note = f" ({last})"

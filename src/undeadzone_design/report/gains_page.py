@@ -130,15 +130,15 @@ def gains_page(
         sections.append(html.build_section("How fast", *speed))
     knowledge = [*rest, *html.pick_pictures(pictures, "ellipse")]
     sections.append(html.build_section("Identifiable widths", *knowledge))
-    asked = _problem_section(of, design), html.fold_numbers(numbers)
+    asked = _problem_section(of), html.fold_numbers(numbers)
     sections.append(html.build_section("What was asked", *asked))
     kind = "Check" if design is None else "Design"
     title = f"{kind}: {of.problem.scenario.title}"
     return html.build_page(title, gains_verdict(of), *sections, origin=origin)
 
 
-def _problem_section(of: Assessment, design: Design | None) -> html.Html:
-    """Return the plant, the sensor, the reference and the aim."""
+def _problem_section(of: Assessment) -> html.Html:
+    """Return the plant, the sensor and the reference."""
     scenario = of.problem.scenario
     model = of.problem.model
     unit = scenario.units.output
@@ -154,8 +154,6 @@ def _problem_section(of: Assessment, design: Design | None) -> html.Html:
         ("side schedule", _describe_schedule(of)),
         ("duration", f"{simulation.duration:g} s, a sample every {simulation.step:g} s"),
     ]
-    if design is not None:
-        rows.append(("wanted", f"{design.chosen}; seed {design.seed}"))
     return html.build_table(("what", "value"), rows)
 
 
@@ -283,10 +281,9 @@ def _certificate_rows(proof: Certificate) -> list[tuple[str, Any]]:
 
 
 def speed_section(gains: Gains) -> list[html.Html]:
-    """Return the decay of the error along the reference."""
+    """Return the decay of the error along the reference, beside its rate."""
     speed = gains.rates
     rows: list[tuple[str, Any]] = [
-        ("rate along the reference, in the long run [1/s]", speed.rate),
         ("every error at 1 % of itself, in size √V, after [s] at the latest", gains.settled),
         ("one pass of the schedule [s]", speed.period),
         ("largest factor of one pass on an error, in balanced units", speed.gain),
@@ -295,11 +292,4 @@ def speed_section(gains: Gains) -> list[html.Html]:
         "Where several errors die equally slowly, as where a rate is largest, it takes long "
         "before this rate is seen, unlike the time to 1 %."
     )
-    parts = [html.build_table(("what", "value"), rows), html.build_paragraph(note, "note")]
-    if speed.rate <= 0:
-        parts.append(html.build_paragraph("The error does not die along this reference.", "no"))
-    if speed.never:
-        errors = ", ".join(speed.never)
-        stays = "These errors stay along this reference, with any gains"
-        parts.append(html.build_paragraph(f"{stays}: {errors}."))
-    return parts
+    return [html.build_table(("what", "value"), rows), html.build_paragraph(note, "note")]

@@ -15,8 +15,8 @@ import numpy as np
 from undeadzone.report import html
 from undeadzone.util.text import label_with_unit
 from undeadzone_studies.ensemble.result import MAIN, Ensemble
+from undeadzone_studies.ensemble.words import describe_metric
 from undeadzone_studies.report.ensemble_figures import (
-    describe_metric,
     plot_bands,
     plot_distributions,
     plot_influence,

@@ -14,7 +14,7 @@ from undeadzone.report import html, ink
 from undeadzone.report.style import DASHED, create_panels, escape_formulas, finish_panel
 from undeadzone.util import toml
 from undeadzone.util.arrays import Floats
-from undeadzone_studies.report.ensemble_figures import describe_metric
+from undeadzone_studies.ensemble.words import describe_metric
 from undeadzone_studies.tuning.parameters import Parameter
 from undeadzone_studies.tuning.result import Tuned
 from undeadzone_studies.tuning.tune import Sweep, sweep
