@@ -92,7 +92,11 @@ def write_gains(
     """
 
     text = partial(gains_page, found, tried, design=design, origin=origin)
-    return html.write_page(draw_gain_figures(found.assessment, tried, design), folder, text)
+    return html.write_page(
+        draw_gain_figures(found.assessment, tried, design),
+        folder,
+        text,
+    )
 
 
 def gains_page(
@@ -138,36 +142,19 @@ def gains_page(
 
 
 def _problem_section(of: Assessment) -> html.Html:
-    """Return the plant, the sensor and the reference."""
-    scenario = of.problem.scenario
+    """Return what follows from the scenario: poles, where the sensor is silent, the sides."""
     model = of.problem.model
-    unit = scenario.units.output
+    unit = of.problem.scenario.units.output
     counts = ((model.n, "state"), (model.m, "input"), (model.p, "output"))
     sizes = ", ".join(starmap(count_noun, counts))
     poles = np.linalg.eigvals(of.problem.flow.linear.A) + 0.0
-    simulation = scenario.simulation
     rows: list[tuple[str, Any]] = [
         ("plant", f"{sizes}; poles {list_numbers(poles.tolist())} 1/s"),
-        ("time", "continuous" if model.Ts is None else f"sampled every {model.Ts:g} s"),
-        *_sensor_rows(of, unit),
+        (label_with_unit("silent below |y|", unit), list_numbers(of.problem.sensor.threshold)),
         ("reference", label_with_unit(_describe_reference(of), unit)),
         ("side schedule", _describe_schedule(of)),
-        ("duration", f"{simulation.duration:g} s, a sample every {simulation.step:g} s"),
     ]
     return html.build_table(("what", "value"), rows)
-
-
-def _sensor_rows(of: Assessment, unit: str) -> list[tuple[str, str]]:
-    """Return the sensor and its noise."""
-    sensor = of.problem.sensor
-    widths = f"d_r = {list_numbers(sensor.right)}, d_l = {list_numbers(sensor.left)}"
-    silent = f"silent below |y| = {list_numbers(sensor.threshold)}"
-    before = list_numbers(sensor.noise_before)
-    noise = f"{list_numbers(sensor.noise)} after the zone, {before} before it"
-    return [
-        (label_with_unit("sensor", unit), f"{sensor.kind}: {widths}, {silent}"),
-        ("noise, rms", noise),
-    ]
 
 
 def _describe_reference(of: Assessment) -> str:
@@ -191,7 +178,14 @@ def gains_verdict(of: Assessment) -> html.Html:
     if of.gains is not None:
         proof = of.gains.certificate
         certified = f"certified, margin {proof.margin:.4g}"
-        parts.insert(0, html.choose_verdict(proof.certified, certified, "not certified"))
+        parts.insert(
+            0,
+            html.choose_verdict(
+                proof.certified,
+                certified,
+                "not certified",
+            ),
+        )
     return html.verdict_line(*parts)
 
 

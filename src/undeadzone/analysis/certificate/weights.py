@@ -90,14 +90,24 @@ def _deepest_weights(errors: Dynamics, shift: float) -> tuple[Floats, Floats] | 
     def family(q: Floats) -> Inequality:
         """Return the inequality for q."""
         W = weights(q)
-        return errors.extend_inequality(W, none, [(1, 1, np.diag(2 * (shift * W + q[-1])))])
+        return errors.extend_inequality(
+            W,
+            none,
+            [(1, 1, np.diag(2 * (shift * W + q[-1])))],
+        )
 
     def positive(P: Floats, q: Floats) -> list[Floats]:
         """Return the constraint that the weights are positive."""
         return [weights(q) - LEAST]
 
     start = np.append(np.ones(groups.shape[1] - 1), 0.0)
-    solution = optimise_storage(family, -np.eye(start.size)[-1], start, positive, passes=1)
+    solution = optimise_storage(
+        family,
+        -np.eye(start.size)[-1],
+        start,
+        positive,
+        passes=1,
+    )
     if solution is None:
         return None
     return solution.P, np.maximum(weights(solution.q), LEAST)
