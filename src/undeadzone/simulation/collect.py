@@ -38,9 +38,9 @@ from undeadzone.simulation.identifiability import (
     late_inputs,
     linear_verdicts,
     mark_excluded_widths,
-    note_prior_widths,
     widths_with_unknown_actuator,
     with_cures,
+    with_prior,
     withdrawn,
 )
 from undeadzone.simulation.loop import Outputs
@@ -228,11 +228,7 @@ def _verdicts_along(problem: Problem, signal: Outputs) -> list[WidthIdentifiabil
             centre_std,
         )
 
-    found = width_verdicts(None, None)
-    if traits.start_std is not None or traits.centre_std is not None:
-        with_prior = width_verdicts(traits.start_std, traits.centre_std)
-        found = [note_prior_widths(traits, *pair) for pair in zip(found, with_prior, strict=True)]
-    return with_cures(problem, found, signal.z)
+    return with_cures(problem, with_prior(traits, width_verdicts), signal.z)
 
 
 def tips(problem: Problem, x: Floats, x_hat: Floats, t: Floats) -> dict[str, Floats]:

@@ -54,44 +54,24 @@ REASONS = {  # why a gap cannot be known, by the first condition that a joint do
 }
 
 
-class FlankVisits(NamedTuple):
-    """Contact sides of a joint's gears along a path.
-
-    Attributes:
-        right, left: whether its load presses on that flank.
-        changes: how often the flank changes.
-    """
-
-    right: bool
-    left: bool
-    changes: int
-
-
-def flank_visits(tau: Floats, step: float) -> list[FlankVisits]:
-    """Return the contact sides that each joint visits.
+def flank_visits(tau: Floats, step: float) -> Flags:
+    """Return whether the load of each joint presses on its right and on its left flank
+    (joints x 2).
 
     Args:
         tau: torque that the links need along the path (N x joints) [N m].
         step: between two rows [s].
     """
     least = SHARE * np.abs(tau).max(axis=0, initial=0.0)
-    visits = []
-    for load, small in zip(tau.T, least, strict=True):
-        pressed = 1 * _keep_lasting_runs(load > small, step) - 1 * _keep_lasting_runs(
-            load < -small, step
-        )
-        flanks = pressed[pressed != 0]
-        changes = int(np.count_nonzero(np.diff(flanks)))
-        visits.append(FlankVisits(bool((flanks > 0).any()), bool((flanks < 0).any()), changes))
-    return visits
+    pressed = np.stack([tau > least, tau < -least], axis=2)
+    lasting = [[_lasts(flank, step) for flank in joint.T] for joint in np.moveaxis(pressed, 1, 0)]
+    return np.array(lasting, bool).reshape(len(least), 2)
 
 
-def _keep_lasting_runs(flags: Flags, step: float) -> Flags:
-    """Return the flags that belong to a run of at least LASTING seconds (N, bool)."""
-    lasting = np.zeros_like(flags)
-    for first, last in zip(*bounds_of_runs(flags), strict=True):
-        lasting[first : last + 1] = (last + 1 - first) * step >= LASTING
-    return lasting
+def _lasts(flags: Flags, step: float) -> bool:
+    """Return whether flags (N) have a run of at least LASTING seconds."""
+    first, last = bounds_of_runs(flags)
+    return bool(((last + 1 - first) * step >= LASTING).any())
 
 
 def torques_along_path(gears: Geared, params: Floats, path: Floats) -> Floats:
@@ -273,7 +253,7 @@ def gap_identifiability(
             "floating": detected < FLOATING * found.rows.size and detected and ratio > EVEN,
             "known": detected,
             "hidden": found.rows.size,
-            "not crossed": visits[i].right and visits[i].left,
+            "not crossed": visits[i].all(),
         }
         case = next((name for name, holds in cases.items() if holds), None)
         if case is None:
