@@ -23,7 +23,6 @@ from benchmarks.identify.logs.doors import Door
 from benchmarks.identify.numbers import WORDS, judge, logs
 from benchmarks.markdown import head, row
 from undeadzone.util.progress import terminal_progress
-from undeadzone_identify import looks
 from undeadzone_identify.logs.log import Log
 from undeadzone_identify.logs.loops import read_log_or_loop
 from undeadzone_identify.looks.first import look_at
@@ -31,13 +30,14 @@ from undeadzone_identify.results.account import OPEN, Account
 from undeadzone_identify.results.seen import account_of_looks
 from undeadzone_identify.selection.lost_motion import without_drive
 
+LOOKS = "undeadzone_identify.looks"
 FACTORS = (0.5, 2.0, 1e-3, 1e3)
 
 
 def constants() -> Iterator[tuple[ModuleType, str]]:
     """Yield the numbers that modules of the looks set by hand."""
-    for one in pkgutil.iter_modules(looks.__path__):
-        module = importlib.import_module(f"{looks.__name__}.{one.name}")
+    for one in pkgutil.iter_modules(importlib.import_module(LOOKS).__path__):
+        module = importlib.import_module(f"{LOOKS}.{one.name}")
         for name, value in list(vars(module).items()):
             if isinstance(value, int | float) and _sets(module, name):
                 yield module, name

@@ -235,7 +235,7 @@ def test_quantum_and_long_logs() -> None:
     t = np.cumsum(np.where(np.arange(2400) % 100 < 1 + np.arange(2400) // 100 % 2, 50.0, 1.0))
     many = shorten_log(to_grid([log_from_arrays(t, t, np.sin(t))], 1.0))
     assert many.start.size == 10
-    assert "has 36 records; the 10 longest are used" in many.remarks[-1]
+    assert "the 10 longest of 36 records are used" in many.remarks[-1]
 
 
 # --- the command

@@ -160,8 +160,8 @@ def shorten_log(grid: Grid, integrators: int = 0) -> Grid:
         longest = np.sort(np.argsort(-lengths, kind="stable")[:RECORDS])
         samples = np.concatenate([grid.start[k] + np.arange(lengths[k]) for k in longest])
         remark = (
-            f"the log has {lengths.size} records; the {RECORDS} longest are used,"
-            f" {samples.size} of {grid.t.size} samples"
+            f"the {RECORDS} longest of {lengths.size} records are used, {samples.size} of"
+            f" {grid.t.size} samples"
         )
         grid = _select_samples(grid, samples, np.isin(samples, grid.start), remark)
     size = grid.t.size
