@@ -71,7 +71,8 @@ def best_weights(errors: Dynamics) -> OutputWeights:
         gain = trial.margin - best.margin
         if gain > 0:
             best = trial
-        if search and not gain >= ENOUGH * max(1.0, abs(best.margin)):
+        settled = search and not gain >= ENOUGH * max(1.0, abs(best.margin))
+        if settled or best.margin == -np.inf:
             break
         shift = best.margin
     return best
