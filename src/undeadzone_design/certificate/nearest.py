@@ -12,7 +12,6 @@ import numpy as np
 from undeadzone.analysis.certificate.passivity import Certificate, certify_dynamics
 from undeadzone.analysis.certificate.weights import (
     frequency_response,
-    least_eigenvalue_over_frequencies,
 )
 from undeadzone.analysis.dissipation import LEAST
 from undeadzone.analysis.error_dynamics import Dynamics, balance_dynamics, build_error_dynamics
@@ -22,7 +21,7 @@ from undeadzone.linalg.riccati import storage_of
 from undeadzone.numerics.semidefinite import minimise_semidefinite, symmetric_matrix
 from undeadzone.util.arrays import Floats
 
-CUTS = 200  # rounds of cutting planes, at most
+ROOM = 1e-3  # of the margin, by which the nearest L exceeds it
 SHARES = (1.0, 0.99, 0.9, 0.5, 0.1, 0.0)  # of the nearest L, until one is proved
 
 
@@ -45,10 +44,9 @@ def nearest_certified_gains(
     """Return the gains nearest to L with margin `least` or more, L itself if its margin
     suffices.
 
-    With the weights W that suit L best, the admissible gains are an intersection of half-spaces,
-    one per frequency and direction, so that the nearest is unique. It is found by adding the exact
-    worst frequency again and again. If it cannot be proved in floating point it is drawn towards
-    L = 0. Sampled, Gamma is first scaled down so that no Ts gamma exceeds 1.
+    With the weights W that suit L best, the admissible gains are a convex set, so that the nearest
+    is unique. It solves a semidefinite programme. If it cannot be proved in floating point it is
+    drawn towards L = 0. Sampled, Gamma is first scaled down so that no Ts gamma exceeds 1.
 
     Args:
         linear: the model's A, B, C, of one step if sampled.
@@ -124,57 +122,40 @@ def decay_limit(linear: Matrices, Ts: float | None = None, tolerance: float = 1e
 def _project_gain(errors: Dynamics, W: Floats, least: float) -> Floats:
     """Return L nearest to that of `errors` with margin `least` under W (n x p) [1/s].
 
-    Found by least-distance cutting planes.
+    In coordinates in which the distance is that of the matrices, L and one Q for each step of the
+    largest gains solve a semidefinite programme: D + C (s - A)^-1 L has a Hermitian part of `least`
+    or more if and only if [AQ + QA', L - QC'; ., 2 least - D - D'] <= 0 for some Q > 0 (the
+    positive real lemma, with Q = P^-1). L = 0 if the solver fails.
     """
     root = np.sqrt(W)
-    inward = np.linalg.inv(_energy_metric(errors, W)).T
-    # In units where W = 1.
-    errors = errors._replace(C=errors.C * root[:, None], L=errors.L / root)
-    L = errors.L
-    seen = [
-        set[float]() for _ in errors.largest_gain_steps
-    ]  # the frequencies of each step's half-spaces
-    normals = np.zeros((0, L.size))
-    levels = np.zeros(0)
-    for _ in range(CUTS):
-        done = True
-        for step, frequencies in zip(errors.largest_gain_steps, seen, strict=True):
-            D = np.eye(root.size) - step / 2
-            lowest = least_eigenvalue_over_frequencies(
-                frequency_response(errors.A[0], errors.C, L, D, errors.Ts)
-            )
-            done &= lowest.value >= least
-            frequencies.add(lowest.w)
-            for slope, level in _half_spaces(errors, L, D, least, np.array([*frequencies])):
-                normals = np.vstack([normals, (inward.T @ slope).ravel()])
-                levels = np.append(levels, level)
-        if done:
-            break
-        move, active = _least_distance(normals, levels)
-        normals = normals[active]
-        levels = levels[active]
-        L = errors.L + inward @ move.reshape(L.shape)
-    return np.asarray(L * root)
+    shape = _energy_metric(errors, W).T
+    inverse = np.linalg.inv(shape)
+    A = shape @ errors.A[0] @ inverse
+    C = root[:, None] * errors.C @ inverse
+    target = shape @ (errors.L / root)
+    n, p = target.shape
+    bound = 2 * least * (1 + ROOM) * np.eye(p)
 
+    def blocks(x: Floats) -> list[Floats]:
+        """Return the matrices that must be positive semidefinite, x = [L, every Q, distance]."""
+        L = x[: n * p].reshape(n, p)
+        move = (L - target).reshape(-1, 1)
+        far = x[-1] * np.eye(n * p)
+        found = [np.block([[far, move], [move.T, x[-1:, None]]])]
+        each = np.split(x[n * p : -1], len(errors.largest_gain_steps))
+        for step, entries in zip(errors.largest_gain_steps, each, strict=True):
+            Q = symmetric_matrix(entries, n)
+            G = frequency_response(A, C, L, np.eye(p) - step / 2, errors.Ts)
+            moved = G.A @ Q
+            cross = G.L - Q @ G.C.T
+            corner = bound - G.D - G.D.T
+            found += [-np.block([[moved + moved.T, cross], [cross.T, corner]]), Q]
+        return found
 
-def _half_spaces(
-    errors: Dynamics, L: Floats, D: Floats, least: float, frequencies: Floats
-) -> list[tuple[Floats, float]]:
-    """Return (slope, level) of the half-spaces that L violates at these frequencies [rad/s].
-
-    The sum of slope times move is `level` or more for admissible gains errors.L + move.
-    """
-    (A,), C, target, _, Ts = errors
-    G = frequency_response(A, C, L, D, Ts)
-    half_spaces = []
-    eigen = np.linalg.eigh(G.hermitian_part(frequencies))
-    for w, values, directions in zip(frequencies, *eigen, strict=True):
-        rows = C @ _resolvent_at(A, w, Ts)
-        for v in directions.T[values < least]:
-            slope = np.real((v.conj() @ rows)[:, None] * v)
-            own = np.real(v.conj() @ D @ v)
-            half_spaces.append((slope, least * (1 + 1e-3) - own - (slope * target).sum()))
-    return half_spaces
+    size = n * p + len(errors.largest_gain_steps) * n * (n + 1) // 2
+    x = minimise_semidefinite(np.eye(size + 1)[-1], blocks)
+    found = np.zeros((n, p)) if x is None else x[: n * p].reshape(n, p)
+    return np.asarray(inverse @ found * root)
 
 
 def _energy_metric(errors: Dynamics, W: Floats) -> Floats:
@@ -190,38 +171,6 @@ def _energy_metric(errors: Dynamics, W: Floats) -> Floats:
     gramian = storage_of(motion, (Ts or 1.0) * C.T @ C, Ts)
     values, vectors = np.linalg.eigh(gramian)
     return np.asarray(vectors * np.sqrt(np.maximum(values, 1e-14 * values[-1])))
-
-
-def _resolvent_at(A: Floats, w: float, Ts: float | None) -> np.ndarray:
-    """Return (s - A)^-1 at s = jw, sampled at (z - 1)/Ts of Tustin's frequency w (n x n).
-
-    At w = inf the limit is returned.
-    """
-    if Ts is None and np.isinf(w):
-        return np.zeros(A.shape, complex)
-    if Ts is None:
-        s = 1j * w
-    elif np.isinf(w):
-        s = -2 / Ts
-    else:
-        s = 1j * w / (1 - 1j * w * Ts / 2)
-    return np.linalg.inv(s * np.eye(A.shape[0]) - A)
-
-
-def _least_distance(G: Floats, h: Floats) -> tuple[Floats, np.ndarray]:
-    """Return (the shortest x with G x >= h, active rows), by Lawson and Hanson 1974, chapter
-    23.
-    """
-    from scipy.optimize import nnls
-
-    size = np.linalg.norm(G, axis=1)
-    levels = h / size
-    scale = np.abs(levels).max()
-    E = np.vstack([(G / size[:, None]).T, levels / scale])
-    target = np.append(np.zeros(G.shape[1]), 1.0)
-    u, _ = nnls(E, target)
-    r = E @ u - target  # the residual
-    return -r[:-1] / r[-1] * scale, u > 0
 
 
 def _has_decay_proof(errors: Dynamics, rate: float) -> bool:

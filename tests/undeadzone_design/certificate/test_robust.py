@@ -30,7 +30,6 @@ from undeadzone.numerics.semidefinite import minimise_semidefinite
 from undeadzone.simulation.simulate import simulate
 from undeadzone.util.arrays import Floats
 from undeadzone_design.certificate.driven import add_leakage, ultimate_bound
-from undeadzone_design.certificate.nearest import _resolvent_at
 from undeadzone_design.certificate.robust import certified_radius, closed_loop, l2_gain
 from undeadzone_design.convergence.falsify import SwitchMode, error_generator, falsify
 
@@ -684,11 +683,6 @@ def test_a_gain_that_is_not_requested_is_0() -> None:
     dynamics = certify(PAPER_PLANT.linear, np.array([[1.0], [1.5]]), np.array([10.0])).dynamics
     assert l2_gain(dynamics, noise=np.ones(1)).disturbance == 0.0
     assert l2_gain(dynamics, E=np.array([[0.0], [1.0]])).noise == 0.0
-
-
-def test_the_resolvent_of_samples_reaches_its_limit() -> None:
-    A = np.array([[-1.0, 2.0], [0.0, -3.0]])
-    assert _resolvent_at(A, np.inf, 0.1) == pytest.approx(_resolvent_at(A, 1e9, 0.1), abs=1e-6)
 
 
 def test_no_edge_may_have_a_negative_gain() -> None:

@@ -50,7 +50,7 @@ def best_weights(errors: Dynamics) -> OutputWeights:
     """Return the weights that maximise the margin, with mean 1 over their groups.
 
     The largest m with M + 2m diag(0, W) <= 0 for some P is quasi-convex in W: Dinkelbach's
-    iteration, one LMI a step. Of one A the margin of each W is exact.
+    iteration, one LMI a step, the first at m = 0. Of one A the margin of each W is exact.
     """
     equal = np.ones(errors.C.shape[0])
     best = OutputWeights(equal, -np.inf, None)
@@ -60,8 +60,7 @@ def best_weights(errors: Dynamics) -> OutputWeights:
         best = OutputWeights(equal, *margin_of_weights(errors, equal))
         if errors.groups.shape[1] == 1:
             return best
-        shift = best.margin
-    for _ in range(SEARCHES):
+    for search in range(SEARCHES):
         deepest = _deepest_weights(errors, shift)
         if deepest is None:
             break
@@ -72,7 +71,8 @@ def best_weights(errors: Dynamics) -> OutputWeights:
         gain = trial.margin - best.margin
         if gain > 0:
             best = trial
-        if not gain >= ENOUGH * max(1.0, abs(best.margin)):
+        settled = search and not gain >= ENOUGH * max(1.0, abs(best.margin))
+        if settled or best.margin == -np.inf:
             break
         shift = best.margin
     return best
@@ -81,6 +81,7 @@ def best_weights(errors: Dynamics) -> OutputWeights:
 def _deepest_weights(errors: Dynamics, shift: float) -> tuple[Floats, Floats] | None:
     """Return (P, W) of largest t such that M + 2 diag(0, shift W + t I) <= 0, or None."""
     groups = errors.groups
+    unit = max(1.0, abs(shift))  # of t: margins of hopeless gains are large
     none = np.zeros((errors.L.shape[0], 0))
 
     def weights(q: Floats) -> Floats:
@@ -93,7 +94,7 @@ def _deepest_weights(errors: Dynamics, shift: float) -> tuple[Floats, Floats] | 
         return errors.extend_inequality(
             W,
             none,
-            [(1, 1, np.diag(2 * (shift * W + q[-1])))],
+            [(1, 1, np.diag(2 * (shift * W + unit * q[-1])))],
         )
 
     def positive(P: Floats, q: Floats) -> list[Floats]:
@@ -106,7 +107,7 @@ def _deepest_weights(errors: Dynamics, shift: float) -> tuple[Floats, Floats] | 
         -np.eye(start.size)[-1],
         start,
         positive,
-        passes=1,
+        passes=1 + (len(errors.A) == 1),
     )
     if solution is None:
         return None
