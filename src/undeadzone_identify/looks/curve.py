@@ -1,7 +1,8 @@
-"""A map at rest as a smooth curve: how far it bends, and how far its ways lie apart.
+"""A map at rest as a smooth curve: how far it bends, how far its ways lie apart, and its limits.
 
 The curve is the polynomial of the least price. Where the command came from both sides, each way is
-shifted by half of their distance, which is one more number of the same fit.
+shifted by half of their distance, which is one more number of the same fit. A line between limits
+is asked beside it: a curve may be one whose limits are round.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from numpy.polynomial import Legendre
 from numpy.polynomial.legendre import legvander
 
 from undeadzone.util.arrays import Floats
-from undeadzone_identify.looks.edges import price
+from undeadzone_identify.looks.edges import DEARER, PLACES, Levels, price
 from undeadzone_identify.looks.rows import LEVELS, Rows
 from undeadzone_identify.models.estimates import Interval, student_quantile
 
@@ -95,6 +96,34 @@ def fit_curve(rows: Rows) -> Curve | None:
         x.size - best.c.size,
         1 - best.loss / float(np.var(v)),
     )
+
+
+def fit_limits(levels: Levels) -> dict[int, Interval]:
+    """Fit a line between limits: return where they are met, by side (-1, 1); {} if a curve fits.
+
+    That is a polynomial of as many numbers that leaves less. Two levels or more are at a limit.
+
+    Args:
+        levels: of a map, in units of its ranges.
+    """
+    x, v, w = levels
+    places = np.linspace(0.0, 1.0, 2 * PLACES - 1)
+    low, high = places[np.array(np.triu_indices(places.size, 4))]
+    lines = np.clip(x, low[:, None], high[:, None])
+    lines, about = ((one.T - one @ w**2 / np.sum(w**2)).T * w for one in (lines, v))
+    curves = [np.polyval(np.polyfit(x, v, degree, w=w), x) for degree in (1, 2, 3)]
+    least = np.mean((w * (v - curves)) ** 2, axis=1)
+    loss = np.mean(about**2) - (lines @ about) ** 2 / np.sum(lines**2, axis=1) / x.size
+    count = (low > 0) + 1 * (high < 1)
+    is_line = (low * (low < x[1]) + (1 - high) * (high > x[-2]) == 0) & (loss < least[count])
+    prices = np.where(is_line & (count > 0), price(loss, x.size, count), np.inf)
+    best = int(np.argmin(prices))
+    near = prices < prices[best] + DEARER
+    return {
+        way: Interval(float(at[best]), float(at[near].min()), float(at[near].max()))
+        for way, at, end in ((-1, low, 0), (1, high, 1))
+        if near.any() and at[best] != end
+    }
 
 
 def _widest_hidden(best: _Fit, x: Floats, v: Floats, degree: int) -> float:

@@ -15,7 +15,7 @@ from scipy.signal import savgol_filter
 
 from undeadzone.util.arrays import Flags, Floats, bounds_of_runs, turns
 from undeadzone_identify.logs.grid import find_quantum
-from undeadzone_identify.looks.curve import Curve, fit_curve
+from undeadzone_identify.looks.curve import Curve, fit_curve, fit_limits
 from undeadzone_identify.looks.edges import KNOWN, Levels, Side, find_runs, fit_side, price
 from undeadzone_identify.looks.rows import (
     LEVELS,
@@ -117,6 +117,7 @@ class RestMap(NamedTuple):
         fold: command beyond which a reading stands for two commands; None for a monotone map.
         nodes: commands and readings of the map as a line (2 x m).
         curve: without a flat part; a sweep with times lacks it.
+        limits: of a line that may be the curve, by side (-1, 1) [u].
     """
 
     rows: Rows
@@ -127,6 +128,7 @@ class RestMap(NamedTuple):
     fold: float | None
     nodes: Floats
     curve: Curve | None = None
+    limits: dict[int, Interval] = {}
 
     def predict(self, u: Floats) -> Floats:
         """Return the readings at rest for commands; beyond the map those of its ends."""
@@ -185,6 +187,8 @@ def read_map(rows: Rows) -> RestMap | None:
     bound = _bound(nodes, unit, noise) * height[0]
     if curve is not None and curve.share > EXPLAINED:
         bound = min(bound, curve.hides)
+    is_one_way = curve is not None and (curve.distance is None or curve.distance.low <= 0)
+    ends = fit_limits(unit) if is_one_way else {}
     return RestMap(
         rows=rows,
         x=x,
@@ -194,6 +198,7 @@ def read_map(rows: Rows) -> RestMap | None:
         fold=None if fold is None else base[0] + height[0] * fold,
         nodes=base[:, None] + height[:, None] * nodes,
         curve=curve,
+        limits={way: Interval(*(base[0] + height[0] * np.array(one))) for way, one in ends.items()},
     )
 
 
@@ -397,13 +402,15 @@ def _edge(
     view: Levels, side: Side, end: int, inner: int, level: float, legs: list[Levels], way: int
 ) -> Edge:
     """Return an edge, as wide as the rounding and the spacing, and as each sweep's own edge."""
+    end += int(np.argmax(np.abs(view.v[end:] - level) > FINE))  # rests beyond the fit's edge
     still, moves = float(view.x[end - 1]), float(view.x[end])
     rounding = find_quantum(view.v - level) / 2 / max(abs(side.slope), 1e-9)
-    value = (still + moves) / 2 if side.step else side.edge.value
+    is_late = still - rounding > side.edge.high
+    value = (still + moves) / 2 if side.step or is_late else side.edge.value
     spare = max(0.25 * (moves - still), rounding)
-    is_between = side.step or inner < 3 or moves - still > UNVISITED
+    is_between = side.step or is_late or inner < 3 or moves - still > UNVISITED
     places = [still, moves] if is_between else [value - spare, value + spare]
-    places += [side.edge.low, side.edge.high]
+    places += [] if is_late else [side.edge.low, side.edge.high]
     own = [at for leg in legs if (at := _edge_of_leg(leg.face(way), level)) is not None]
     places += np.quantile(own, [0.05, 0.95]).tolist() if own else []
     edge = Edge(Interval(value, min(places), max(places)), bool(side.step), view.x.size - end)

@@ -33,6 +33,7 @@ FLAT = (  # effects of a name that a flat part of the map shows as well
     "friction",
 )
 EDGES = {"left": "lower", "right": "upper"}
+_SIDES = {-1: "upper", 1: "lower"}  # of what a limit at either end of the commands ends
 LOSS = "output loss"
 UNMET = Interval(math.inf, math.inf, math.inf)  # an edge that no fit has
 INPUT_LOSS = {"loss", "input threshold"}  # effects of a map that shows a band of the input
@@ -94,7 +95,11 @@ def _account_of_map(seen: RestMap, by: str, units: tuple[str, str]) -> Account:
     is_known = seen.rows.how == "table" and curve.free >= ENOUGH
     first, last = seen.end_slopes
     by = f"{by}, slope {first:.4g} in the first fifth of the commands, {last:.4g} in the last"
-    return Account(MEASURED if is_known else INDICATED, effects, by, units, limits=limits)
+    rises = int(np.sign(seen.y[-1] - seen.y[0]))
+    kinds = {-rises: "low end", rises: "high end"}
+    others = {kinds[way]: {_SIDES[way]: edge} for way, edge in seen.limits.items()}
+    grade = MEASURED if is_known else INDICATED
+    return Account(grade, effects, by, units, others=others, limits=limits)
 
 
 def _effect_of_part(part: FlatPart) -> tuple[str, Numbers]:
@@ -115,8 +120,8 @@ def _effect_of_part(part: FlatPart) -> tuple[str, Numbers]:
 def needs_no_plant(seen: Account, looks: Looks) -> bool:
     """Return whether dynamics tell no more than an account by looks.
 
-    A table and a slow sweep have no dynamics, and a torque along a motion, or two rests at one
-    goal, need none.
+    A table and a slow sweep have no dynamics, nor have rows without a clock that one curve
+    explains. A torque along a motion, or two rests at one goal, need none.
 
     Args:
         seen: the account by looks.
@@ -128,7 +133,8 @@ def needs_no_plant(seen: Account, looks: Looks) -> bool:
     if one is None or one.rows.how == "holds":
         return False
     has_shape = bool(one.flats) or one.fold is not None  # and no lag has one
-    return has_shape or one.rows.how == "table"
+    is_curve = one.curve is not None and one.curve.share > EXPLAINED
+    return has_shape or is_curve or one.rows.how == "table"
 
 
 def rests_in_holds(looks: Looks) -> bool:
