@@ -132,12 +132,13 @@ def _widest_hidden(best: _Fit, x: Floats, v: Floats, degree: int) -> float:
     A band shifts all that lies beyond it by its width times the slope. The shift is one more number
     of the fit.
     """
-    edges = np.unique(x)[:-1]
-    shifts = 1.0 * (x[:, None] > edges)
+    order = np.argsort(x)[::-1]
+    ends = np.flatnonzero(np.diff(x[order]))  # the last rows beyond each edge
+    edges = x[order][ends + 1]
     q = np.linalg.qr(best.design).Q
-    apart = shifts - q @ (q.T @ shifts)
-    power = np.maximum(np.sum(apart**2, axis=0), TINY)
-    shift = apart.T @ v / power
+    beyond = np.cumsum(np.column_stack([np.ones_like(v), v, q])[order], axis=0)[ends]
+    power = np.maximum(beyond[:, 0] - np.sum(beyond[:, 2:] ** 2, axis=1), TINY)
+    shift = (beyond[:, 1] - beyond[:, 2:] @ (q.T @ v)) / power
     error = student_quantile(x.size - best.c.size) * np.sqrt(best.loss / power)
     slope = np.abs(Legendre(best.c[: degree + 1]).deriv()(edges))
     return float(np.max((np.abs(shift) + error) / np.maximum(slope, TINY)))

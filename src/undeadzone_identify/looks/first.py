@@ -61,6 +61,6 @@ def look_at(log: Log) -> Looks:
         None if of_rate is not None and of_rate.flats else at_rest,
         of_rate,
         longest_stillness(t, u, y),
-        free_play_between_rests(t, u, y) if kind == "goal" and read != "speed" else None,
+        free_play_between_rests(t, u, y) if kind == "goal" and read == "position" else None,
         gap_between_valleys(u, y),
     )

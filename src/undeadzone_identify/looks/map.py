@@ -402,15 +402,13 @@ def _edge(
     view: Levels, side: Side, end: int, inner: int, level: float, legs: list[Levels], way: int
 ) -> Edge:
     """Return an edge, as wide as the rounding and the spacing, and as each sweep's own edge."""
-    end += int(np.argmax(np.abs(view.v[end:] - level) > FINE))  # rests beyond the fit's edge
     still, moves = float(view.x[end - 1]), float(view.x[end])
     rounding = find_quantum(view.v - level) / 2 / max(abs(side.slope), 1e-9)
-    is_late = still - rounding > side.edge.high
-    value = (still + moves) / 2 if side.step or is_late else side.edge.value
+    value = (still + moves) / 2 if side.step else side.edge.value
     spare = max(0.25 * (moves - still), rounding)
-    is_between = side.step or is_late or inner < 3 or moves - still > UNVISITED
+    is_between = side.step or inner < 3 or moves - still > UNVISITED
     places = [still, moves] if is_between else [value - spare, value + spare]
-    places += [] if is_late else [side.edge.low, side.edge.high]
+    places += [side.edge.low, side.edge.high]
     own = [at for leg in legs if (at := _edge_of_leg(leg.face(way), level)) is not None]
     places += np.quantile(own, [0.05, 0.95]).tolist() if own else []
     edge = Edge(Interval(value, min(places), max(places)), bool(side.step), view.x.size - end)

@@ -155,7 +155,7 @@ def _follow_steps(u: Floats, y: Floats) -> tuple[Floats, Flags]:
         change = np.append(np.diff(y[k : end + 1]), 0.0)
         answer = y[k : k + 1 + 2 * int(np.argmin(change * change[0] > 0))]
         follows[k + 1 : k + answer.size] = True
-        lags.append(float(np.sum(answer - answer[-1])) / (answer[0] - answer[-1] or np.inf))
+        lags.append(float(np.sum(answer[1:] - answer[-1])) / (answer[0] - answer[-1] or np.inf))
     rows = np.arange(u.size)
     return np.interp(rows - np.mean(lags[1:] or lags), rows, u), ~follows
 
