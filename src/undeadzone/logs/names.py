@@ -349,13 +349,14 @@ class _Header(NamedTuple):
             if not (y or (free[j] and (ranks[j] < 0 or free.sum() == 1))):
                 raise self.require_name("y")
             return y or self.group("y", j, p), [], {}
-        read = free
+        read, stays = free, 0 * ranks
         if self.is_open and self.values is not None:
             counts = np.isin(np.arange(ranks.size), self.may_count())
             counts &= np.array(list(map(increases_evenly, self.values.T)))
             unnamed = np.array(self.titles)[:, 0] == ""  # in a sheet, what is worked out
             aside = (np.array(self.kinds) == "aside") | unnamed
             x = np.nan_to_num(self.values)
+            stays = np.where(self.moves(), 0.0, ranks) * (len(x) >= TABLE)
             for out in (~self.moves(), counts, aside):
                 fewer = free & (~out | (np.abs(ranks) >= EXACT))
                 free = fewer if fewer.sum() + len(y + u) > 1 else free
@@ -373,9 +374,7 @@ class _Header(NamedTuple):
         scores[~(rows[:, None] & columns) | np.eye(every.size, dtype=bool)] = -np.inf
         i, j = map(int, np.unravel_index(np.argmax(scores), scores.shape))
         best = scores[i, j]
-        stays = np.where(self.moves() | exact, 0.0, ranks)
-        is_log = self.values is not None and len(self.values) >= TABLE and not y + u
-        if is_log and ranks[i] <= 0 < stays.max():
+        if not y + u and ranks[i] <= 0 < stays.max():
             i = int(np.argmax(stays))  # a command that stays, beside readings alone
         for signal, given, k, rivals in (("y", y, j, scores[i]), ("u", u, i, scores[:, j])):
             is_tie = np.sum(rivals > best - 0.001) > 1 and not self.titles[k].name.endswith(DIGITS)

@@ -260,22 +260,23 @@ def dialect_of(lines: Sequence[str]) -> Dialect:
 
 def _units_below(lines: Sequence[str], separator: str) -> list[str]:
     """Return the units in the line below the first, which names their columns; [] without."""
-    first, units = (split_cells(line, separator) for line in (lines[0], "".join(lines[1:2])))
+    first, units = _first_two(lines, separator)
     is_one = any(units) and len(units) == len(first) and not _count_numbers(units)
     is_named = any(first) and _count_numbers(first) < len(first)
     return units if is_one and is_named and all(map(_UNIT.fullmatch, units)) else []
 
 
 def _numbers_name(lines: Sequence[str], separator: str) -> bool:
-    """Return whether whole numbers in the first line, beside words, name columns as words do.
+    """Return whether whole numbers beside words, above what begins with a digit, are names."""
+    first, below = _first_two(lines, separator)
+    words = list(map(str.isalpha, first))
+    above = {cell[:1].isdigit() for cell in itertools.compress(below, words)}
+    return above == {True} and all(cell.isalnum() for cell in first) and len(below) == len(first)
 
-    The words stand above what begins with a digit.
-    """
-    first, below = (split_cells(line, separator) for line in (lines[0], "".join(lines[1:2])))
-    words = [cell.isalpha() for cell in first]
-    named = [word or cell.isdigit() for word, cell in zip(words, first, strict=True)]
-    above = [cell[:1].isdigit() for cell in itertools.compress(below, words)]
-    return all(named) and any(above) and all(above) and len(below) == len(first)
+
+def _first_two(lines: Sequence[str], separator: str) -> tuple[list[str], list[str]]:
+    """Return the cells of the first line and of the second."""
+    return split_cells(lines[0], separator), split_cells("".join(lines[1:2]), separator)
 
 
 def _count_numbers(cells: Sequence[str]) -> int:

@@ -161,9 +161,10 @@ def _follow_steps(u: Floats, y: Floats) -> tuple[Floats, Flags]:
 
 
 def _spread_at_commands(y: Floats) -> Floats:
-    """Return the standard deviations of neighbours among readings in the order of the command."""
+    """Return the deviations of neighbours from lines, of readings in the order of the command."""
     size = max(4, y.size // 60)
-    return np.asarray(y[: y.size // size * size].reshape(-1, size).std(axis=1))
+    bends = np.diff(y[: y.size // size * size].reshape(-1, size), 2, axis=1)
+    return np.sqrt(np.mean(bends**2, axis=1) / 6)
 
 
 def _range(y: Floats) -> float:
