@@ -104,7 +104,7 @@ def test_a_map_has_the_shape_and_the_edges_of_its_truth(name: str, size: int) ->
 @pytest.mark.parametrize(
     ("module", "names"),
     [
-        (maps, "MOVING FLAT HIDES LEAST WIDE CANDIDATES NEAREST FARTHER TURN"),
+        (maps, "FLAT HIDES LEAST WIDE CANDIDATES NEAREST FARTHER TURN"),
         (edges_module, "DEARER RISES BEYOND KNOWN PLACES"),
     ],
 )
@@ -205,8 +205,9 @@ def test_what_a_straight_map_hides_is_below_its_bound() -> None:
         y = zone(u - rng.uniform(-0.5, 0.5), half, half) + 0.01 * rng.standard_normal(u.size)
         rest = found(u, y)
         if not rest.flats:
-            assert rest.bound < 0.2
-            held.append(rest.bound >= 2 * half)
+            assert rest.curve is not None
+            assert rest.curve.hides < 0.2
+            held.append(rest.curve.hides >= 2 * half)
     assert len(held) > 20
     assert np.mean(held) >= 0.93
 
@@ -255,6 +256,16 @@ def test_a_curve_has_the_departure_and_the_distance_of_its_truth(gap: float, ben
         assert (curve.distance.low > 0.02) == (gap > 0)
         assert (curve.departure.low > 0.02) == (bend > 0)
     assert np.mean(held, axis=0).min() > 0.85
+
+
+def test_a_line_between_limits_is_told_from_a_curve() -> None:
+    u = np.linspace(0, 10, 30)
+    noise = 0.02 * np.random.default_rng(3).standard_normal(u.size)
+    round_limits = 3 * np.logaddexp(0, (u - 3) / 0.3) - 3 * np.logaddexp(0, (u - 8) / 0.3)
+    limits = found(u, round_limits + noise).limits
+    assert holds(limits["lower"], 3.0)
+    assert holds(limits["upper"], 8.0)
+    assert not found(u, u + 0.05 * u**2 + noise).limits
 
 
 def test_a_start_above_the_stop_is_two_thresholds() -> None:

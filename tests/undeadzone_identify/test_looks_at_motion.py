@@ -11,9 +11,10 @@ from scipy.signal import lfilter
 import undeadzone as uz
 from undeadzone.util.arrays import Floats
 from undeadzone_identify.logs.log import Options, read_log
+from undeadzone_identify.looks.map import map_at_rest
 from undeadzone_identify.looks.pushes import friction_level
 from undeadzone_identify.looks.rests import free_play_between_rests
-from undeadzone_identify.looks.valley import gap_between_valleys
+from undeadzone_identify.models.estimates import Interval
 from undeadzone_identify.selection.lost_motion import LostMotionAnswer, find_lost_motion
 
 SEEDS = 20
@@ -83,40 +84,31 @@ def focus_sweeps(seed: int, gap: float, sweeps: int = 4) -> tuple[Floats, Floats
     return u, size * (1 + 0.02 * rng.standard_normal(u.size))
 
 
+def gap_of(u: Floats, y: Floats) -> Interval | None:
+    """Distance of the ways in the map at rest of a log without times."""
+    seen = map_at_rest(None, u, y)
+    return None if seen is None or seen.curve is None else seen.curve.distance
+
+
 def test_the_least_reading_moves_by_the_gap_between_sweeps_up_and_down() -> None:
     held = 0
     for seed in range(SEEDS):
-        found = gap_between_valleys(*focus_sweeps(seed, 200.0))
-        assert found is not None
-        assert found.is_measured
-        assert found.gap.value == pytest.approx(200, abs=25)
-        held += found.gap.low <= 200 <= found.gap.high
+        gap = gap_of(*focus_sweeps(seed, 200.0))
+        assert gap is not None
+        assert gap.value == pytest.approx(200, abs=10)
+        held += gap.low <= 200 <= gap.high
     assert held >= FEW
 
 
-def test_valleys_without_a_gap_or_with_too_much_compensation_are_not_measured() -> None:
+def test_valleys_without_a_gap_have_none_and_units_change_nothing() -> None:
     u, y = focus_sweeps(1, 200.0)
-    there = gap_between_valleys(u, y)
-    back = gap_between_valleys(u[::-1], y[::-1])  # each way has the other's valley
-    none = gap_between_valleys(*focus_sweeps(1, 0.0))
-    assert there is not None
-    assert back is not None
+    gap, none = gap_of(u, y), gap_of(*focus_sweeps(1, 0.0))
+    scaled = gap_of(-3 * u, 7 * y)
+    assert gap is not None
     assert none is not None
-    assert back.gap.value < 0 < there.gap.value
-    assert not back.is_measured
-    assert none.gap.low < 0 < none.gap.high
-
-
-def test_a_line_and_sweeps_of_one_way_have_no_valley() -> None:
-    u, y = focus_sweeps(2, 200.0)
-    up = np.append(np.diff(u, prepend=u[0]) > 0, [])
-    assert gap_between_valleys(u[up == 1], y[up == 1]) is None
-    assert gap_between_valleys(u, 3 + 1e-3 * u) is None
-    scaled = gap_between_valleys(-3 * u, 7 * y)
-    one = gap_between_valleys(u, y)
     assert scaled is not None
-    assert one is not None
-    assert scaled.gap.value == pytest.approx(3 * one.gap.value)
+    assert none.low < 0 < none.high
+    assert scaled.value == pytest.approx(3 * gap.value)
 
 
 # --- What pushes

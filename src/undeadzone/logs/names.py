@@ -42,12 +42,13 @@ PAIRS: Final = {
     ("drive", "force"): 13.0,
 }
 BY_HAND: Final = 40.0  # rank of a column of a table that runs evenly, as of an exact name
-COMMON: Final = 6.0  # rank of an input and a reading of one name
+COMMON: Final = 4.0  # rank of an input and a reading of one name
 EVEN_BY_HAND: Final = 1e-6  # of the range, as far as what is set by hand is uneven
 HALF: Final = 0.5  # of the rows, in which a column of a table is set by hand
 EVEN: Final = 1e-3  # of the range, up to which a column rests or runs evenly
 FULL: Final = 0.5  # correlation from which names count in full, below as much less
 BESIDE: Final = -7.0  # rank of what follows a goal of its name, at most
+COPIED: Final = 1.0  # what a reading loses of which there is a copy: one of both is worked out
 FIRST: Final = 0.05  # what an input gains that stands ahead of its reading
 COPY: Final = 1 - 1e-9  # correlation of a column with its copy
 SUM: Final = 0.999  # and of its changes with what it adds up
@@ -348,13 +349,14 @@ class _Header(NamedTuple):
             if not (y or (free[j] and (ranks[j] < 0 or free.sum() == 1))):
                 raise self.require_name("y")
             return y or self.group("y", j, p), [], {}
-        read = free
+        read, stays = free, 0 * ranks
         if self.is_open and self.values is not None:
             counts = np.isin(np.arange(ranks.size), self.may_count())
             counts &= np.array(list(map(increases_evenly, self.values.T)))
             unnamed = np.array(self.titles)[:, 0] == ""  # in a sheet, what is worked out
             aside = (np.array(self.kinds) == "aside") | unnamed
             x = np.nan_to_num(self.values)
+            stays = np.where(self.moves(), 0.0, ranks) * (len(x) >= TABLE)
             for out in (~self.moves(), counts, aside):
                 fewer = free & (~out | (np.abs(ranks) >= EXACT))
                 free = fewer if fewer.sum() + len(y + u) > 1 else free
@@ -372,6 +374,8 @@ class _Header(NamedTuple):
         scores[~(rows[:, None] & columns) | np.eye(every.size, dtype=bool)] = -np.inf
         i, j = map(int, np.unravel_index(np.argmax(scores), scores.shape))
         best = scores[i, j]
+        if not y + u and ranks[i] <= 0 < stays.max():
+            i = int(np.argmax(stays))  # a command that stays, beside readings alone
         for signal, given, k, rivals in (("y", y, j, scores[i]), ("u", u, i, scores[:, j])):
             is_tie = np.sum(rivals > best - 0.001) > 1 and not self.titles[k].name.endswith(DIGITS)
             is_alike = not y + u and ranks[i] <= ranks[j]
@@ -424,12 +428,17 @@ class _Header(NamedTuple):
                 ranks[other] = min(ranks[other], BESIDE)  # the same without the words of a goal
         if not self.is_open:
             ranks[ranks == REFERENCE] = 0.0
+        elif self.values is not None:
+            copies = [ranks[same & (ranks != 0)] for same in _copies(_scaled(self.values))]
+            ranks = np.array([np.median(one) if one.size else 0.0 for one in copies])
         return ranks
 
     def likeness(self) -> Floats:
         """Return how well names and kinds of an input (row) and a reading fit (K x K)."""
         words = [{*split_words(title.name).split(" ")} for title in self.titles]
-        common = [[len(one & other) / len(one | other) for other in words] for one in words]
+        common = [
+            [len(one & other) / min(len(one), len(other)) for other in words] for one in words
+        ]
         kinds = self.kinds
         pairs = [[PAIRS.get((one, other), 0.0) for other in kinds] for one in kinds]
         return COMMON * np.array(common) + np.array(pairs)
@@ -448,7 +457,8 @@ class _Header(NamedTuple):
             return alike, alike
         x = _scaled(self.values)
         shown = np.abs(x.T @ x) / len(x)
-        derived: Flags = np.asarray(shown > COPY)
+        derived = _copies(x)
+        copied = np.sum(derived, axis=0) > 1
         shown = fits = np.maximum(shown, _smoothness(x))
         if len(x) >= (2 * PAST if has_times else TABLE):
             at_all, gains = _explained(x)
@@ -459,11 +469,12 @@ class _Header(NamedTuple):
             derived |= adds | adds.T | np.any(adds, axis=0, keepdims=True).T
             shown = np.maximum.reduce([shown, at_all, at_all.T / 2, gains])  # slopes show what adds
             fits = shown * (1 + gains) * (1 - every.max(axis=(0, 1))[:, None])
-        by_hand = len(x) < TABLE and not has_times
-        weight, tolerance = (BY_HAND, EVEN_BY_HAND) if by_hand else (1.0, EVEN)
-        even = np.subtract.outer(*[weight * _evenness(x, tolerance)] * 2)
+        tables = len(x) < TABLE
+        weight, tolerance = (1.0, EVEN) if has_times and not tables else (BY_HAND, EVEN_BY_HAND)
+        evenness = _evenness(x, tolerance, rests=tables or has_times)
+        even = weight * np.subtract.outer(*[evenness * (evenness > HALF)] * 2)
         shown, fits = np.where(derived, 0.0, [shown, fits * (1 + even)])
-        return shown, fits + FIRST * np.triu(np.ones_like(fits))
+        return shown, fits + FIRST * np.triu(np.ones_like(fits)) - COPIED * copied
 
     def columns_named(self, signal: str, count: int | None) -> list[int]:
         """Return the columns that the user names for y or u. Raises InputError if one lacks."""
@@ -570,15 +581,23 @@ def _scaled(values: Floats) -> Floats:
     return np.where(moves, x, 0.0) / np.where(moves, spread, 1.0)
 
 
-def _evenness(x: Floats, tolerance: float) -> Floats:
-    """Return the share of the rows in which columns (N x K) rest or run evenly.
+def _copies(x: Floats) -> Flags:
+    """Return which columns (N x K), with rms 1, are copies of which, but for scale and offset."""
+    return np.asarray((np.abs(x.T @ x) / len(x) > COPY) | np.eye(x.shape[1], dtype=bool))
+
+
+def _evenness(x: Floats, tolerance: float, rests: bool = True) -> Floats:
+    """Return the share of the rows in which columns (N x K) run evenly, or rest.
 
     Args:
         x: columns.
         tolerance: share of the range, up to which they do.
+        rests: whether a rest counts.
     """
-    bends = np.abs(np.diff(x, 2, axis=0))
-    return np.asarray(np.mean(bends <= tolerance * np.ptp(x, axis=0), axis=0))
+    least = tolerance * np.ptp(x, axis=0)
+    steps = np.diff(x, axis=0)
+    runs = rests | (np.abs(steps[1:]) > least)
+    return np.asarray(np.mean((np.abs(np.diff(steps, axis=0)) <= least) & runs, axis=0))
 
 
 def _smoothness(x: Floats) -> Floats:

@@ -205,8 +205,10 @@ class LogReader:
             self._dialect = dialect_of(below[:count])
             heads = self._dialect.heads
             titled = dialect_of([self._remark, *below[:count]])
-            if not heads and titled.titles and titled.width == self._dialect.width:
-                self._dialect = titled._replace(heads=0)
+            width = self._dialect.width
+            if not heads and titled.titles and titled.width >= width:
+                titles = titled.titles[:width]
+                self._dialect = titled._replace(heads=0, width=width, titles=titles)
             # The header may follow, or its first line of numbers, or a line of units.
             waits = (ahead is None and len(lines) < PREAMBLE) or (heads and len(below) < 2)
             self._first = numbered if waits and not last else []

@@ -246,7 +246,8 @@ def dialect_of(lines: Sequence[str]) -> Dialect:
     separator = _separator(lines)
     first = split_cells(lines[0], separator)
     units = _units_below(lines, separator)
-    if not units and (not any(first) or _count_numbers(first)):
+    is_named = any(first) and (not _count_numbers(first) or _numbers_name(lines, separator))
+    if not units and not is_named:
         return Dialect(separator, len(first), None, 0)
     titles = list(map(split_unit, first))
     for k, unit in enumerate(units):
@@ -259,10 +260,23 @@ def dialect_of(lines: Sequence[str]) -> Dialect:
 
 def _units_below(lines: Sequence[str], separator: str) -> list[str]:
     """Return the units in the line below the first, which names their columns; [] without."""
-    first, units = (split_cells(line, separator) for line in (lines[0], "".join(lines[1:2])))
+    first, units = _first_two(lines, separator)
     is_one = any(units) and len(units) == len(first) and not _count_numbers(units)
     is_named = any(first) and _count_numbers(first) < len(first)
     return units if is_one and is_named and all(map(_UNIT.fullmatch, units)) else []
+
+
+def _numbers_name(lines: Sequence[str], separator: str) -> bool:
+    """Return whether whole numbers beside words, above what begins with a digit, are names."""
+    first, below = _first_two(lines, separator)
+    words = list(map(str.isalpha, first))
+    above = {cell[:1].isdigit() for cell in itertools.compress(below, words)}
+    return above == {True} and all(cell.isalnum() for cell in first) and len(below) == len(first)
+
+
+def _first_two(lines: Sequence[str], separator: str) -> tuple[list[str], list[str]]:
+    """Return the cells of the first line and of the second."""
+    return split_cells(lines[0], separator), split_cells("".join(lines[1:2]), separator)
 
 
 def _count_numbers(cells: Sequence[str]) -> int:
@@ -286,7 +300,7 @@ def parse_cell(cell: str, mark: str) -> float | None:
         cell: its text.
         mark: the decimal mark, `.` or `,`; "" for either.
     """
-    cell = cell.replace("\N{MINUS SIGN}", "-")
+    cell = cell.replace("\N{MINUS SIGN}", "-").removesuffix("%")
     if cell.lower() in MISSING:
         return math.nan
     other = OTHER.get(mark, "")
@@ -356,7 +370,9 @@ def lines_ahead(lines: Sequence[str]) -> int | None:
         count = _count_numbers(cells)
         if k == 0 and count == len(named):
             return 0
-        if len({*named}) < max(2, len(named)) or (count and not _units_below(lines[k:], separator)):
+        names = (_units_below, _numbers_name) if count else ()
+        is_head = not names or any(one(lines[k:], separator) for one in names)
+        if len({*named}) < max(2, len(named)) or not is_head:
             continue
         rows = map(Dialect(separator, len(cells), None, 0).cells, lines[k + 1 :])
         alike = [row for row in rows if len(row) == len(cells) and _count_numbers(row)]

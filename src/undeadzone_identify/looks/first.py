@@ -12,7 +12,6 @@ from undeadzone_identify.looks.rate import map_of_rate
 from undeadzone_identify.looks.rests import FreePlay, free_play_between_rests
 from undeadzone_identify.looks.rows import known_samples
 from undeadzone_identify.looks.stillness import longest_stillness
-from undeadzone_identify.looks.valley import Valley, gap_between_valleys
 
 
 class Looks(NamedTuple):
@@ -23,7 +22,6 @@ class Looks(NamedTuple):
         of_rate: the map of the reading's rate, of an output that integrates.
         stillness: largest travel of the command while the reading stood still [u].
         rests: two rests at one goal.
-        valley: least readings on the way up and on the way down.
         friction: level of the friction that a torque overcomes.
     """
 
@@ -31,7 +29,6 @@ class Looks(NamedTuple):
     of_rate: RestMap | None = None
     stillness: float = 0.0
     rests: FreePlay | None = None
-    valley: Valley | None = None
     friction: FrictionLevel | None = None
 
 
@@ -61,6 +58,5 @@ def look_at(log: Log) -> Looks:
         None if of_rate is not None and of_rate.flats else at_rest,
         of_rate,
         longest_stillness(t, u, y),
-        free_play_between_rests(t, u, y) if kind == "goal" and read != "speed" else None,
-        gap_between_valleys(u, y),
+        free_play_between_rests(t, u, y) if kind == "goal" and read == "position" else None,
     )

@@ -15,7 +15,7 @@ from scipy.signal import savgol_filter
 
 from undeadzone.util.arrays import Flags, Floats, bounds_of_runs, turns
 from undeadzone_identify.logs.grid import find_quantum
-from undeadzone_identify.looks.curve import Curve, fit_curve
+from undeadzone_identify.looks.curve import EXPLAINED, Curve, fit_curve, fit_limits
 from undeadzone_identify.looks.edges import KNOWN, Levels, Side, find_runs, fit_side, price
 from undeadzone_identify.looks.rows import (
     LEVELS,
@@ -33,10 +33,8 @@ WIDE, FINE = 0.012, 1e-4  # of the range: distances from the level of a candidat
 CANDIDATES = 6
 SMOOTHED = 24  # levels in a row, from which noise is smoothed
 END = 3  # levels of an end, at least, among so many
-MOVING = 0.35  # of the median slope, from which a map moves
 FLAT = 0.1  # of the slope beside it: the largest inside a flat part
 HIDES, LEAST = 8.0, 0.008  # residuals and share of the range, that a flat part hides at least
-EXPLAINED = 0.98  # of the variance beside a flat part
 CURVES = range(3, 7)  # degrees of the smooth curves that may explain a flat part
 NEAREST, FARTHER = 5, 4  # moving levels that count for an edge, and more for each level at rest
 UNVISITED = 0.2  # of the commands' range, from which a gap widens an edge
@@ -66,8 +64,7 @@ class Edge(NamedTuple):
 
     def place(self, base: float, factor: float) -> Edge:
         """Return the edge in other units, from another origin."""
-        value, *ends = (base + factor * one for one in self.interval)
-        return self._replace(interval=Interval(value, min(ends), max(ends)))
+        return self._replace(interval=self.interval.place(base, factor))
 
 
 class FlatPart(NamedTuple):
@@ -113,31 +110,24 @@ class RestMap(NamedTuple):
         rows: of the record.
         x, y: medians by level, in the order of the commands (n) [u], [y].
         flats: flat parts, from left to right.
-        bound: the largest dead band that the map could hide beside its flat parts [u].
         fold: command beyond which a reading stands for two commands; None for a monotone map.
         nodes: commands and readings of the map as a line (2 x m).
         curve: without a flat part; a sweep with times lacks it.
+        limits: of a line that may be the curve, lower and upper [u].
     """
 
     rows: Rows
     x: Floats
     y: Floats
     flats: tuple[FlatPart, ...]
-    bound: float
     fold: float | None
     nodes: Floats
     curve: Curve | None = None
+    limits: dict[str, Interval] = {}
 
     def predict(self, u: Floats) -> Floats:
         """Return the readings at rest for commands; beyond the map those of its ends."""
         return np.interp(u, *self.nodes)
-
-    @property
-    def end_slopes(self) -> tuple[float, float]:
-        """Return the mean slopes in the first and the last fifth of the commands [y/u]."""
-        fifths = np.linspace(self.x[0], self.x[-1], 6)
-        slopes = np.diff(self.predict(fifths)) / np.diff(fifths)
-        return float(slopes[0]), float(slopes[-1])
 
 
 # --- Maps
@@ -154,16 +144,18 @@ def map_at_rest(t: Floats | None, u: Floats, y: Floats) -> RestMap | None:
     rows = rows_at_rest(t, u, y)
     if rows is None:
         return None
-    seen = read_map(rows)
-    if seen is None or t is None or rows.how in ("table", "holds"):
-        return seen
-    return seen._replace(curve=None)  # readings of a sweep may be late
+    return read_map(rows, t is not None and rows.how not in ("table", "holds"))
 
 
-def read_map(rows: Rows) -> RestMap | None:
+def read_map(rows: Rows, may_be_late: bool = False) -> RestMap | None:
     """Return the map of rows at rest; None with few levels, or a reading that never changes.
 
-    Holds, a way up beside a way down, and a sweep that comes back late have a fold by chance alone.
+    Holds, a way up beside a way down, and a sweep that comes back late have a fold by chance alone,
+    if no curve explains both ways apart.
+
+    Args:
+        rows: at rest.
+        may_be_late: whether readings lag, so that a curve that rises or falls throughout is none.
     """
     if np.ptp(rows.u) == 0:
         return None
@@ -179,21 +171,22 @@ def read_map(rows: Rows) -> RestMap | None:
     noise = max(float(np.std(unit.v - np.interp(unit.x, *nodes))), noise_of(unit.v))
     fold = _fold(nodes, noise)
     is_late = fold is not None and rows.how == "sweep" and not _folds_on_way_out(u, y, nodes, fold)
-    if is_late or (fold is not None and rows.how in ("ways", "holds")):
+    curve = None if parts or (may_be_late and fold is None) else fit_curve(rows)
+    is_one_way = curve is not None and (curve.distance is None or curve.distance.low <= 0)
+    if curve is not None and not is_one_way:
+        fold = None  # of a curve whose ways lie apart
+    elif is_late or (fold is not None and rows.how in ("ways", "holds")):
         return None  # what comes back need not be a fold
-    curve = None if parts else fit_curve(rows)
-    bound = _bound(nodes, unit, noise) * height[0]
-    if curve is not None and curve.share > EXPLAINED:
-        bound = min(bound, curve.hides)
+    ends = fit_limits(unit) if is_one_way else {}
     return RestMap(
         rows=rows,
         x=x,
         y=v,
         flats=tuple(part.place(base, height) for part in parts),
-        bound=bound,
         fold=None if fold is None else base[0] + height[0] * fold,
         nodes=base[:, None] + height[:, None] * nodes,
         curve=curve,
+        limits={name: one.place(base[0], height[0]) for name, one in ends.items()},
     )
 
 
@@ -442,21 +435,3 @@ def _folds_on_way_out(u: Floats, y: Floats, nodes: Floats, fold: float) -> bool:
     near, far = np.array([(a or b, a + np.argmax(way * u[a : b + 1])) for a, b in visits]).T
     back = np.interp(fold, *nodes) - np.interp(u[far], *nodes)
     return bool(np.sum(y[near] - y[far]) / np.sum(back) > WAY_OUT)
-
-
-def _bound(nodes: Floats, levels: Levels, noise: float) -> float:
-    """Return the largest dead band that the map could hide: by its noise, slope and spacing.
-
-    In a straight map a band shifts all that lies beyond it, so that what a line leaves is a bound.
-    """
-    x, v, _ = levels
-    slope = np.abs(np.diff(np.interp(x, *nodes)) / np.diff(x))
-    moving = slope >= MOVING * np.median(slope)
-    widths = np.maximum(4 * np.diff(x), max(HIDES * noise, LEAST) / np.maximum(slope, 1e-9))
-    bent = max(float(np.std(v - np.polyval(np.polyfit(x, v, 1), x))), KNOWN)
-    ends = max(  # a flat end is as long at most
-        one.x[np.argmax(np.abs(one.v - one.v[0]) > HIDES * noise)] - one.x[0]
-        for one in (levels, levels.face(-1))
-    )
-    widest = min(max(ends, np.quantile(widths[moving], 0.95)), 1.0)
-    return float(np.clip(HIDES * bent, ends, widest))

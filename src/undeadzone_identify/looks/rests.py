@@ -36,19 +36,14 @@ class FreePlay(NamedTuple):
     Attributes:
         play: with its 95 % interval [y]; it reaches to the outermost rests if these are not sharp.
         flips: changes from one rest to the other at an unchanged goal.
-        is_sharp: whether both rests are as narrow as the noise.
+        is_measured: whether both rests are as narrow as the noise.
         goal: at which the rests are [u].
     """
 
     play: Interval
     flips: int
-    is_sharp: bool
+    is_measured: bool
     goal: float
-
-    @property
-    def is_measured(self) -> bool:
-        """Return whether the rests suffice for a number without doubt."""
-        return self.is_sharp
 
 
 def free_play_between_rests(t: Floats, u: Floats, y: Floats) -> FreePlay | None:

@@ -155,15 +155,16 @@ def _follow_steps(u: Floats, y: Floats) -> tuple[Floats, Flags]:
         change = np.append(np.diff(y[k : end + 1]), 0.0)
         answer = y[k : k + 1 + 2 * int(np.argmin(change * change[0] > 0))]
         follows[k + 1 : k + answer.size] = True
-        lags.append(float(np.sum(answer - answer[-1])) / (answer[0] - answer[-1] or np.inf))
+        lags.append(float(np.sum(answer[1:] - answer[-1])) / (answer[0] - answer[-1] or np.inf))
     rows = np.arange(u.size)
     return np.interp(rows - np.mean(lags[1:] or lags), rows, u), ~follows
 
 
 def _spread_at_commands(y: Floats) -> Floats:
-    """Return the standard deviations of neighbours among readings in the order of the command."""
+    """Return the deviations of neighbours from lines, of readings in the order of the command."""
     size = max(4, y.size // 60)
-    return np.asarray(y[: y.size // size * size].reshape(-1, size).std(axis=1))
+    bends = np.diff(y[: y.size // size * size].reshape(-1, size), 2, axis=1)
+    return np.sqrt(np.mean(bends**2, axis=1) / 6)
 
 
 def _range(y: Floats) -> float:

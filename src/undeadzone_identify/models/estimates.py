@@ -293,7 +293,12 @@ class Interval(NamedTuple):
 
     def scale_by(self, factor: float) -> Interval:
         """Return the interval in other units, or of the other sign."""
-        return Interval(self.value * factor, *sorted((self.low * factor, self.high * factor)))
+        return self.place(0.0, factor)
+
+    def place(self, base: float, factor: float) -> Interval:
+        """Return the interval in other units, from another origin."""
+        value, *ends = (base + factor * one for one in self)
+        return Interval(value, min(ends), max(ends))
 
     def stretch_by(self, factor: float) -> Interval:
         """Return the interval with both halves multiplied by a factor."""

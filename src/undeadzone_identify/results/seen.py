@@ -10,7 +10,7 @@ import numpy as np
 
 from undeadzone_identify.logs.log import Log
 from undeadzone_identify.looks.first import Looks
-from undeadzone_identify.looks.map import APART, EXPLAINED, LEAST, UNSURE, FlatPart, RestMap
+from undeadzone_identify.looks.map import APART, LEAST, UNSURE, FlatPart, RestMap
 from undeadzone_identify.models.estimates import Interval
 from undeadzone_identify.results.account import (
     BOUNDED,
@@ -49,7 +49,6 @@ def account_of_looks(log: Log, looks: Looks) -> Account | None:
     for one, effect, name, field, by in (
         (looks.friction, "friction", "level", "level", "torque along the motion"),
         (looks.rests, "free play", "gap", "play", "rests at one goal"),
-        (looks.valley, "input reversal", "gap", "gap", "least readings of sweeps up and down"),
     ):
         if one is not None and getattr(one, field).low > 0:
             grade = MEASURED if one.is_measured else INDICATED
@@ -77,10 +76,10 @@ def _account_of_map(seen: RestMap, by: str, units: tuple[str, str]) -> Account:
     if seen.fold is not None:
         edge = Interval(seen.fold, seen.fold, seen.fold)
         return Account(INDICATED, {"fold": {"edge": edge}}, by, units)
-    limits = {"loss": seen.bound}
     curve = seen.curve
-    if curve is None or curve.share < EXPLAINED:
-        return Account(BOUNDED, {}, by, units, limits=limits)
+    if curve is None:
+        return Account(OPEN, {}, by, units)
+    limits = {"loss": curve.hides} if curve.hides < UNSURE * np.ptp(seen.x) else {}
     for effect, name, one, along in (
         ("ways", "gap", curve.distance, seen.x),
         ("curve", "departure from a line", curve.departure, seen.y),
@@ -90,11 +89,11 @@ def _account_of_map(seen: RestMap, by: str, units: tuple[str, str]) -> Account:
         elif effect == "ways" and one is not None and one.high > 0:
             limits[effect] = one.high
     if not effects:
-        return Account(BOUNDED, {}, by, units, limits=limits)
+        return Account(BOUNDED if limits else OPEN, {}, by, units, limits=limits)
     is_known = seen.rows.how == "table" and curve.free >= ENOUGH
-    first, last = seen.end_slopes
-    by = f"{by}, slope {first:.4g} in the first fifth of the commands, {last:.4g} in the last"
-    return Account(MEASURED if is_known else INDICATED, effects, by, units, limits=limits)
+    others = {"limits": seen.limits} if seen.limits else {}
+    grade = MEASURED if is_known else INDICATED
+    return Account(grade, effects, by, units, others=others, limits=limits)
 
 
 def _effect_of_part(part: FlatPart) -> tuple[str, Numbers]:
@@ -115,8 +114,8 @@ def _effect_of_part(part: FlatPart) -> tuple[str, Numbers]:
 def needs_no_plant(seen: Account, looks: Looks) -> bool:
     """Return whether dynamics tell no more than an account by looks.
 
-    A table and a slow sweep have no dynamics, and a torque along a motion, or two rests at one
-    goal, need none.
+    A table and a slow sweep have no dynamics, nor have rows without a clock that one curve
+    explains. A torque along a motion, or two rests at one goal, need none.
 
     Args:
         seen: the account by looks.
@@ -128,7 +127,7 @@ def needs_no_plant(seen: Account, looks: Looks) -> bool:
     if one is None or one.rows.how == "holds":
         return False
     has_shape = bool(one.flats) or one.fold is not None  # and no lag has one
-    return has_shape or one.rows.how == "table"
+    return has_shape or one.curve is not None or one.rows.how == "table"
 
 
 def rests_in_holds(looks: Looks) -> bool:
