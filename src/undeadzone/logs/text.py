@@ -253,7 +253,7 @@ def dialect_of(lines: Sequence[str]) -> Dialect:
     for k, unit in enumerate(units):
         titles[k] = Title(titles[k].name, titles[k].unit or unit.strip("[]() "))
     heads = 2 if units else 1
-    if titles[-1].name == "":
+    if titles[-1].name == "" and not any(_first_two(lines, separator)[1][len(titles) - 1 :]):
         titles.pop()
     return Dialect(separator, len(titles), tuple(titles), heads)
 
@@ -354,15 +354,17 @@ def decimal_mark(
     return "", False
 
 
-def lines_ahead(lines: Sequence[str]) -> int | None:
+def lines_ahead(lines: Sequence[str], live: bool = False) -> int | None:
     """Return the number of lines of other content ahead of the header.
 
     None: no line is a header so far. The header has two names or more, no number, and as many
-    cells as most lines behind it.
+    cells as most lines behind it. Without one, numbers alone may stand below other content.
 
     Args:
         lines: the first lines with content.
+        live: whether a header may still come behind numbers.
     """
+    bare = None
     for k, line in enumerate(lines[:PREAMBLE]):
         separator = _separator(lines[k:])
         cells = split_cells(line, separator)
@@ -372,13 +374,16 @@ def lines_ahead(lines: Sequence[str]) -> int | None:
             return 0
         names = (_units_below, _numbers_name) if count else ()
         is_head = not names or any(one(lines[k:], separator) for one in names)
-        if len({*named}) < max(2, len(named)) or not is_head:
+        is_bare = count == len(named) > 1 and not live
+        if not is_bare and (len({*named}) < max(2, len(named)) or not is_head):
             continue
         rows = map(Dialect(separator, len(cells), None, 0).cells, lines[k + 1 :])
         alike = [row for row in rows if len(row) == len(cells) and _count_numbers(row)]
         if alike and 2 * len(alike) >= len(lines) - k - 1:
-            return k
-    return None
+            if not is_bare:
+                return k
+            bare = bare or k
+    return bare
 
 
 def _separator(lines: Sequence[str]) -> str:
