@@ -374,7 +374,7 @@ def lines_ahead(lines: Sequence[str], live: bool = False) -> int | None:
             return 0
         names = (_units_below, _numbers_name) if count else ()
         is_head = not names or any(one(lines[k:], separator) for one in names)
-        is_bare = count == len(named) > 1 and not live
+        is_bare = count == len(cells) > 1 and not live
         if not is_bare and (len({*named}) < max(2, len(named)) or not is_head):
             continue
         rows = map(Dialect(separator, len(cells), None, 0).cells, lines[k + 1 :])
