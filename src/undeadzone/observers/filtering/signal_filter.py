@@ -5,9 +5,11 @@ models, Blom and Bar-Shalom 1988), and the readings choose: modes count by how w
 them. Each reading is on a side of the zone, silent, or wrong, and every mode takes the mixture of
 the three. docs/signal.md has the equations.
 
-What is shown of z departs from a reading by at most its rms (limited translation, Efron and Morris
-1971, doi:10.1080/01621459.1971.10482350), since a motion that ends at once leaves z between the
-reading and its prediction.
+What is shown of z departs from a reading by at most its rms (limited translation), since a motion
+that ends at once leaves z between the reading and its prediction.
+
+References:
+    B. Efron, C. Morris (1971), doi:10.1080/01621459.1971.10482350
 """
 
 from __future__ import annotations
