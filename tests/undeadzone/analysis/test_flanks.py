@@ -10,8 +10,8 @@ import pytest
 from undeadzone.analysis.identifiability import flanks
 from undeadzone.analysis.identifiability.flanks import (
     StrikeDetector,
-    flank_visits,
     gap_identifiability,
+    presses_on_both_flanks,
     torque_free_position,
 )
 from undeadzone.analysis.identifiability.linear import WidthIdentifiability
@@ -29,13 +29,13 @@ def first_verdict(
     x[:, 0] = 0.06 * np.repeat((-1.0) ** np.arange(len(speeds) + 1), 10)
     x[9:-1:10, 4] = speeds
     detector = StrikeDetector(groups, np.full(2, 0.01), 0.2, 1e-3, np.full(2, 1e-4), 50.0)
-    return gap_identifiability(gears, gears.values, x, path, 1e-3, detector)[0]
+    return gap_identifiability(gears, gears.values, x, path, 1e-3, detector, bool)[0]
 
 
 def test_a_load_of_one_sign_presses_on_one_flank() -> None:
     tau = np.concatenate([np.zeros(500), np.ones(500), np.zeros(500)])[:, None]
-    (found,) = flank_visits(tau, 0.01)
-    assert found == (True, False, 0)
+    assert not presses_on_both_flanks(tau, 0.01)
+    assert presses_on_both_flanks(np.concatenate([tau, -tau]), 0.01)
 
 
 @pytest.mark.parametrize(
