@@ -10,7 +10,7 @@ import undeadzone
 from undeadzone.compile.numpy_reference import reference_evaluator
 from undeadzone.compile.scalar_step import CompiledStepper
 from undeadzone.errors import InputError
-from undeadzone.nonlinearities.sensor import deadzone
+from undeadzone.nonlinearities.sensor import branch, zone
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.signals.noise import stationary_first_order_noise
@@ -111,7 +111,8 @@ def draw_readings(problem: Problem) -> Floats:
     rms = WIDE * np.maximum(sensor.widest, sensor.noise + sensor.noise_before)
     shape = problem.steps + 1, rms, SLOW * simulation.step, simulation.step
     z = stationary_first_order_noise(simulation.seed, *shape)
-    y = deadzone(z, sensor.right, sensor.left, sensor.slope)
+    edges = sensor.right, sensor.left
+    y = branch(z, zone(z, *edges), *edges, sensor.slope, sensor.kind)
     return y if problem.levels is None else y + problem.levels.y
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-import json
 import os
 import signal
 import subprocess
@@ -18,6 +17,7 @@ from typing import Final
 from tests.commands import undeadzone
 from tests.traps import COMMAND
 
+from tools.fuzz.apart import tell_apart
 from tools.fuzz.case import Case, End
 from undeadzone.errors import UndeadzoneError
 from undeadzone.util.text import escape_controls
@@ -61,21 +61,16 @@ def _started(case: Case) -> End:
 
 def _forked(case: Case) -> End:
     """The end of a command in a process that begins as this one is; what it gives up is its own."""
-    with tempfile.TemporaryFile() as file:
-        pid = os.fork()
-        if not pid:
-            signal.alarm(LONGEST)
-            try:
-                file.write(json.dumps(_commanded(case)).encode())
-                file.flush()
-            finally:
-                os._exit(0)
-        _, status = os.waitpid(pid, 0)
-        file.seek(0)
-        told = file.read()
+
+    def ends() -> Iterator[End]:
+        """Yield the end, unless it takes too long."""
+        signal.alarm(LONGEST)
+        yield _commanded(case)
+
+    told, code = tell_apart(ends())
     if not told:
-        return End(-os.waitstatus_to_exitcode(status), "", "it died, or took too long")
-    return _without_remarks(End(*json.loads(told)))
+        return End(code, "", "it died, or took too long")
+    return _without_remarks(End(*told[0]))
 
 
 def _without_remarks(end: End) -> End:

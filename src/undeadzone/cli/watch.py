@@ -10,7 +10,6 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
-from glob import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -136,7 +135,7 @@ def watch(
 class SavedWatch:
     """State of the watch, saved in a file. Read at the start if the file exists.
 
-    A lock beside it refuses a second watch, and lets what a killed one left be removed.
+    A lock beside it refuses a second watch.
 
     Args:
         path: of the file (None: nothing is saved).
@@ -160,8 +159,6 @@ class SavedWatch:
         from undeadzone.simulation import saved_state
 
         with lock_file(path.with_name(f".{path.name}.lock"), "a+") as self.lock:
-            for left in path.parent.glob(f".{escape(path.stem)}-????????{path.suffix}"):
-                left.unlink(missing_ok=True)  # of a watch that was killed
             if path.exists():
                 saved_state.load(path, self._parts, self._digest)
                 follower.go_on()

@@ -228,7 +228,7 @@ def _blocking_reason(
     return TrackingError(
         f"reference: the path meets a singular configuration at about t = {t[0]:.4g} s, "
         f"near q = {list_numbers(before)}, where the joints' speeds have no bound, "
-        "or it is too fast for steps as long as simulation.step; move it or slow it down"
+        "or it is too fast for steps as long as simulation.step: move it or slow it down"
     )
 
 

@@ -5,10 +5,11 @@ A line's time is judged by its neighbours, the last sample before it and the lin
 * one step after the last sample: a sample, at once;
 * some steps after it: a sample behind a gap, unless the line after it fits the last sample only;
 * neither, but the line after it is one step later: a lasting jump (a clock that was set, a device
-  that started again), from which all begins anew. The first sample of a log is found so, too;
+  that started again), from which all begins anew;
 * else: a line that cannot be read.
 
-So a line that is one step after the last sample waits for nothing, any other for the next line.
+So the first line, and each that is one step after the last sample, is answered at once. Any other
+waits for the next line.
 """
 
 from __future__ import annotations
@@ -21,7 +22,6 @@ import numpy as np
 from undeadzone.logs.samples import (
     JITTER,
     LONGEST,
-    REPEATED,
     TOLERANCE,
     Fault,
     Faults,
@@ -81,7 +81,7 @@ class Clock:
         last: time of the last sample [s]; NaN before the first.
     """
 
-    SAVED: Final = ("gaps", "faults", "last", "_count")
+    SAVED: Final = ("gaps", "faults", "last", "_count", "_first")
 
     def __init__(self, step: float, source: str, strict: bool) -> None:
         self.gaps = 0
@@ -97,10 +97,12 @@ class Clock:
     @property
     def measured(self) -> float | None:
         """Return the usual time between two of the first lines [s]; None without times, or where
-        they go to and fro."""
+        quartiles differ, as of two loggers or of times that go to and fro."""
         intervals = np.diff(self._first)
-        if np.count_nonzero(intervals < 0) > REPEATED * intervals.size:
-            return None
+        if intervals.size:
+            short, long = np.quantile(intervals, [0.25, 0.75])
+            if long - short > JITTER * abs(short):
+                return None
         return usual_step(intervals[intervals > 0])
 
     def place_samples(
@@ -145,7 +147,7 @@ class Clock:
             yield from self._judge_times(samples.select_rows(part), last=False)
             self._test(samples.t[part])
         if last:
-            if np.isnan(self.last) and self._first.size > 1:
+            if 1 not in self._steps(self._first[:-1], self._first[1:]):
                 require_step(self.measured, self._step, TOLERANCE, self._source)
             yield from self._judge_times(samples.select_rows(slice(0)), last=True)
 
@@ -187,7 +189,7 @@ class Clock:
             steps = float(self._steps(self.last, t[k]))
             kind = ""
             end = k + 1
-            if steps == 1:
+            if steps == 1 or np.isnan(self.last):
                 end = int(ends[np.searchsorted(ends, k, side="right")])
             elif end < size or last:
                 kind = self._kind(steps, t[k], t[end] if end < size else None)
@@ -207,17 +209,13 @@ class Clock:
             t: its time [s].
             after: that of the line after it [s]; None: it is the last one.
         """
-        has_begun = not np.isnan(self.last)
         if after is None:
-            alone = not has_begun and self._first.size <= 1
-            return "" if steps or alone else "time"
+            return "" if steps else "time"
         fits_last = self._steps(self.last, after)
         from_here = self._steps(t, after)
         if steps:
             return "time" if fits_last and not from_here else ""
-        if fits_last or from_here != 1:
-            return "time"
-        return "jump" if has_begun else ""
+        return "time" if fits_last or from_here != 1 else "jump"
 
     def _steps(self, before: float | Floats, t: float | Floats) -> Floats:
         """Return the number of steps from times to others (of any shape); 0 if they do not fit."""

@@ -266,7 +266,8 @@ class LogReader:
 
     def _none(self) -> Samples:
         """Return samples of length 0."""
-        shapes = (np.empty(0), np.empty((0, self._p or 1)), np.empty((0, self._m or 1)))
+        inputs = 1 if self._m is None else self._m  # a signal has 0
+        shapes = (np.empty(0), np.empty((0, self._p or 1)), np.empty((0, inputs)))
         return Samples(*shapes, np.empty(0, np.int64))
 
     def _samples(self, numbers: Sequence[int], lines: Sequence[str], layout: Layout) -> Samples:

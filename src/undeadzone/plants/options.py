@@ -15,6 +15,8 @@ from undeadzone.plants.robots.geared import Gears
 from undeadzone.util.arrays import Array, require_matrix, require_number, require_series
 from undeadzone.util.toml import Kind, OptionTable
 
+ALONE = ("kind",)  # leading keys of the forms around which no loop is closed
+
 
 class Rigid(OptionTable, frozen=True, kw_only=True):
     """Options of every rigid arm of N joints. Its numbers stand in `plant.parameters`.

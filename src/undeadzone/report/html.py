@@ -15,9 +15,8 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from undeadzone import __version__
 from undeadzone.report.style import write_figure
-from undeadzone.results.feedback import describe_feedback, has_weak_feedback
-from undeadzone.results.sheet import Row
 from undeadzone.util.files import read_table, write_text
+from undeadzone.util.shown import Block
 from undeadzone.util.text import escape_controls
 
 if TYPE_CHECKING:
@@ -42,8 +41,8 @@ class Html(NamedTuple):
 def format_html(value: Any) -> str:
     """Return the HTML of a value.
 
-    An `Html` stays as it is, numbers have four digits, None is a dash, the rest is escaped text
-    with `symbols`.
+    An `Html` stays as it is, numbers have four digits, None is a dash, a list has a line for each
+    entry, the rest is escaped text with `symbols`.
     """
     if isinstance(value, Html):
         return value.text
@@ -53,6 +52,8 @@ def format_html(value: Any) -> str:
         return "yes" if value else "no"
     if isinstance(value, float):
         return escape(f"{value:.4g}")
+    if isinstance(value, list):
+        return "<br>".join(map(format_html, value))
     return typeset_symbols(escape_html(str(value)))
 
 
@@ -130,32 +131,40 @@ def build_table(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> Html:
     return Html(f'<div class="wide{narrow}"><table>{inner}</table></div>')
 
 
-def estimates_table(
-    what: str,
-    names: Iterable[str],
-    sheets: Sequence[Sequence[Row]],
-    heads: Sequence[str] = (),
-    cells: Sequence[Sequence[Any]] = (),
-) -> Html:
-    """Return a table of estimates, a sheet in each line, beside the truth if it is known.
+def answer_tables(*results: Sequence[Block]) -> list[Html]:
+    """Return what a command prints as tables, the lines that a page begins with first.
 
     Args:
-        what: has these estimates, such as an output.
-        names: of these.
-        sheets: rows of each, the same ones.
-        heads: of further columns.
-        cells: of these, for each.
+        results: blocks of a result, the first of them pairs, and of those to be compared with it.
     """
-    titles = [what]
-    for row in sheets[0]:
-        titles += [row.title_with_unit] if row.true is None else [row.title_with_unit, "true"]
-    lines = []
-    for k, (name, rows) in enumerate(zip(names, sheets, strict=True)):
-        line: list[Any] = [name]
-        for row in rows:
-            line += [row.page_cell] if row.true is None else [row.page_cell, row.true]
-        lines.append([*line, *(cells[k] if cells else ())])
-    return build_table((*titles, *heads), lines)
+    columns: list[Any] = [blocks[0] for blocks in results]
+    others: list[Any] = [*results[0][1:]]
+    head = ("what", "value", *["compared with"] * (len(columns) - 1))
+    rows = [(name, *(column.get(name) for column in columns)) for name in columns[0]]
+    parts = [build_table(head, part) for part in filter(None, (rows[:MOST], rows[MOST:]))]
+    for block in others:
+        is_text = isinstance(block, str)
+        parts.append(build_paragraph(block) if is_text else build_table(block[0], block[1:]))
+    return parts
+
+
+def fold_numbers(summary: Mapping[str, Any]) -> Html:
+    """Return every number of a result's summary by its name in JSON; they show on a click."""
+    return fold_section("All numbers", build_table(("name", "value"), _name_numbers("", summary)))
+
+
+def _name_numbers(name: str, value: Any) -> list[tuple[str, Any]]:
+    """Return the numbers in a value, each with its dotted name."""
+    if isinstance(value, Mapping):
+        entries = {f"{name}.{key}": each for key, each in value.items()}
+    elif isinstance(value, list | tuple):
+        entries = {f"{name}[{k}]": each for k, each in enumerate(value)}
+    else:
+        return [(name.removeprefix("."), value)]
+    named: list[tuple[str, Any]] = []
+    for entry in entries.items():
+        named += _name_numbers(*entry)
+    return named
 
 
 def verdict_line(*parts: tuple[str, str]) -> Html:
@@ -172,15 +181,6 @@ def choose_verdict(good: bool, yes: str = "yes", no: str = "no") -> tuple[str, s
 def widths_verdict(all_of_them: bool) -> tuple[str, str]:
     """Return whether every width is identifiable, for a verdict."""
     return choose_verdict(all_of_them, "every width can be known", "not every width can be known")
-
-
-def feedback_html(listens: Sequence[float | None]) -> Html | None:
-    """Return the strength of the feedback to each z^, marked if weak."""
-    if not listens:
-        return None
-    return build_tag(
-        "span", describe_feedback(listens), "mid" if has_weak_feedback(listens) else ""
-    )
 
 
 def _table_row(cells: Sequence[Any], numeric: Sequence[bool]) -> Html:

@@ -12,7 +12,6 @@ import numpy as np
 from undeadzone.observers.filtering.consistency import FAR
 from undeadzone.observers.filtering.prior import CHANCE
 from undeadzone.report import html, ink
-from undeadzone.report.run_page import further_tables
 from undeadzone.report.style import (
     DASHED,
     create_panels,
@@ -21,12 +20,7 @@ from undeadzone.report.style import (
     shade_gap,
     shade_zone,
 )
-from undeadzone.results.estimation import (
-    Estimation,
-    log_actuator_rows,
-    log_gap_rows,
-    log_width_rows,
-)
+from undeadzone.results.estimation import Estimation
 from undeadzone.util.arrays import bounds_of_runs
 from undeadzone.util.text import label_with_unit
 
@@ -45,11 +39,7 @@ _TEST = (
     "plant, about 1. "
     "A reading beyond 4.5 standard deviations is refused by the test."
 )
-VERDICTS: Final = {
-    True: ("yes", "yes"),
-    False: ("no", "no"),
-    None: ("that cannot be tested", "mid"),
-}
+STYLES: Final = {True: "yes", False: "no", None: "mid"}  # of an answer about consistency
 POINTS = 20_000  # samples that a line shows at most
 MOST_GAPS = 100  # that are shaded: more could not be distinguished
 
@@ -97,56 +87,18 @@ def estimation_page(
         origin: data to compute the same again (None: unknown).
     """
     info = result.info
-    words, style = VERDICTS[info.consistent]
+    blocks = result.blocks()
+    pairs: Any = blocks[0]
+    answer = html.build_tag("span", f"Consistent: {pairs['consistent']}", STYLES[info.consistent])
     pictures = html.encode_pictures(images, {"figure": _OVERVIEW}).values()
-    question = f"Does the record agree with the observer? {words}"
-    head = html.build_paragraph(html.build_tag("span", question, style))
-    found = [
-        _log_width_table(result),
-        *further_tables(result.outputs, log_actuator_rows(info), log_gap_rows(info)),
-    ]
-    reasons = [
-        html.build_paragraph(f"{reason[:1].upper()}{reason[1:]}.") for reason in info.reasons
-    ]
+    first, *rest = html.answer_tables(blocks)
     return html.build_page(
         info.title,
-        head,
-        *reasons,
-        html.build_section("Along the log", *found, *pictures, html.build_paragraph(_TEST, "note")),
-        html.build_section(
-            "The log", html.build_table(("what", "value"), list(_log_numbers(result).items()))
-        ),
+        html.build_paragraph(answer),
+        html.build_section("Along the log", first, *pictures, html.build_paragraph(_TEST, "note")),
+        html.build_section("The log", *rest, html.fold_numbers(result.summary())),
         origin=origin,
     )
-
-
-def _log_width_table(result: Estimation) -> html.Html:
-    """Return the final widths of each output, and the number of readings on each branch."""
-    info = result.info
-    counts = list(zip(info.right, info.left, info.silent, strict=True))
-    heads = ("readings right", "left", "silent")
-    return html.estimates_table("output", result.outputs, log_width_rows(info), heads, counts)
-
-
-def _log_numbers(result: Estimation) -> dict[str, Any]:
-    """Return the numbers of a log by their descriptions."""
-    info = result.info
-    return {
-        "log": info.source,
-        "columns": info.columns,
-        "observer": f"{info.method}, step {info.step:g} s",
-        "usual time between samples [s]": info.measured_step,
-        "samples": info.samples,
-        "missing": info.missing,
-        "of these in gaps": info.gaps,
-        "lines that could not be read": info.unreadable,
-        "B at the end": info.B,
-        "mean square of normalised innovations": info.square,
-        "readings used": info.used,
-        "readings taken for wrong": info.glitches,
-        "silent far outside the zone": info.silent_outside,
-        "smoothed with the whole log": result.z_smooth is not None,
-    }
 
 
 def log_overview(result: Estimation) -> Figure:

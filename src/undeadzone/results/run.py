@@ -32,11 +32,11 @@ from undeadzone.util.text import count_noun, interval_95, label_with_unit
 
 LAST: Final = 2.0  # [s] over which errors are measured
 FRAMES: Final = 25  # per second, of an arm's poses
-ERRORS: Final = {  # over the end of a run: names on a terminal, and on a page
-    "rms_tracking": ("rms z - r", "rms of z − r"),
-    "rms_estimation": ("rms z - z^", "rms of z − z^"),
-    "rms_behind_play": ("rms y/m - r", "rms of y / m − r"),
-    "rms_tip": ("rms tip", "rms distance of the tip from its path"),
+ERRORS: Final = {  # over the end of a run: names in words
+    "rms_tracking": "rms z - r",
+    "rms_estimation": "rms z - z^",
+    "rms_behind_play": "rms y/m - r",
+    "rms_tip": "rms tip",
 }
 INEXACT: Final = 0.01  # of the largest |z|: an integration error above this is a failure
 
@@ -323,7 +323,7 @@ def final_error_rows(run: Run) -> list[Row]:
     last = f"last {run.lasting:g} s"
     unit = run.info.units.output
     rows = []
-    for key, (name, title) in ERRORS.items():
+    for key, name in ERRORS.items():
         value = getattr(run, key)
         of = unit
         note = f" ({last})"
@@ -331,13 +331,12 @@ def final_error_rows(run: Run) -> list[Row]:
             of = "m"
             note = f" from its path ({last})"
         if value is not None:
-            rows.append(Row(name, f"{title}, {last}", value, of, key=key, form=".4g", note=note))
+            rows.append(Row(name, value, of, key=key, form=".4g", note=note))
     if run.info.tips:
         found, blind = run.info.tips
         note = f" ({last}; by the encoders alone {blind:.4g} m)"
-        title = f"rms distance of tip^ from the tip, {last}"
         key = "rms_tip_estimation"
-        rows.append(Row("rms tip - tip^", title, found, "m", key=key, form=".4g", note=note))
+        rows.append(Row("rms tip - tip^", found, "m", key=key, form=".4g", note=note))
     return rows
 
 
@@ -347,7 +346,7 @@ def final_parameter_rows(run: Run) -> list[Row]:
     for name, found in run.parameters.items():
         note = f" (true {found['true']:g})"
         std = found["std"]
-        rows.append(Row(name, f"{name}, estimated", found["estimate"], std=std, note=note))
+        rows.append(Row(name, found["estimate"], std=std, note=note))
     return rows
 
 
@@ -372,7 +371,7 @@ def lost_motion_rows(run: Run) -> list[Row]:
         note = f" at {torque:.3g} N m{parts}"
         label = f"lost motion of {name}"
         both = math.hypot(gap.std or 0.0, std)
-        rows.append(Row(label, label, gap.value + wound, gap.unit, both, least=0.0, note=note))
+        rows.append(Row(label, gap.value + wound, gap.unit, both, least=0.0, note=note))
     return rows
 
 
@@ -393,7 +392,7 @@ def wear_rows(run: Run) -> list[Row]:
         note = f": {'wears' if grows else 'no wear shows'}; right {right:.2g}, left {left:.2g}"
         unit = f"{run.info.units.output}/s"
         label = f"gap of {name} grows by"
-        rows.append(Row(label, label, 2 * found["estimate"], unit, 2 * found["std"], note=note))
+        rows.append(Row(label, 2 * found["estimate"], unit, 2 * found["std"], note=note))
     return rows
 
 

@@ -1,7 +1,7 @@
 """Numbers of a result, each defined once for JSON, a terminal, a notebook and a page.
 
-A row has a value and all known facts about it. JSON takes key and value. A terminal and a notebook
-take label and `words`. A page takes title and `page_cell`, as `estimates_table` sets them.
+A row has a value and all known facts about it. JSON takes key and value. A terminal, a notebook and
+a page take label and `words`.
 """
 
 from __future__ import annotations
@@ -13,29 +13,27 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from undeadzone.util.arrays import to_json_value
-from undeadzone.util.text import append_unit, format_with_interval, label_with_unit
+from undeadzone.util.text import append_unit, format_with_interval
 
 
 class Row(NamedTuple):
     """Number of a result.
 
     Attributes:
-        label: its name on a terminal.
-        title: its name on a page.
+        label: its name in words.
         value: the number.
         unit: its unit (1: none).
         std: its standard deviation (None: not known).
         true: the truth (None: unknown).
         key: of the number in a summary (empty: it stands there otherwise).
         form: of the number if it has no deviation.
-        note: text behind it on a terminal.
+        note: text behind it.
         least, most: ends of the range in which the number is known to lie.
         withheld: whether no more than that range can be known of it.
         narrowed: whether an estimate narrows that range a little.
     """
 
     label: str
-    title: str
     value: float | None
     unit: str = "1"
     std: float | None = None
@@ -71,16 +69,6 @@ class Row(NamedTuple):
         truth = "" if self.true is None else f" (true {self.true:.6g})"
         return f"{append_unit(self.value_with_interval, self.unit)}{truth}{self.note}"
 
-    @property
-    def page_cell(self) -> Any:
-        """Return the value for a page: a number, or text if its interval is known."""
-        return self.value if self.std is None and not self.withheld else self.value_with_interval
-
-    @property
-    def title_with_unit(self) -> str:
-        """Return the title with the unit."""
-        return label_with_unit(self.title, self.unit)
-
 
 def format_number(value: float | None, form: str = ".4g", none: str = "nan") -> str:
     """Return a number as text.
@@ -112,11 +100,6 @@ def rows_to_text(rows: Iterable[Row]) -> dict[str, str]:
 def rows_to_json(rows: Iterable[Row]) -> dict[str, float | None]:
     """Return rows for a summary, values by key."""
     return {row.key: row.value for row in rows}
-
-
-def rows_to_page(rows: Iterable[Row]) -> dict[str, Any]:
-    """Return rows for a page, cells by title."""
-    return {row.title_with_unit: row.page_cell for row in rows}
 
 
 def build_width_rows(
@@ -164,19 +147,17 @@ def _build_side_rows(
         ranges: [lo, hi] of right and left.
         unit: of all.
     """
-    letter = "c" if name == "gap" else name
     rows = []
     for k, side in enumerate(("right", "left")):
         std = found[2 + k] if len(found) > 2 else None
         truth = None if true is None else true[k]
-        row = Row(f"{name}_{side}", f"{letter}_{side[0]}^", found[k], unit, std, truth)
+        row = Row(f"{name}_{side}", found[k], unit, std, truth)
         row = row._replace(least=ranges[k][0], most=ranges[k][1])
         absent = row._replace(unit="", true=None, least=math.inf)
         rows.append(absent if found[k] == math.inf else row)
     if name == "gap":
-        title = " + ".join(row.title for row in rows)
         total = None if true is None else sum(true)
-        rows.append(Row("gap_right + gap_left", title, sum(found[:2]), unit, found[4], total))
+        rows.append(Row("gap_right + gap_left", sum(found[:2]), unit, found[4], total))
     return rows
 
 
@@ -198,8 +179,8 @@ def build_gear_rows(
     rows = []
     for i, (right, left) in enumerate(widths):
         sides = (right.value, left.value)
-        gap = right._replace(label="gap", title="gap", value=_add(*sides), std=None)
-        centre = right._replace(label="centre", title="centre", value=_add(*sides, -1.0, 0.5))
+        gap = right._replace(label="gap", value=_add(*sides), std=None)
+        centre = right._replace(label="centre", value=_add(*sides, -1.0, 0.5))
         gap = gap._replace(true=_add(right.true, left.true), least=0.0)
         centre = centre._replace(true=_add(right.true, left.true, -1.0, 0.5), std=None)
         centre = centre._replace(least=-math.inf, most=math.inf)

@@ -18,6 +18,7 @@ from typing import Any, Final
 import msgspec
 
 from undeadzone.errors import FileError, InputError
+from undeadzone.plants.options import ALONE
 from undeadzone.registry import decode_field
 from undeadzone.scenario.address import alike, require_finite, with_entries
 from undeadzone.scenario.messages import explain
@@ -25,11 +26,11 @@ from undeadzone.scenario.schema import Scenario
 from undeadzone.util.arrays import parse_matlab_matrix
 from undeadzone.util.files import (
     LARGEST_TABLE,
+    convert_read_errors,
     read_bytes,
     read_table,
     read_text,
     to_path,
-    unreadable_file,
 )
 from undeadzone.util.toml import require_short_keys
 
@@ -137,12 +138,8 @@ _KNOW_THE_WIDTHS: Final = ("oracle", "full_state")  # methods that take the sens
 
 def _text(path: Path) -> str:
     """Return the text of a file. Raises FileError."""
-    try:
+    with convert_read_errors(path):
         return read_text(path)
-    except UnicodeDecodeError:
-        raise FileError(f"{path}: cannot read: not UTF-8 text. Save it as UTF-8") from None
-    except (OSError, ValueError) as error:
-        raise unreadable_file(path, error) from None
 
 
 @contextmanager
@@ -196,8 +193,8 @@ def convert(data: dict[str, Any], folder: Path = Path()) -> Scenario:
         require_finite(data, "")
         data = with_entries(data)
         plant = data.get("plant")
-        if isinstance(plant, dict) and plant.get("kind") is not None:
-            data = _complete_tables(data)  # no loop is closed around a signal
+        if isinstance(plant, dict) and any(plant.get(form) is not None for form in ALONE):
+            data = _complete_tables(data)
         if "compare" in data:
             data["compare"] = alike(data["compare"], data.get("observer"))
         scenario = msgspec.convert(data, Scenario, dec_hook=decode_field)

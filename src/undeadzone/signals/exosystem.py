@@ -19,7 +19,7 @@ import numpy as np
 from undeadzone.errors import FileError, InputError
 from undeadzone.signals.paths import Circle, FigureEight, Path, Quintic, build_curve
 from undeadzone.util.arrays import Array, Floats, require_number, require_vector
-from undeadzone.util.files import LARGEST_TABLE, failure_reason, read_text
+from undeadzone.util.files import LARGEST_TABLE, convert_read_errors, read_text
 from undeadzone.util.toml import Kind, OptionTable
 
 Derivatives = Callable[[Floats], Floats]
@@ -405,13 +405,9 @@ def read_csv(key: str, path: str, channels: int) -> tuple[Floats, Floats]:
 
 def _read_cells(key: str, path: str) -> list[list[str]]:
     """Read the cells of a CSV file without empty lines and comments. Raises FileError."""
-    try:
+    with convert_read_errors(f"{key}.path: {path}"):
         lines = io.StringIO(read_text(path, LARGEST_TABLE).removeprefix("\ufeff"), newline="")
         return [row for row in csv.reader(lines) if row and not row[0].lstrip().startswith("#")]
-    except UnicodeDecodeError:
-        raise FileError(f"{key}.path: cannot read {path}: not UTF-8 text") from None
-    except (OSError, ValueError, csv.Error) as error:
-        raise FileError(f"{key}.path: cannot read {path}: {failure_reason(error)}") from None
 
 
 def _require_sample(where: str, row: list[str], channels: int) -> None:

@@ -38,9 +38,9 @@ from undeadzone.simulation.identifiability import (
     late_inputs,
     linear_verdicts,
     mark_excluded_widths,
-    note_prior_widths,
     widths_with_unknown_actuator,
     with_cures,
+    with_prior,
     withdrawn,
 )
 from undeadzone.simulation.loop import Outputs
@@ -104,9 +104,10 @@ def _verdicts_on_gaps(
     path = problem.path
     step = problem.scenario.simulation.step
     model = problem.model
+    told = model.gears
     estimate = signal.estimate
     assert gears is not None
-    assert model.gears is not None
+    assert told is not None
     assert path is not None
     traits = problem.observer.traits
     N = gears.joint_count
@@ -128,7 +129,7 @@ def _verdicts_on_gaps(
         if traits.halves is None:
             return False
         half = traits.halves[i]
-        gap, std = replay_gap(model.gears, model.params, i, log, detector, (half, friction), step)
+        gap, std = replay_gap(told, model.params, i, log, detector, (half, friction), step)
         narrowed = _is_narrower(gap, std, half)
         if narrowed:
             shift[:, i] = (gap - estimate.right[:, i] - estimate.left[:, i]) / 2
@@ -136,7 +137,9 @@ def _verdicts_on_gaps(
         return narrowed
 
     verdicts = gap_identifiability(gears, plant.params, signal.x, along, step, detector, narrow)
-    return verdicts * (plant.p // N), _change_gaps(estimate, shift, added)
+    if added.any():
+        estimate = _change_gaps(estimate, shift, added)
+    return verdicts * (plant.p // N), estimate
 
 
 def _is_narrower(gap: float, std: float, half: Floats) -> bool:
@@ -274,11 +277,7 @@ def _verdicts_along(problem: Problem, signal: Outputs) -> list[WidthIdentifiabil
             centre_std,
         )
 
-    found = width_verdicts(None, None)
-    if traits.start_std is not None or traits.centre_std is not None:
-        with_prior = width_verdicts(traits.start_std, traits.centre_std)
-        found = [note_prior_widths(traits, *pair) for pair in zip(found, with_prior, strict=True)]
-    return with_cures(problem, found, signal.z)
+    return with_cures(problem, with_prior(traits, width_verdicts), signal.z)
 
 
 def tips(problem: Problem, x: Floats, x_hat: Floats, t: Floats) -> dict[str, Floats]:

@@ -5,7 +5,7 @@ A simulation also knows the false ones among the assumed ranges, and the remedie
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -22,8 +22,8 @@ from undeadzone.analysis.identifiability.information import (
 from undeadzone.analysis.identifiability.linear import (
     MARGIN,
     WidthIdentifiability,
-    describe_vague_widths,
-    largest_deviations,
+    judge_widths,
+    limit_to_deviations,
     width_identifiability,
 )
 from undeadzone.analysis.identifiability.nonlinear import prior_rows
@@ -41,7 +41,6 @@ from undeadzone.scenario.problem import Problem
 from undeadzone.simulation.loop import Outputs
 from undeadzone.util.arrays import LARGEST, Floats, shift_rows
 
-NEGLIGIBLE = 1e-6  # share of the motion's range: a smaller deviation is known, also of width 0
 ROUNDING: Final = 1e-9  # share of a gap by which an assumed one may miss it
 NONE: Final[dict[str, Any]] = dict.fromkeys(DIRECTIONS, False)  # no width is known
 
@@ -59,33 +58,50 @@ def linear_verdicts(
         arrive: share of each output's readings that arrive (p).
     """
     linear = problem.model.linear
-    sensor = problem.sensor
-    bias = constant_inputs(problem, linear.B)
-    if sensor.kind == "jump":
-        return width_identifiability(linear, schedule, bias, jump=True)
-    if sensor.play is not None:
-        return _of_both(problem, schedule, arrive)
-    readings = readings_of(problem, schedule, arrive)
-    alone = _with_deviations(problem, schedule, readings._replace(prior=None))
-    if readings.prior is None:
+    if problem.sensor.kind == "jump":
+        return width_identifiability(linear, schedule, constant_inputs(problem), jump=True)
+    judge = _judge_zone if problem.sensor.play is None else _judge_both
+
+    def verdicts(start_std: Floats | None, centre_std: Floats | None) -> list[WidthIdentifiability]:
+        """Return the verdicts with a prior."""
+        readings = readings_of(problem, schedule, arrive, start_std, centre_std)
+        return judge(problem, schedule, readings)
+
+    return with_prior(problem.observer.traits, verdicts)
+
+
+def with_prior(
+    traits: Traits, judge: Callable[[Floats | None, Floats | None], list[WidthIdentifiability]]
+) -> list[WidthIdentifiability]:
+    """Return the verdicts with an observer's prior, with a note on widths known by it alone.
+
+    Args:
+        traits: of the observer.
+        judge: returns the verdicts with deviations of x(0) (n) and of centres (p), None if unknown.
+    """
+    alone = judge(None, None)
+    sources = {"start": traits.start_std, "centre": traits.centre_std}
+    names = [name for name, std in sources.items() if std is not None]
+    if not names:
         return alone
-    with_prior = _with_deviations(problem, schedule, readings)
-    return [
-        note_prior_widths(problem.observer.traits, *pair)
-        for pair in zip(alone, with_prior, strict=True)
-    ]
+    judged = []
+    for without, verdict in zip(alone, judge(*sources.values()), strict=True):
+        new = [name for name in DIRECTIONS if getattr(verdict, name) > getattr(without, name)]
+        note = f"{', '.join(new)} from the declared {' and '.join(names)} alone"
+        judged.append(verdict.add_reasons(note) if new else without)
+    return judged
 
 
-def _with_deviations(
+def _judge_zone(
     problem: Problem, schedule: Schedule, readings: ReadingConditions
 ) -> list[WidthIdentifiability]:
     """Return verdicts with the deviations of the widths, from the readings and the prior."""
-    linear = problem.model.linear
-    bias = readings.bias
-    prior = readings.prior
-    expected = optimal_deviations(linear, schedule, readings)
+    expected = optimal_deviations(problem.model.linear, schedule, readings)
+    visited = schedule.branch_visits(problem.model.n)
     judged = []
-    for i, verdict in enumerate(width_identifiability(linear, schedule, bias, prior=prior)):
+    for i, verdict in enumerate(
+        judge_widths(expected.hidden, schedule, visited, readings.prior is None)
+    ):
         known = as_far_as_known(problem, schedule, verdict, i, expected.widths[i])
         judged.append(known._replace(second=_second(problem, expected, readings, i)))
     return judged
@@ -109,12 +125,13 @@ def _second(
     return indistinguishable_widths(*found, np.eye(n, size), constants)
 
 
-def _of_both(problem: Problem, schedule: Schedule, arrive: Floats) -> list[WidthIdentifiability]:
-    """Return the identifiability behind a play and a dead zone (arguments of `linear_verdicts`)."""
+def _judge_both(
+    problem: Problem, schedule: Schedule, readings: ReadingConditions
+) -> list[WidthIdentifiability]:
+    """Return the identifiability behind a play and a dead zone, as `_judge_zone` does."""
     judged = []
     play = problem.sensor.play
     assert play is not None
-    readings = readings_of(problem, schedule, arrive)
     for i, one in enumerate(gap_and_width_information(problem.model.linear, schedule, readings)):
         assert one.zone.std is not None
         zone = as_far_as_known(problem, schedule, one.zone, i, one.zone.std)
@@ -127,20 +144,30 @@ def _of_both(problem: Problem, schedule: Schedule, arrive: Floats) -> list[Width
     return judged
 
 
-def readings_of(problem: Problem, schedule: Schedule, arrive: Floats) -> ReadingConditions:
-    """Return the readings and the prior on the widths (arguments of `linear_verdicts`)."""
+def readings_of(
+    problem: Problem,
+    schedule: Schedule,
+    arrive: Floats,
+    start_std: Floats | None = None,
+    centre_std: Floats | None = None,
+) -> ReadingConditions:
+    """Return the readings and the prior on the widths.
+
+    Args:
+        problem, schedule, arrive: as of `linear_verdicts`.
+        start_std, centre_std: of the prior, as of `prior_rows`.
+    """
     simulation = problem.scenario.simulation
     disturbance = problem.scenario.disturbance
-    traits = problem.observer.traits
     model = problem.model
     least = EXACT * float(schedule.levels.max(initial=0.0)) or EXACT
-    prior = prior_rows(model.n, model.p, traits.start_std, traits.centre_std, least)
+    prior = prior_rows(model.n, model.p, start_std, centre_std, least)
     return ReadingConditions(
         noise=problem.sensor.rms,
         step=simulation.step,
         duration=simulation.duration,
         arrive=arrive,
-        bias=constant_inputs(problem, model.linear.B),
+        bias=constant_inputs(problem),
         colour=unknown_inputs(disturbance, model.linear.B, simulation.duration),
         prior=prior if len(prior) else None,
         gaps_known=gaps_known(problem),
@@ -174,17 +201,9 @@ def as_far_as_known(
         i: the output.
         std: deviations by name.
     """
-    sensor = problem.sensor
+    widths = problem.sensor.right[i], problem.sensor.left[i]
     swing = float(schedule.high[i] - schedule.low[i])
-    right = sensor.right[i]
-    left = sensor.left[i]
-    negligible = NEGLIGIBLE * swing
-    most = largest_deviations(right, left, swing, negligible)
-    known: dict[str, Any] = {
-        name: getattr(verdict, name) and std[name] <= most[name] for name in DIRECTIONS
-    }
-    reasons = (*verdict.reasons, *describe_vague_widths(std, most, right, left))
-    return WidthIdentifiability(**known, reasons=reasons, std=std)
+    return limit_to_deviations(verdict, std, *widths, swing)
 
 
 def actuator_unknown(problem: Problem) -> bool:
@@ -210,7 +229,7 @@ def widths_with_unknown_actuator(
     visible = (np.abs(signal.side) == 1).any(axis=1) & np.isfinite(signal.y).all(axis=1)
     modes = actuator_modes(late_inputs(problem, signal), visible, drive, linear.A.shape[0])
     return sensor_actuator_identifiability(
-        linear, schedule, modes, drive, constant_inputs(problem, linear.B)
+        linear, schedule, modes, drive, constant_inputs(problem)
     ).outputs
 
 
@@ -219,35 +238,11 @@ def late_inputs(problem: Problem, signal: Outputs) -> Floats:
     return shift_rows(signal.u, problem.plant.delay, np.zeros(1, int))
 
 
-def note_prior_widths(
-    traits: Traits, alone: WidthIdentifiability, with_prior: WidthIdentifiability
-) -> WidthIdentifiability:
-    """Return the verdict with an observer's prior, with a note on widths known by the prior alone.
-
-    Args:
-        traits: of the observer.
-        alone: the verdict by readings alone.
-        with_prior: the verdict with the prior.
-    """
-    gained = [name for name in DIRECTIONS if getattr(with_prior, name) and not getattr(alone, name)]
-    if not gained:
-        return alone
-    sources = {"start": traits.start_std, "centre": traits.centre_std}
-    names = [name for name, std in sources.items() if std is not None]
-    return with_prior.add_reasons(
-        f"{', '.join(gained)} from the declared {' and '.join(names)} alone"
-    )
-
-
-def constant_inputs(problem: Problem, B: Floats) -> Floats | None:
-    """Return the columns of B on which the scenario's disturbance leaves an unknown constant.
-
-    Args:
-        problem: the scenario's parts.
-        B: inputs (n x m).
-    """
+def constant_inputs(problem: Problem) -> Floats | None:
+    """Return the columns of B on which the scenario's disturbance leaves an unknown constant."""
     scenario = problem.scenario
-    return unknown_bias(scenario.disturbance, B, scenario.simulation.duration)
+    duration = scenario.simulation.duration
+    return unknown_bias(scenario.disturbance, problem.model.linear.B, duration)
 
 
 def mark_excluded_widths(

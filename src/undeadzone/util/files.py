@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import difflib
+import errno
+import functools
 import io
 import os
 import stat
@@ -11,7 +13,7 @@ import tempfile
 import tomllib
 import zipfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO, Final, TypeAlias
 
@@ -25,6 +27,8 @@ LARGEST_RUN: Final = 4_000_000_000  # [bytes] of the signals of one run
 # Number of the meanings that keys have, in files and in JSON alike (docs/versions.md). It is raised
 # when a key goes or changes its meaning; keys may be added.
 SCHEMA: Final = 3
+HIDDEN: Final = ".undeadzone-"  # what the name of a file begins with while it is written
+NO_ROOM: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def require_schema(schema: int | None, path: object) -> None:
@@ -43,12 +47,12 @@ def require_schema(schema: int | None, path: object) -> None:
 
 @contextmanager
 def convert_read_errors(
-    path: Path, otherwise: str = "cannot read", cure: str = ""
+    path: Name, otherwise: str = "cannot read", cure: str = ""
 ) -> Iterator[None]:
     """Provide a block that reads a file, whose failures of any kind become FileError.
 
     Args:
-        path: of the file.
+        path: of the file, behind the key that names it.
         otherwise: what to say of a content that its decoders refuse.
         cure: sentence that follows.
     """
@@ -58,8 +62,10 @@ def convert_read_errors(
         raise
     except OSError as error:
         raise unreadable_file(path, error) from None
+    except UnicodeDecodeError:
+        raise FileError(f"{path}: cannot read: not UTF-8 text. Save it as UTF-8") from None
     except Exception as error:  # readers of zip archives and headers raise any kind
-        raise FileError(f"{path}: {otherwise} ({error}){cure}") from None
+        raise FileError(f"{path}: {otherwise}: {error}{cure}") from None
 
 
 @contextmanager
@@ -77,8 +83,9 @@ def convert_write_errors(path: Path) -> Iterator[None]:
 def replace_file(path: Path) -> Iterator[Path]:
     """Provide a temporary path beside `path` that takes its name once written.
 
-    Nothing is left half-written. A link of that name is replaced, and not its target. A device or a
-    pipe is not replaced.
+    Nothing is left half-written: what a killed process left is removed by the next one that writes
+    in this folder. A link of that name is replaced, and not its target. A device or a pipe is not
+    replaced.
 
     Raises:
         FileError: the file cannot be written.
@@ -88,8 +95,11 @@ def replace_file(path: Path) -> Iterator[Path]:
         if path.exists():  # a device or a pipe is never replaced
             require_plain_file(path)
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(path.suffix, f".{path.stem}-", path.parent)
-        os.close(handle)
+        _remove_leftovers(path.parent)
+        handle, name = tempfile.mkstemp(path.suffix, HIDDEN, path.parent)
+        is_held = _hold(handle)
+        if not is_held:
+            os.close(handle)
     try:
         yield Path(name)
         os.chmod(name, 0o666 & ~_process_umask())
@@ -98,6 +108,36 @@ def replace_file(path: Path) -> Iterator[Path]:
         raise FileError(f"{path}: cannot write: {failure_reason(error)}") from None
     finally:
         Path(name).unlink(missing_ok=True)
+        if is_held:
+            os.close(handle)
+
+
+@functools.cache
+def _remove_leftovers(folder: Path) -> None:
+    """Remove the files of a folder that killed processes were writing: nobody holds them."""
+    for path in folder.glob(f"{HIDDEN}*"):
+        with suppress(OSError), open(path, "rb") as file:
+            if _hold(file.fileno()):
+                path.unlink()
+
+
+def _hold(handle: int) -> bool | None:
+    """Lock a file as long as it is open.
+
+    Return whether this process has it, None if the system has no locks, as some network file
+    systems.
+    """
+    if sys.platform == "win32":
+        return None
+    import fcntl
+
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:
+        return None
+    return True
 
 
 @contextmanager
@@ -105,12 +145,16 @@ def open_scratch() -> Iterator[Path]:
     """Provide a temporary folder, removed at the end.
 
     Raises:
-        FileError: the system refuses a file there (a full disk, a limit, no such folder).
+        FileError: the system refuses the folder, or room for a file.
     """
+    made = False
     try:
         with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as name:
+            made = True
             yield Path(name)
     except OSError as error:
+        if made and error.errno not in NO_ROOM:
+            raise
         raise FileError(
             f"temporary files: {failure_reason(error)}. Make room there, or set TMPDIR"
         ) from None
@@ -240,19 +284,9 @@ def _lock_exclusively(path: Path, file: io.FileIO) -> None:
     Raises:
         FileError: another process has it.
     """
-    if sys.platform == "win32":
-        return
-    import fcntl
-
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        # Another process may have finished and removed it between opening and locking.
-        used = not os.fstat(file.fileno()).st_nlink
-    except BlockingIOError:
-        used = True
-    except OSError:  # some network file systems have no locks
-        return
-    if used:
+    is_held = _hold(file.fileno())
+    # Another process may have finished and removed it between opening and locking.
+    if is_held is False or (is_held and not os.fstat(file.fileno()).st_nlink):
         raise FileError(
             f"{path}: another process is writing it. Wait for it, or choose another name"
         )

@@ -141,7 +141,7 @@ def _relative_width_errors(
     if actuator_unknown(problem):
         judged = widths_with_unknown_actuator(problem, out, schedule)
     else:
-        bias = constant_inputs(problem, linear.B)
+        bias = constant_inputs(problem)
         judged = width_identifiability(linear, schedule, bias, sensor.kind == "jump")
     off = estimated[-1] - truth
     size = truth.sum(axis=0)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
+
+import msgspec
 
 from undeadzone.report.html import (
     MOST,
@@ -15,8 +16,8 @@ from undeadzone.report.html import (
     build_paragraph,
     build_section,
     build_table,
-    build_tag,
     encode_pictures,
+    fold_numbers,
     fold_section,
     pick_pictures,
     write_page,
@@ -55,6 +56,7 @@ RULES: Final = (
     "too.",
     "Numbers were tuned on other scenarios, with the same budget for all.",
 )
+SHORT: Final = (1, 2, 4, 5)  # columns of the leaderboard that a page begins with
 _WORDS: Final = read_table(__file__)
 
 
@@ -103,17 +105,23 @@ def panel(axes: Axes, contest: Contest) -> None:
 def arena_page(contest: Contest, images: Mapping[str, bytes], origin: Origin | None = None) -> str:
     """Return the HTML of the page. `images` are SVGs by the names of `arena_figures`."""
     pictures = encode_pictures(images, _WORDS["captions"])
-    every = fold_section(
-        "All numbers",
-        _full_table(contest),
+    blocks: Any = contest.blocks()
+    (head, *rows), *notes = blocks
+    ranked = [[row[k] for k in SHORT] for row in rows if row[0].isdigit()]
+    numbers = {row.method: msgspec.structs.asdict(row) for row in contest.rows}
+    every = fold_section("All methods", build_table(head, rows), *map(build_paragraph, notes))
+    leaders = [
+        build_table([head[k] for k in SHORT], ranked[:MOST]),
+        *pick_pictures(pictures, "leaderboard"),
+        every,
+        fold_numbers(numbers),
         build_paragraph(_WORDS["note"], "note"),
-    )
-    ranked = [_top_table(contest), *pick_pictures(pictures, "leaderboard"), every]
+    ]
     rules = [*map(build_paragraph, RULES), _refusal_table(contest), _knob_table(contest)]
     return build_page(
         "The arena",
         _leader_text(contest),
-        build_section("Leaderboard", *ranked),
+        build_section("Leaderboard", *leaders),
         build_section(
             "Scenario by scenario", *pick_pictures(pictures, "scenarios"), _scenario_table(contest)
         ),
@@ -122,33 +130,6 @@ def arena_page(contest: Contest, images: Mapping[str, bytes], origin: Origin | N
         build_section("Rules", *rules),
         origin=origin,
     )
-
-
-def _top_table(contest: Contest) -> Html:
-    """Return a table of the best methods in a few numbers."""
-    rows = []
-    for row in contest.contestants[:MOST]:
-        regret = regret_text(row.median_regret, row.median_interval)
-        rows.append((row.method, regret, f"{row.worst_regret:.3f}, {row.worst_scenario}"))
-    return build_table(("method", "median regret", "worst, where"), rows)
-
-
-def _full_table(contest: Contest) -> Html:
-    """Return a table of all numbers of every method, names of reference lines in grey."""
-    columns = _WORDS["columns"]
-    numbers = attrgetter(*columns)
-    rows = []
-    for row in contest.rows:
-        name = build_tag("span", row.method, "note" * row.reference)
-        rows.append((name, *map(_page_cell, numbers(row))))
-    return build_table(("method", *columns.values()), rows)
-
-
-def _page_cell(value: Any) -> Any:
-    """Return the cell of a field: an interval in brackets, a number to three digits, words."""
-    if isinstance(value, tuple):
-        return f"[{value[0]:.3f}, {value[1]:.3f}]"
-    return float(f"{value:.3g}") if isinstance(value, float) else value
 
 
 def contest_size_text(contest: Contest) -> str:
@@ -171,7 +152,7 @@ def _leader_text(contest: Contest) -> Html:
     text += f"; its worst is {first.worst_regret:.3f}, on {first.worst_scenario}."
     if rest:
         second = rest[0]
-        behind = f"{second.behind:.3f} behind in the median {_page_cell(second.behind_interval)}"
+        behind = f"{regret_text(second.behind, second.behind_interval)} behind in the median"
         steady = min(contest.contestants, key=lambda row: row.worst_regret)
         text += f" Next: {second.method}, {second.median_regret:.3f}"
         text += f"; on the same scenario it is {behind}."

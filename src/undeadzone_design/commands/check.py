@@ -69,7 +69,7 @@ def check(scenario: Path, output: Output, confine: Path | None, proof: Path | No
             attempts = attack_gains(result.assessment)
             again = build_origin(scenario, judged.simulation.seed)
             advance(1)
-            written += write_gains(result.assessment, attempts, folder, origin=again)
+            written += write_gains(result, attempts, folder, origin=again)
     last = (
         proved
         | files_line(written)

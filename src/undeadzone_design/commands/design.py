@@ -11,7 +11,6 @@ import undeadzone as uz
 from undeadzone.cli.common import build_origin, force_option, shell_command, value_option
 from undeadzone.cli.output import Output, add_scenario_options, files_line
 from undeadzone.util.progress import terminal_progress as progress
-from undeadzone.util.shown import Block
 
 
 def parse_weights(
@@ -82,6 +81,7 @@ def design(
     from undeadzone.scenario.problem import systems
     from undeadzone.util.own_files import require_own_file
     from undeadzone_design.synthesis.assessment import attack_gains
+    from undeadzone_design.synthesis.check import describe_design_and_check, list_design_numbers
     from undeadzone_design.synthesis.design import (
         apply_design,
         count_design_rounds,
@@ -113,12 +113,11 @@ def design(
     if folder is not None and output.figures:
         from undeadzone_design.report.gains_page import write_gains
 
-        assessment = judged.assessment._replace(listens=())  # `check` prints these
-        attempts = attack_gains(assessment, seed)
-        written += write_gains(assessment, attempts, folder, result, build_origin(scenario, seed))
+        attempts = attack_gains(judged.assessment, seed)
+        written += write_gains(judged, attempts, folder, result, build_origin(scenario, seed))
     output.print_result(
-        lambda: _design_to_json(result, judged),
-        lambda: _design_to_blocks(result, judged),
+        lambda: list_design_numbers(result, judged),
+        lambda: describe_design_and_check(result, judged),
         written,
         files_line(written) | _advise_after_design(folder),
     )
@@ -143,29 +142,3 @@ def _describe_impossible(scenario: uz.Scenario, path: Path, reason: str) -> dict
         "why": reason,
         "next": f"{shell_command('undeadzone', 'check', path)} shows which widths can be known",
     }
-
-
-def _design_to_json(design: uz.Design, judged: uz.Check) -> dict[str, Any]:
-    """Return a design for JSON, its gains first, and the results of `check`."""
-    import msgspec
-
-    numbers = msgspec.to_builtins(design)
-    known = judged.summary()
-    del known["nearest"]  # those found are certified
-    return numbers.pop("best") | numbers | known
-
-
-def _design_to_blocks(design: uz.Design, judged: uz.Check) -> list[Block]:
-    """Return a design and the results of `check` as text."""
-    import msgspec
-
-    from undeadzone.analysis.certificate.design_file import describe_design as design_in_words
-
-    first, *others = judged.blocks()
-    assert isinstance(first, dict)
-    findings = {name: words for name, words in first.items() if name != "observer"}
-    own = design_in_words(msgspec.to_builtins(design))
-    return [
-        own | {name: findings.pop(name) for name in own if name in findings} | findings,
-        *others,
-    ]

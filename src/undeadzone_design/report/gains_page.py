@@ -13,18 +13,20 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from undeadzone.analysis.certificate.design_file import Design, Knowledge
+from undeadzone.analysis.certificate.design_file import Design
 from undeadzone.analysis.certificate.passivity import Certificate
-from undeadzone.analysis.identifiability.indistinguishable import (
-    describe_indistinguishable as in_words_of_truths,
-)
-from undeadzone.nonlinearities.sensor import DIRECTIONS
 from undeadzone.report import html
+from undeadzone.report.run_page import gain_tables
 from undeadzone.util.arrays import list_numbers
-from undeadzone.util.text import HALF_95, count_noun, label_with_unit
+from undeadzone.util.text import count_noun, label_with_unit
 from undeadzone_design.report.gain_figures import plot_ellipses, plot_front, root_locus
 from undeadzone_design.report.proof_figures import plot_courses, plot_positive_realness
 from undeadzone_design.synthesis.assessment import Assessment, Attacks, Gains
+from undeadzone_design.synthesis.check import (
+    Check,
+    describe_design_and_check,
+    list_design_numbers,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -42,12 +44,6 @@ CAPTIONS: Final = {
     "ellipse": "Region of 95 % of the estimates of an optimal estimator at the end of the "
     "scenario. A strip if a direction cannot be known.",
     "front": "Gains without a better one in everything. All are certified.",
-}
-SCORES: Final = {
-    "rate": "rate along the reference [1/s]",
-    "disturbance": "rms error per white disturbance of 1 per root second on the inputs",
-    "mismatch": "rms error per relative error in the entries of A and B",
-    "noise": "rms error per rms noise on z at every sample",
 }
 
 
@@ -77,7 +73,7 @@ def draw_gain_figures(
 
 
 def write_gains(
-    of: Assessment,
+    found: Check,
     tried: Attacks | None,
     folder: Path,
     design: Design | None = None,
@@ -86,7 +82,8 @@ def write_gains(
     """Write the figures as SVG and report.html to a folder. Raises FileError.
 
     Args:
-        of, tried, design: see `figures`
+        found: the check of the gains
+        tried, design: see `figures`
         folder: folder of the files (created if needed)
         origin: data to compute the same again (None: unknown)
 
@@ -94,32 +91,39 @@ def write_gains(
         The paths of the files.
     """
 
-    text = partial(gains_page, of, tried, design=design, origin=origin)
-    return html.write_page(draw_gain_figures(of, tried, design), folder, text)
+    text = partial(gains_page, found, tried, design=design, origin=origin)
+    return html.write_page(
+        draw_gain_figures(found.assessment, tried, design),
+        folder,
+        text,
+    )
 
 
 def gains_page(
-    of: Assessment,
+    found: Check,
     tried: Attacks | None,
     images: Mapping[str, bytes],
     design: Design | None = None,
     origin: html.Origin | None = None,
 ) -> str:
-    """Return the page of an assessment.
+    """Return the page of a check.
 
     Args:
-        of, tried, design, origin: see `write_gains`
+        found, tried, design, origin: see `write_gains`
         images: SVGs by the names of `figures`
     """
+    of = found.assessment
     pictures = html.encode_pictures(images, CAPTIONS)
     # The first picture is the front of a design, else the proof.
     leads = list(map(pictures.pop, list(pictures)[:1]))
-    sections = [html.build_section("The answer", _answer_table(of), *leads)]
-    if of.gains is None:
-        sections.append(
-            html.build_section("No rate", html.build_paragraph(_explain_missing_rate(of)))
-        )
+    if design is None:
+        blocks, numbers = found.blocks(), found.summary()
     else:
+        blocks = describe_design_and_check(design, found)
+        numbers = list_design_numbers(design, found)
+    first, *rest = html.answer_tables(blocks)
+    sections = [html.build_section("The answer", first, *leads)]
+    if of.gains is not None:
         guarantee = [
             *guarantee_section(of.gains, tried),
             *html.pick_pictures(pictures, "nyquist", "lyapunov"),
@@ -128,79 +132,29 @@ def gains_page(
         sections.append(html.build_section("The gains", *gains_section(of.gains, design)))
         sections.append(html.build_section("What is guaranteed", *guarantee))
         sections.append(html.build_section("How fast", *speed))
-    knowledge = [*knowledge_section(of), *html.pick_pictures(pictures, "ellipse")]
+    knowledge = [*rest, *html.pick_pictures(pictures, "ellipse")]
     sections.append(html.build_section("Identifiable widths", *knowledge))
-    if design is not None:
-        sections.append(html.build_section("The trade", *trade_section(design)))
-    sections.append(html.build_section("What was asked", _problem_section(of, design)))
+    asked = _problem_section(of), html.fold_numbers(numbers)
+    sections.append(html.build_section("What was asked", *asked))
     kind = "Check" if design is None else "Design"
     title = f"{kind}: {of.problem.scenario.title}"
     return html.build_page(title, gains_verdict(of), *sections, origin=origin)
 
 
-def _explain_missing_rate(of: Assessment) -> str:
-    """Return the reason that the observer has no constant gains on a linear model."""
-    if of.problem.model.nonlinear:
-        return (
-            "The model is nonlinear: gains can be certified on a declared [region] "
-            "(check.json). Frequencies and rates are for linear models."
-        )
-    return "The observer has no constant gains L, gamma."
-
-
-def _answer_table(of: Assessment) -> html.Html:
-    """Return gains, their rate, identifiability, and the strength of the feedback."""
-    rows: list[tuple[str, Any]] = []
-    if of.gains is not None:
-        L = list_numbers(np.ravel(of.gains.L))
-        speed = of.gains.rates
-        rows = [("L, row by row [1/s]", L), ("γ [1/s]", list_numbers(of.gains.gamma))]
-        rows.append(("rate. Time constant", f"{speed.rate:.4g} 1/s; {speed.time_constant:.4g} s"))
-    for i, known in enumerate(of.known[:2]):
-        edges = html.join_html(
-            [_describe_direction(known, "right"), "and", _describe_direction(known, "left")]
-        )
-        rows.append(
-            (label_with_unit(f"d_r, d_l of output {i}", of.problem.scenario.units.output), edges)
-        )
-    return html.build_table(
-        ("what", "value"), [*rows, ("readings move z^", html.feedback_html(of.listens))]
-    )
-
-
-def _problem_section(of: Assessment, design: Design | None) -> html.Html:
-    """Return the plant, the sensor, the reference and the aim."""
-    scenario = of.problem.scenario
+def _problem_section(of: Assessment) -> html.Html:
+    """Return what follows from the scenario: poles, where the sensor is silent, the sides."""
     model = of.problem.model
-    unit = scenario.units.output
+    unit = of.problem.scenario.units.output
     counts = ((model.n, "state"), (model.m, "input"), (model.p, "output"))
     sizes = ", ".join(starmap(count_noun, counts))
     poles = np.linalg.eigvals(of.problem.flow.linear.A) + 0.0
-    simulation = scenario.simulation
     rows: list[tuple[str, Any]] = [
         ("plant", f"{sizes}; poles {list_numbers(poles.tolist())} 1/s"),
-        ("time", "continuous" if model.Ts is None else f"sampled every {model.Ts:g} s"),
-        *_sensor_rows(of, unit),
+        (label_with_unit("silent below |y|", unit), list_numbers(of.problem.sensor.threshold)),
         ("reference", label_with_unit(_describe_reference(of), unit)),
         ("side schedule", _describe_schedule(of)),
-        ("duration", f"{simulation.duration:g} s, a sample every {simulation.step:g} s"),
     ]
-    if design is not None:
-        rows.append(("wanted", f"{design.chosen}; seed {design.seed}"))
     return html.build_table(("what", "value"), rows)
-
-
-def _sensor_rows(of: Assessment, unit: str) -> list[tuple[str, str]]:
-    """Return the sensor and its noise."""
-    sensor = of.problem.sensor
-    widths = f"d_r = {list_numbers(sensor.right)}, d_l = {list_numbers(sensor.left)}"
-    silent = f"silent below |y| = {list_numbers(sensor.threshold)}"
-    before = list_numbers(sensor.noise_before)
-    noise = f"{list_numbers(sensor.noise)} after the zone, {before} before it"
-    return [
-        (label_with_unit("sensor", unit), f"{sensor.kind}: {widths}, {silent}"),
-        ("noise, rms", noise),
-    ]
 
 
 def _describe_reference(of: Assessment) -> str:
@@ -224,20 +178,27 @@ def gains_verdict(of: Assessment) -> html.Html:
     if of.gains is not None:
         proof = of.gains.certificate
         certified = f"certified, margin {proof.margin:.4g}"
-        parts.insert(0, html.choose_verdict(proof.certified, certified, "not certified"))
+        parts.insert(
+            0,
+            html.choose_verdict(
+                proof.certified,
+                certified,
+                "not certified",
+            ),
+        )
     return html.verdict_line(*parts)
 
 
 def gains_section(gains: Gains, design: Design | None) -> list[html.Html]:
     """Return the gains, the nearest certified gains if these are not, and the use of a design."""
-    parts = [_gain_table(gains)]
+    parts = _gain_tables(gains)
     near = gains.nearest
     if near is not None:
         margin = near.certificate.margin
         rate = near.rates.rate
         words = f"The nearest certified gains, with margin {margin:.4g} and rate {rate:.4g} 1/s:"
         parts.append(html.build_paragraph(words))
-        parts.append(_gain_table(near))
+        parts += _gain_tables(near)
     if design is not None:
         use = (
             'In a scenario: [observer] method = "certified", design = "design.toml". '
@@ -247,11 +208,10 @@ def gains_section(gains: Gains, design: Design | None) -> list[html.Html]:
     return parts
 
 
-def _gain_table(gains: Gains) -> html.Html:
+def _gain_tables(gains: Gains) -> list[html.Html]:
     """Return L and gamma, a column for each output."""
-    head = ("[1/s]", *(f"output {j}" for j in range(gains.gamma.size)))
-    rows = [(f"L, x[{i}]", *map(float, row)) for i, row in enumerate(gains.L)]
-    return html.build_table(head, [*rows, ("γ", *map(float, gains.gamma))])
+    lists = {"L": gains.L.tolist(), "gamma": gains.gamma.tolist()}
+    return gain_tables(lists, list(map(str, range(gains.gamma.size))))
 
 
 def guarantee_section(gains: Gains, tried: Attacks | None) -> list[html.Html]:
@@ -315,10 +275,9 @@ def _certificate_rows(proof: Certificate) -> list[tuple[str, Any]]:
 
 
 def speed_section(gains: Gains) -> list[html.Html]:
-    """Return the decay of the error along the reference."""
+    """Return the decay of the error along the reference, beside its rate."""
     speed = gains.rates
     rows: list[tuple[str, Any]] = [
-        ("rate along the reference, in the long run [1/s]", speed.rate),
         ("every error at 1 % of itself, in size √V, after [s] at the latest", gains.settled),
         ("one pass of the schedule [s]", speed.period),
         ("largest factor of one pass on an error, in balanced units", speed.gain),
@@ -327,76 +286,4 @@ def speed_section(gains: Gains) -> list[html.Html]:
         "Where several errors die equally slowly, as where a rate is largest, it takes long "
         "before this rate is seen, unlike the time to 1 %."
     )
-    parts = [html.build_table(("what", "value"), rows), html.build_paragraph(note, "note")]
-    if speed.rate <= 0:
-        parts.append(html.build_paragraph("The error does not die along this reference.", "no"))
-    if speed.never:
-        errors = ", ".join(speed.never)
-        stays = "These errors stay along this reference, with any gains"
-        parts.append(html.build_paragraph(f"{stays}: {errors}."))
-    return parts
-
-
-def knowledge_section(assessment: Assessment) -> list[html.Html]:
-    """Return the section on the widths that an optimal estimator can identify.
-
-    It contains the accuracy of each width, reasons and remedies.
-    """
-    scenario = assessment.problem.scenario
-    unit = scenario.units.output
-    duration = scenario.simulation.duration
-    rows = []
-    for i, width in enumerate(assessment.known):
-        rows.append((i, *(_describe_direction(width, name) for name in DIRECTIONS)))
-    question = (
-        "Whether an optimal estimator can know it, and its "
-        f"{label_with_unit('95 % interval', unit)} after {duration:g} s at the scenario's noise:"
-    )
-    head = ("output", "d_r", "d_l", "width d_r + d_l", "centre (d_r − d_l)/2")
-    parts = [html.build_paragraph(question), html.build_table(head, rows)]
-    for widths in in_words_of_truths([width.second for width in assessment.known]):
-        parts.append(
-            html.build_paragraph(f"Readings would be the same, but for noise, with {widths}.")
-        )
-    for i, width in enumerate(assessment.known):
-        where = f"Output {i}: " if len(assessment.known) > 1 else ""
-        parts += [html.build_paragraph(f"{where}{reason}.") for reason in width.reasons]
-        parts += [html.build_paragraph(f"{where}What would help: {cure}.") for cure in width.cures]
-    return parts
-
-
-def _describe_direction(width: Knowledge, name: str) -> html.Html:
-    """Return the half 95 % interval of a direction (right, width, ...), or that it is unknown."""
-    interval = f"± {HALF_95 * width.std[name]:.2g}" if name in width.std else "yes"
-    return html.build_tag("span", *html.choose_verdict(getattr(width, name), interval))
-
-
-def trade_section(design: Design) -> list[html.Html]:
-    """Return the chosen gains beside the scenario's own and the fastest, and all gains of the
-    front.
-    """
-    points = {"chosen": design.best}
-    if design.present is not None:
-        points["yours"] = design.present
-    if len(design.front) > 1:
-        points["fastest"] = design.front[0]
-    rows = []
-    for name, words in SCORES.items():
-        rows.append((words, *(getattr(point, name) for point in points.values())))
-    parts = [html.build_table(("", *points), rows)]
-    parts += [
-        html.build_paragraph(f"{remark[:1].upper()}{remark[1:]}.") for remark in design.remarks
-    ]
-    if len(design.front) > 1:
-        parts.append(_front_table(design))
-    return parts
-
-
-def _front_table(design: Design) -> html.Html:
-    """Return every gain of the front and its scores."""
-    rows = []
-    for point in design.front:
-        scores = [getattr(point, name) for name in SCORES]
-        rows.append((list_numbers(np.ravel(point.L)), list_numbers(point.gamma), *scores))
-    title = f"The {len(design.front)} gains of the front"
-    return html.fold_section(title, html.build_table(("L", "γ", *SCORES), rows))
+    return [html.build_table(("what", "value"), rows), html.build_paragraph(note, "note")]

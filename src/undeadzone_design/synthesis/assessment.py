@@ -25,9 +25,9 @@ from undeadzone.analysis.identifiability.linear import (
     Remedy,
     find_remedies,
     remedy_to_reach_edges,
-    unobservable_changes,
+    unobservable_along,
 )
-from undeadzone.analysis.identifiability.play_and_zone import state_identifiability
+from undeadzone.analysis.identifiability.play_and_zone import append_gaps
 from undeadzone.controllers.state_feedback import StateFeedback
 from undeadzone.errors import InputError, StructureError
 from undeadzone.nonlinearities.sensor import DIRECTIONS
@@ -271,7 +271,7 @@ def assess_identifiability(
     linear = problem.model.linear
     jump = problem.sensor.kind == "jump"
     if problem.sensor.play is None:
-        remedies = find_remedies(linear, schedule, constant_inputs(problem, linear.B), jump)
+        remedies = find_remedies(linear, schedule, constant_inputs(problem), jump)
     else:
         remedies = find_joint_remedies(problem, schedule)
     # The schedule of a run knows already which readings arrived.
@@ -320,14 +320,10 @@ def find_determined_states(problem: Problem, schedule: Schedule) -> list[bool]:
     nonlinear.
     """
     model = problem.model
-    jump = problem.sensor.kind == "jump"
     if model.nonlinear:
         return []
-    if problem.sensor.play is not None:
-        readings = readings_of(problem, schedule, np.ones(model.p))
-        return state_identifiability(model.linear, schedule, readings)
-    bias = constant_inputs(problem, model.linear.B)
-    hidden = unobservable_changes(
-        model.linear, schedule.branch_visits(model.n), schedule.Ts, bias, jump
-    )
+    asked = model.linear, schedule, readings_of(problem, schedule, np.ones(model.p))
+    linear, sides, readings = asked if problem.sensor.play is None else append_gaps(*asked)
+    jump = problem.sensor.kind == "jump"
+    hidden = unobservable_along(linear, sides, readings.bias, jump, readings.prior)
     return list(map(hidden.is_state_known, range(model.n)))

@@ -11,7 +11,13 @@ from typing import Any, Final, NamedTuple
 import msgspec
 import numpy as np
 
-from undeadzone.analysis.certificate.design_file import Knowledge, describe_margin, format_gains
+from undeadzone.analysis.certificate.design_file import (
+    Design,
+    Knowledge,
+    describe_design,
+    describe_margin,
+    format_gains,
+)
 from undeadzone.analysis.certificate.passivity import Certificate
 from undeadzone.analysis.identifiability.indistinguishable import (
     describe_indistinguishable as in_words_of_truths,
@@ -497,3 +503,26 @@ def _describe_output(scenario: Scenario, one: Knowledge) -> dict[str, str]:
         words = append_unit(", ".join(known), scenario.units.output)
         summary["known to"] = f"{words} (95 %) after {duration:g} s at best"
     return summary
+
+
+# --- A design with its check
+
+
+def list_design_numbers(design: Design, found: Check) -> dict[str, Any]:
+    """Return the numbers of a design for JSON, its gains first, and those of its check."""
+    numbers = msgspec.to_builtins(design)
+    known = found.summary()
+    del known["nearest"]  # those found are certified
+    return dict(numbers.pop("best") | numbers | known)
+
+
+def describe_design_and_check(design: Design, found: Check) -> list[Block]:
+    """Return a design and the results of its check as text."""
+    first, *others = found.blocks()
+    assert isinstance(first, dict)
+    findings = {name: words for name, words in first.items() if name != "observer"}
+    own = describe_design(msgspec.to_builtins(design))
+    return [
+        own | {name: findings.pop(name) for name in own if name in findings} | findings,
+        *others,
+    ]

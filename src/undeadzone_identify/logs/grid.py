@@ -20,6 +20,7 @@ LONG = 20  # steps; a longer gap begins a new record, since nobody knows the inp
 MOST = 100_000  # samples that are used; more would take minutes and say little more
 MOST_SUMMED = 10_000  # of an integrating plant, whose log has a state every few hundred samples
 STRETCHES = 5  # into which these are cut, of a longer log
+RECORDS = 10  # that are used; the start of each costs a plant's order of parameters
 EXACT = 1e-9  # of the range, by which two readings differ
 COARSER = 1e-6  # of the range, from which a quantum matters
 SPIKE = 10.0  # times the 99 % quantile of a size, beyond which few values are none
@@ -146,12 +147,23 @@ def find_spikes(values: Floats, known: Flags) -> Flags:
 
 
 def shorten_log(grid: Grid, integrators: int = 0) -> Grid:
-    """Select evenly spread stretches of a very long log, with a remark; short logs stay.
+    """Select the longest records of many, and evenly spread stretches of a very long log.
+
+    A remark says so; other logs stay.
 
     Args:
         grid: the records.
         integrators: of the plant.
     """
+    lengths = np.diff(np.append(grid.start, grid.t.size))
+    if lengths.size > RECORDS:
+        longest = np.sort(np.argsort(-lengths, kind="stable")[:RECORDS])
+        samples = np.concatenate([grid.start[k] + np.arange(lengths[k]) for k in longest])
+        remark = (
+            f"the {RECORDS} longest of {lengths.size} records are used, {samples.size} of"
+            f" {grid.t.size} samples"
+        )
+        grid = _select_samples(grid, samples, np.isin(samples, grid.start), remark)
     size = grid.t.size
     most = MOST_SUMMED if integrators else MOST
     if size <= most:
@@ -164,6 +176,11 @@ def shorten_log(grid: Grid, integrators: int = 0) -> Grid:
     firsts = np.linspace(0, size - long, STRETCHES).astype(int)
     samples = np.concatenate([np.arange(first, first + long) for first in firsts])
     begins = np.isin(samples, np.append(grid.start, firsts))
+    return _select_samples(grid, samples, begins, remark)
+
+
+def _select_samples(grid: Grid, samples: Integers, begins: Flags, remark: str) -> Grid:
+    """Return a grid with some of its samples (N), flags of those that begin a record, a remark."""
     return grid._replace(
         **{name: getattr(grid, name)[samples] for name in ("t", "u", "r", "y", "ok")},
         start=np.flatnonzero(begins),

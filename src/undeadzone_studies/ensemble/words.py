@@ -16,26 +16,41 @@ class Metric(NamedTuple):
     """Label of a metric of a run.
 
     Attributes:
-        label: in a terminal.
-        title: on a page.
+        label: in words.
         late: whether it is taken over the end of a run.
     """
 
     label: str
-    title: str
     late: bool = False
 
 
 METRICS: Final = {
-    **{key: Metric(*words, late=True) for key, words in ERRORS.items()},
-    "rms_tip": Metric(*2 * ERRORS["rms_tip"][1:], late=True),
-    "d_error": Metric("largest |d^ - d|, at the end", "largest |d^ − d| at the end"),
-    "settling_time": Metric("settling time", "settling time"),
-    "peak_tracking": Metric("peak |z - r|", "largest |z − r|"),
-    "rms_input": Metric("rms u", "rms of u"),
-    "silent_fraction": Metric("share of silent samples", "share of silent samples"),
+    **{key: Metric(words, late=True) for key, words in ERRORS.items()},
+    "rms_tip": Metric("rms distance of the tip from its path", late=True),
+    "d_error": Metric("largest |d^ - d|, at the end"),
+    "settling_time": Metric("settling time"),
+    "peak_tracking": Metric("peak |z - r|"),
+    "rms_input": Metric("rms u"),
+    "silent_fraction": Metric("share of silent samples"),
 }
 LISTED: Final = 5  # worst runs, and entries that decide
+
+
+def describe_metric(quantity: str, duration: float | None = None) -> str:
+    """Return a metric or the error of a width in words.
+
+    Args:
+        quantity: its name.
+        duration: of a run [s] (if given, the words name the time over which the metric is taken).
+    """
+    if quantity in METRICS:
+        metric = METRICS[quantity]
+        late = duration is not None and metric.late
+        return metric.label + (f", last {min(LAST, duration or LAST):g} s" if late else "")
+    edge, _, output = quantity.partition("_error[")
+    if not output:
+        return quantity
+    return f"{edge[:3]}^ − {edge[:3]}, output {output[:-1]}"
 
 
 def describe_ensemble(info: Info, summary: dict[str, Any], diverged: int) -> list[Block]:
@@ -84,13 +99,12 @@ def _quantile_table(info: Info, metrics: dict[str, Any]) -> list[tuple[str, ...]
     rows: list[tuple[str, ...]] = [
         ("95 % intervals in []", "median", "95 % of runs below", "99 % of runs below")
     ]
-    for key, metric in METRICS.items():
+    for key in METRICS:
         if key in metrics:
             quantiles = [
                 _format_metric_interval(metrics[key][column]) for column in ("median", "p95", "p99")
             ]
-            late = f", last {min(LAST, info.duration):g} s" if metric.late else ""
-            words = metric.label + late
+            words = describe_metric(key, info.duration)
             rows.append((label_with_unit(words, unit_of_column(key, info.units)), *quantiles))
     return rows
 

@@ -19,10 +19,9 @@ from undeadzone.report.style import (
     finish_panel,
     log_axis_floor,
 )
-from undeadzone.results.run import LAST
 from undeadzone.util.arrays import Floats
 from undeadzone_studies.ensemble.result import JUDGED, MAIN, WIDTHS, Ensemble
-from undeadzone_studies.ensemble.words import METRICS
+from undeadzone_studies.ensemble.words import describe_metric
 from undeadzone_studies.statistics.intervals import LEVEL, share_bounds
 
 if TYPE_CHECKING:
@@ -35,23 +34,6 @@ MARKS: Final = {
     "99 %": (0.99, ink.PRINTED),
 }
 SPREAD: Final = 20  # beyond this ratio of the 99.5 % to the 0.5 % quantile an axis is logarithmic
-
-
-def describe_metric(quantity: str, duration: float | None = None) -> str:
-    """Return a metric or the error of a width in words.
-
-    Args:
-        quantity: its name.
-        duration: of a run [s] (if given, the words name the time over which the metric is taken).
-    """
-    if quantity in METRICS:
-        metric = METRICS[quantity]
-        late = duration is not None and metric.late
-        return metric.title + (f" over the last {min(LAST, duration or LAST):g} s" if late else "")
-    edge, _, output = quantity.partition("_error[")
-    if not output:
-        return quantity
-    return f"{edge[:3]}^ − {edge[:3]}, output {output[:-1]}"
 
 
 def plot_distributions(result: Ensemble) -> Figure:

@@ -14,11 +14,9 @@ from undeadzone.report import html, ink
 from undeadzone.report.style import DASHED, create_panels, escape_formulas, finish_panel
 from undeadzone.util import toml
 from undeadzone.util.arrays import Floats
-from undeadzone.util.text import bracket_interval, count_noun
-from undeadzone_studies.report.ensemble_figures import describe_metric
-from undeadzone_studies.statistics.intervals import Interval
+from undeadzone_studies.ensemble.words import describe_metric
 from undeadzone_studies.tuning.parameters import Parameter
-from undeadzone_studies.tuning.result import HeldOut, Tuned
+from undeadzone_studies.tuning.result import Tuned
 from undeadzone_studies.tuning.tune import Sweep, sweep
 
 if TYPE_CHECKING:
@@ -37,6 +35,10 @@ COLOURS: Final = {
     "gradient": ink.REFERENCE,
     "local": ink.OTHER,
 }
+HELD_OUT: Final = (
+    "Held-out runs are others than those tuned on: they show the worth of the numbers. In "
+    "brackets: 95 % intervals."
+)
 POINTS: Final = 25  # of a curve around the tuned numbers
 COLUMNS: Final = 3
 STEEP: Final = 20  # times the least cost, beyond which a curve is cut off
@@ -60,74 +62,26 @@ def write_tuned(result: Tuned, folder: Path, origin: html.Origin | None) -> list
 def tune_page(result: Tuned, images: dict[str, bytes], origin: html.Origin | None) -> str:
     """Return the page (images: SVGs by name, else see `write_tuned`)."""
     pictures = html.encode_pictures(images, CAPTIONS)
-    what = result.what
-    paragraph = (
-        f"Made small: {what.statistic} of {what.metric} over {what.runs} runs, with "
-        f"{len(result.trials)} candidates of {what.budget}. Held-out runs are others than those "
-        "tuned on: they show the worth of the numbers. In parentheses: 95 % intervals."
-    )
+    blocks = result.blocks()
+    pairs: Any = blocks[0]
+    verdict = [html.choose_verdict(result.improved, *[pairs["change"]] * 2)]
+    if result.margin is not None:
+        verdict.append(html.choose_verdict(result.certified, "certified", "not certified"))
+    numbers = {name: each for name, each in result.summary().items() if name != "history"}
+    first, *rest = html.answer_tables(blocks)
     return html.build_page(
         f"Tuned: {result.scenario.title}",
-        _tuning_verdict(result),
-        html.build_section(
-            "Numbers", *_number_table(result), *html.pick_pictures(pictures, "history")
-        ),
-        html.build_section("Their worth", html.build_paragraph(paragraph), _held_out_table(result)),
+        html.verdict_line(*verdict),
+        html.build_section("Numbers", first, *html.pick_pictures(pictures, "history")),
+        html.build_section("Their worth", *rest, html.build_paragraph(HELD_OUT)),
         html.build_section("Around the best numbers", *html.pick_pictures(pictures, "around")),
         html.build_section(
             "The tuned scenario",
             html.fold_section("tuned.toml", html.source_html(toml.to_toml(result.scenario))),
+            html.fold_numbers(numbers),
         ),
         origin=origin,
     )
-
-
-def _tuning_verdict(result: Tuned) -> html.Html:
-    """Return a line: better or not, certified or not."""
-    no_better = "no improvement that chance could not explain"
-    parts = [html.choose_verdict(result.improved, "better on held-out runs", no_better)]
-    if result.margin is not None:
-        certified = f"certified, margin {result.margin:.4g}"
-        parts.append(html.choose_verdict(result.certified, certified, "not certified"))
-    return html.verdict_line(*parts)
-
-
-def _number_table(result: Tuned) -> list[html.Html]:
-    """Return the numbers, with start values and ranges, and the numbers at the end of a range."""
-    rows = []
-    for parameter, value in zip(result.parameters, result.values, strict=True):
-        bounds = f"{parameter.low:g} to {parameter.high:g}{', log' if parameter.log else ''}"
-        rows.append((parameter.name, parameter.start, value, bounds))
-    head = ("number", "before", "tuned", "range")
-    words = "lies at the end of its range: a wider one may do better."
-    return [
-        html.build_table(head, rows),
-        *(html.build_paragraph(f"{name} {words}") for name in result.at_edge),
-    ]
-
-
-def _held_out_table(result: Tuned) -> html.Html:
-    """Return the cost before and after, on the runs of the tuning and on held-out runs."""
-    rows: list[tuple[Any, ...]] = [("runs tuned on", *map(float, result.cost), None, None)]
-    for scenario, held_out in zip(result.scenarios, result.held_out, strict=True):
-        rows.append(_held_out_row(scenario.title, held_out))
-    rows.append(("change on held-out runs", None, _interval_words(result.change), None, None))
-    return html.build_table(("", "before", "after", "diverged before", "after"), rows)
-
-
-def _held_out_row(title: str, held_out: HeldOut) -> tuple[Any, ...]:
-    """Return the row of a scenario's held-out runs."""
-    before = held_out.before
-    after = held_out.after
-    lost = [f"{100 * worth.diverged.value:.3g} %" for worth in (before, after)]
-    name = f"{title}: {count_noun(held_out.runs, 'held-out run')}"
-    return (name, _interval_words(before.value), _interval_words(after.value), *lost)
-
-
-def _interval_words(interval: Interval) -> str:
-    """Return a value with its interval."""
-    alone = interval.low == interval.high
-    return f"{interval.value:.4g}" if alone else bracket_interval(*interval, ".4g")
 
 
 def sweep_each_number(result: Tuned) -> dict[str, Sweep]:

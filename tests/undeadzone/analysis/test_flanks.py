@@ -10,8 +10,8 @@ import pytest
 from undeadzone.analysis.identifiability import flanks
 from undeadzone.analysis.identifiability.flanks import (
     StrikeDetector,
+    flank_visits,
     gap_identifiability,
-    presses_on_both_flanks,
     torque_free_position,
 )
 from undeadzone.analysis.identifiability.linear import WidthIdentifiability
@@ -34,8 +34,7 @@ def first_verdict(
 
 def test_a_load_of_one_sign_presses_on_one_flank() -> None:
     tau = np.concatenate([np.zeros(500), np.ones(500), np.zeros(500)])[:, None]
-    assert not presses_on_both_flanks(tau, 0.01)
-    assert presses_on_both_flanks(np.concatenate([tau, -tau]), 0.01)
+    assert flank_visits(tau, 0.01).tolist() == [[True, False]]
 
 
 @pytest.mark.parametrize(

@@ -286,7 +286,7 @@ def test_deviations_are_those_of_the_brute_force_gramian(bias: bool) -> None:
             assert found.widths[0][name] == pytest.approx(
                 float(np.sqrt(np.array(g) @ covariance[2:4, 2:4] @ np.array(g))), rel=1e-4
             )
-    assert np.isinf(found.states).tolist() == [bias, False]
+    assert list(map(found.hidden.is_state_known, range(2))) == [not bias, True]
 
 
 PAPER = tables_of("""

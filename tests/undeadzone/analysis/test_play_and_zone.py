@@ -24,8 +24,8 @@ from undeadzone.analysis.branch_schedule import plan_schedule, schedule_of_recor
 from undeadzone.analysis.identifiability.play_and_zone import (
     ReadingConditions,
     _single_contact_reason,
+    append_gaps,
     gap_and_width_information,
-    gap_prior_rows,
 )
 from undeadzone.errors import InputError
 from undeadzone.linalg.matrices import Matrices
@@ -256,7 +256,7 @@ def test_each_output_has_gaps_of_its_own() -> None:
     assert run.c_hat is not None
     np.testing.assert_allclose(run.c_hat[-1].reshape(2, 2).sum(axis=1), [0.8, 0.9], atol=0.05)
     assert "gap_right" not in str(run)
-    assert "play ahead of the zone" in run_page(run, {})
+    assert "gap_right" in run_page(run, {})
 
 
 @pytest.mark.parametrize(
@@ -328,7 +328,7 @@ def test_deviations_are_those_of_all_readings() -> None:
     assert one.zone.std["width"] == pytest.approx(np.sqrt(width @ cov @ width), rel=1e-3)
     assert one.both
     assert not one.zone.centre
-    assert not one.gap.centre
+    assert not one.gap["centre"]
 
 
 def test_known_gaps_leave_nothing_hidden() -> None:
@@ -371,7 +371,7 @@ def test_one_direction_alone_does_not_tell_the_gap() -> None:
         reference={"kind": "sine", "amplitude": 5.0, "frequency": 0.02, "phase": -np.pi / 2},
     )
     one, _ = assess_both(scenario)
-    assert not one.gap.width
+    assert not one.gap["width"]
     assert one.zone.width
     assert any("moves right alone" in reason for reason in one.zone.reasons)
 
@@ -468,7 +468,7 @@ def test_gaps_are_reported_wherever_widths_are(tmp_path: Path) -> None:
     assert numbers["gap_right"] == run.c_hat[-1, 0]
     assert numbers["gap_left_std"] > numbers["gap_std"] > 0
     assert "gap_right + gap_left" in str(run)
-    assert "play ahead of the zone" in run_page(run, {})
+    assert "gap_right" in run_page(run, {})
     again = Run.load(run.save(tmp_path / "run.csv"))
     np.testing.assert_array_equal(again.c_hat, run.c_hat)
     assert again.info.gaps == [0.5, 0.3]
@@ -528,18 +528,17 @@ def test_gaps_and_ranges_have_one_shape_for_any_number_of_outputs() -> None:
 @pytest.mark.parametrize(("side", "seen"), [(0, "right"), (1, "left")])
 def test_a_reason_names_an_output_that_is_read_in_one_contact_alone(side: int, seen: str) -> None:
     """Beyond one of both edges suffices."""
-    schedule: Any = None
     read = np.zeros((2, 2), bool)
     read[side, 1] = True
-    (words,) = _single_contact_reason(schedule, read, 0)
+    (words,) = _single_contact_reason(read, 0)
     assert f"while it moves {seen} alone" in words
 
 
 def test_gaps_that_are_known_have_no_error_in_any_output() -> None:
     linear = Matrices(-np.eye(2), np.eye(2), np.eye(2))
     readings = ReadingConditions(np.full(2, 0.1), 0.01, 1.0, gaps_known=True)
-    rows = gap_prior_rows(linear, readings, 1.0)
-    gaps = np.eye(2 + 4 * 2)[2:6]
-    assert (rows @ gaps.T).any(axis=0).all()
-    for gap in gaps:
-        assert (rows == gap).all(axis=1).sum() == 1
+    sensor = resolve(Sensor(**BOTH), 2, 0.01)
+    schedule = schedule_of_record(np.outer(np.sin(np.arange(99)), [2.0, 2.0]), sensor, 0.01, 0.01)
+    rows = append_gaps(linear, schedule, readings)[2].prior
+    assert rows is not None
+    np.testing.assert_array_equal(rows / rows.max(), np.eye(2 + 4 * 2)[2:6])

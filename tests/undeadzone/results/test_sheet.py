@@ -123,22 +123,18 @@ def test_signals_are_attributes_also_of_a_copy() -> None:
         assert not hasattr(one, "B")
 
 
-def test_a_row_is_defined_once_for_text_and_page() -> None:
+def test_a_row_is_defined_once_for_text_and_json() -> None:
     found = {"gap_right": 0.25, "gap_left": 0.5, "gap_std": 0.015}
     found |= {"gap_right_std": 0.01, "gap_left_std": 0.02}
     ((right, left, both),) = sheet.build_width_rows(found, "gap", "rad", (0.24, 0.51))
     assert right.value_in_words == "0.250 [0.230, 0.270] rad (true 0.24)"
-    assert left.page_cell == "0.500 [0.461, 0.539]"
-    assert both.title_with_unit == "c_r^ + c_l^ [rad]"
+    assert left.value_with_interval == "0.500 [0.461, 0.539]"
     assert sheet.rows_to_text([both]) == {
         "gap_right + gap_left": "0.750 [0.721, 0.779] rad (true 0.75)"
     }
-    rms = sheet.Row(
-        "rms z - r", "rms of z − r", 0.123456, key="rms", form=".4g", note=" (last 2 s)"
-    )
+    rms = sheet.Row("rms z - r", 0.123456, key="rms", form=".4g", note=" (last 2 s)")
     assert sheet.rows_to_json([rms]) == {"rms": 0.123456}
     assert rms.value_in_words == "0.1235 (last 2 s)"
-    assert sheet.rows_to_page([rms]) == {"rms of z − r": 0.123456}
     assert rms._replace(value=float("inf")).value_in_words == "nan (last 2 s)"
 
 

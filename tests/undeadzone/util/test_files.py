@@ -16,7 +16,9 @@ from test_hostile_files import COMMAND, SCENARIO, scenario
 from tests.jobs import sines
 
 from documents import ROOT
+from undeadzone.errors import FileError
 from undeadzone.results.run import Run
+from undeadzone.util import files
 from undeadzone_studies.ensemble import run_blocks
 from undeadzone_studies.ensemble.result import Ensemble
 
@@ -31,6 +33,28 @@ if __name__ == "__main__":
     make, path = functools.partial(sines, 605, 0.01), pathlib.Path(sys.argv[1])
     run_blocks.compute_job(make, path, resume=True, workers=2, progress=say).close()
 """
+
+
+def test_a_write_removes_what_a_killed_one_left_and_no_file_of_another(tmp_path: Path) -> None:
+    left, path = tmp_path / f"{files.HIDDEN}a1b2c3d4.txt", tmp_path / "a.txt"
+    left.touch()
+    with files.replace_file(path) as held:
+        assert held.exists() > left.exists()
+        files._remove_leftovers.cache_clear()
+        files.write_text("b", tmp_path / "b.txt")
+        assert held.exists()
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+@pytest.mark.parametrize(
+    ("error", "kind"),
+    [(OSError("axis.so: too short"), OSError), (OSError(28, "no space"), FileError)],
+)
+def test_only_a_lack_of_room_is_a_matter_of_temporary_files(
+    error: OSError, kind: type[Exception]
+) -> None:
+    with pytest.raises(kind), files.open_scratch():
+        raise error
 
 
 def members(session: int) -> list[int]:

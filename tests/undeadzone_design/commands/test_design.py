@@ -40,6 +40,7 @@ from undeadzone_design.report.gains_page import draw_gain_figures, gains_page
 from undeadzone_design.report.proof_figures import plot_courses as courses_figure
 from undeadzone_design.report.proof_figures import plot_positive_realness
 from undeadzone_design.synthesis.assessment import Assessment, assess_problem, attack_gains
+from undeadzone_design.synthesis.check import check_assessment
 
 POLES = {"method": "certified", "L": [12.0, 15.0], "gamma": 2.0}
 QUIET = ("--json", "--no-figures")
@@ -286,7 +287,7 @@ def test_what_a_design_writes(knee: tuple[Path, Done]) -> None:
         "What is guaranteed",
         "How fast",
         "Identifiable widths",
-        "The trade",
+        "mismatch",
         "eigenvalues of P, all positive",
     ):
         assert words in page.text
@@ -570,6 +571,6 @@ def test_a_page_of_every_kind(changes: dict[str, Any], names: list[str]) -> None
     tried = attack_gains(of)
     assert [*draw_gain_figures(of, tried)] == names
     blank = figure_to_bytes(create_panels([["a"]], "t")[0], "svg")
-    page = check_page(gains_page(of, tried, dict.fromkeys(names, blank)))
+    page = check_page(gains_page(check_assessment(of), tried, dict.fromkeys(names, blank)))
     assert page.tags.count("img") == len(names)
     assert "<b>&" in page.text

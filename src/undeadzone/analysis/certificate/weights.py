@@ -1,9 +1,8 @@
 """Weights of the outputs under which error dynamics have the largest margin.
 
-For one A the margin of a W is a least eigenvalue over frequencies, that of D + Herm C (jw - A)^-1
-L, found by level sets: no grid, no solver. Every worst frequency and direction bounds it for all W,
-by a ratio of linear functions of W: cutting planes, in which no P occurs, however far apart the
-plant's time constants are. For several A one P must do, so that W and P are searched together.
+W and the storage P are searched together, one LMI a step. For one A the margin of a W is a least
+eigenvalue over frequencies, that of D + Herm C (jw - A)^-1 L, found by level sets: no grid, no
+solver.
 """
 
 from __future__ import annotations
@@ -14,11 +13,9 @@ import numpy as np
 
 from undeadzone.analysis.dissipation import LEAST, Inequality, optimise_storage
 from undeadzone.analysis.error_dynamics import Dynamics
-from undeadzone.numerics.semidefinite import minimise_semidefinite
 from undeadzone.util.arrays import Floats
 
 SEARCHES: Final = 20  # steps of Dinkelbach's iteration, at most
-CUTS: Final = 200  # rounds of cutting planes, at most
 ENOUGH: Final = 1e-6  # of the margin: how much better another W may be
 TOLERANCE = 1e-11  # of the response's size: how far the least value may lie below the answer
 
@@ -31,21 +28,6 @@ class OutputWeights(NamedTuple):
     frequency: float | None
 
 
-class _Cuts(NamedTuple):
-    """Upper bounds on the margin of group weights q: over @ q / under @ q, in every row."""
-
-    over: Floats
-    under: Floats
-
-    def least_bound(self, q: Floats) -> float:
-        """Return the least of these bounds for q."""
-        return float((self.over @ q / (self.under @ q)).min())
-
-    def join_cuts(self, others: _Cuts) -> _Cuts:
-        """Return the cuts of both sets."""
-        return _Cuts(*map(np.vstack, zip(self, others, strict=True)))
-
-
 def margin_of_weights(errors: Dynamics, W: Floats) -> tuple[float, float]:
     """Return (margin for W, its frequency [rad/s]), exact, without a solver.
 
@@ -53,96 +35,40 @@ def margin_of_weights(errors: Dynamics, W: Floats) -> tuple[float, float]:
         errors: error dynamics with one stable A.
         W: weights of the outputs (p).
     """
-    found, _ = _margin_and_cuts(errors, W)
-    return found.margin, found.frequency or 0.0
-
-
-def best_weights(errors: Dynamics) -> OutputWeights:
-    """Return the weights that maximise the margin, with mean 1 over their groups."""
-    if len(errors.A) > 1:
-        return _weights_for_vertices(errors)
-    equal = np.ones(errors.groups.shape[1])
-    best, cuts = _margin_and_cuts(errors, errors.groups @ equal)
-    if equal.size == 1:
-        return best
-    for _ in range(CUTS):
-        q = _next_weights(cuts, best.margin)
-        if q is None:
-            break
-        trial, more = _margin_and_cuts(errors, errors.groups @ q)
-        cuts = cuts.join_cuts(more)
-        best = max(best, trial, key=lambda one: one.margin)
-    return best
-
-
-def _margin_and_cuts(errors: Dynamics, W: Floats) -> tuple[OutputWeights, _Cuts]:
-    """Return the margin of W and the cuts that bound the margin of all weights."""
     (A,), C, L, _, Ts = errors
     root = np.sqrt(W)
     found = []
-    over = []
-    under = []
     for step in errors.largest_gain_steps:
         D = np.eye(root.size) - step / 2
         G = frequency_response(A, C * root[:, None], L / root, D, Ts)
         least = least_eigenvalue_over_frequencies(G)
-        found.append(OutputWeights(W, least.value, G.true_frequency(least.w)))
-        v = least.direction / root
-        plain = frequency_response(A, C, L, D, Ts).response_values(np.array([least.w]))[0]
-        terms = np.real(v.conj() * (plain @ v)) @ errors.groups, np.abs(v) ** 2 @ errors.groups
-        size = max(float(np.abs(terms).max()), LEAST)
-        over.append(terms[0] / size)
-        under.append(terms[1] / size)
-    return min(found, key=lambda one: one.margin), _Cuts(np.array(over), np.array(under))
+        found.append((least.value, G.true_frequency(least.w)))
+    return min(found)
 
 
-def _next_weights(cuts: _Cuts, best: float) -> Floats | None:
-    """Return the group weights that the cuts bound least, or None if `best` is as good."""
-    groups = cuts.over.shape[1]
-    found = None
-    level = best + ENOUGH * max(1.0, abs(best))
-    for _ in range(SEARCHES):
-        q = _maximise_least_cut(cuts, level, groups)
-        if q is None or not cuts.least_bound(q) > level:
-            break
-        found = q
-        level = cuts.least_bound(q)
-    return found
-
-
-def _maximise_least_cut(cuts: _Cuts, level: float, groups: int) -> Floats | None:
-    """Return q >= LEAST of mean 1 that maximises the least of (over - level under) @ q.
-
-    It is None if the solver fails. Its unknowns are q without the last entry, and the least value.
-    """
-    rows = cuts.over - level * cuts.under
-
-    def blocks(x: Floats) -> list[Floats]:
-        """Return the linear constraints that must be non-negative."""
-        q = np.append(x[:-1], groups - x[:-1].sum())
-        return [rows @ q - x[-1], q - LEAST]
-
-    # Affine in x, as `minimise_semidefinite` requires: the last weight follows from the others.
-    solution = minimise_semidefinite(-np.eye(groups)[-1], blocks)
-    if solution is None:
-        return None
-    return np.maximum(np.append(solution[:-1], groups - solution[:-1].sum()), LEAST)
-
-
-def _weights_for_vertices(errors: Dynamics) -> OutputWeights:
-    """Return the weights for several A under a common P.
+def best_weights(errors: Dynamics) -> OutputWeights:
+    """Return the weights that maximise the margin, with mean 1 over their groups.
 
     The largest m with M + 2m diag(0, W) <= 0 for some P is quasi-convex in W: Dinkelbach's
-    iteration, one LMI a step.
+    iteration, one LMI a step. Of one A the margin of each W is exact.
     """
-    best = OutputWeights(np.ones(errors.C.shape[0]), -np.inf, None)
+    equal = np.ones(errors.C.shape[0])
+    best = OutputWeights(equal, -np.inf, None)
     shift = 0.0
+    single = len(errors.A) == 1
+    if single:
+        best = OutputWeights(equal, *margin_of_weights(errors, equal))
+        if errors.groups.shape[1] == 1:
+            return best
+        shift = best.margin
     for _ in range(SEARCHES):
         deepest = _deepest_weights(errors, shift)
         if deepest is None:
             break
         P, W = deepest
         trial = OutputWeights(W, _reachable_margin(errors, P, W), None)
+        if single:
+            trial = OutputWeights(W, *margin_of_weights(errors, W))
         gain = trial.margin - best.margin
         if gain > 0:
             best = trial
@@ -164,14 +90,24 @@ def _deepest_weights(errors: Dynamics, shift: float) -> tuple[Floats, Floats] | 
     def family(q: Floats) -> Inequality:
         """Return the inequality for q."""
         W = weights(q)
-        return errors.extend_inequality(W, none, [(1, 1, np.diag(2 * (shift * W + q[-1])))])
+        return errors.extend_inequality(
+            W,
+            none,
+            [(1, 1, np.diag(2 * (shift * W + q[-1])))],
+        )
 
     def positive(P: Floats, q: Floats) -> list[Floats]:
         """Return the constraint that the weights are positive."""
         return [weights(q) - LEAST]
 
     start = np.append(np.ones(groups.shape[1] - 1), 0.0)
-    solution = optimise_storage(family, -np.eye(start.size)[-1], start, positive, passes=1)
+    solution = optimise_storage(
+        family,
+        -np.eye(start.size)[-1],
+        start,
+        positive,
+        passes=1,
+    )
     if solution is None:
         return None
     return solution.P, np.maximum(weights(solution.q), LEAST)
@@ -238,12 +174,10 @@ class LeastEigenvalue(NamedTuple):
 
     Attributes:
         value: the eigenvalue.
-        direction: its eigenvector (p, complex).
         w: frequency on the response's own axis [rad/s].
     """
 
     value: float
-    direction: np.ndarray
     w: float
 
 
@@ -311,6 +245,6 @@ def _finite_eigenvalues(pencil: Floats, n: int) -> np.ndarray:
 
 def _least_eigenvalue_at(G: Response, w: Floats) -> LeastEigenvalue:
     """Return the least eigenvalue of Herm G at some frequencies."""
-    values, vectors = np.linalg.eigh(G.hermitian_part(w))
-    k = int(np.argmin(values[:, 0]))
-    return LeastEigenvalue(float(values[k, 0]), vectors[k, :, 0], float(w[k]))
+    values = np.linalg.eigvalsh(G.hermitian_part(w))[:, 0]
+    k = int(np.argmin(values))
+    return LeastEigenvalue(float(values[k]), float(w[k]))

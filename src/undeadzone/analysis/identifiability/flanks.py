@@ -24,10 +24,10 @@ import numpy as np
 from undeadzone.analysis.identifiability.linear import WidthIdentifiability
 from undeadzone.plants.robots.arm import Arm, evaluate_rows
 from undeadzone.plants.robots.geared import EVEN, Geared, largest_couplings
-from undeadzone.util.arrays import Flags, Floats
+from undeadzone.util.arrays import Flags, Floats, bounds_of_runs
 
 SHARE = 0.02  # of the largest torque at a joint: a smaller one presses on no flank
-LASTING = 0.05  # [s] for which a torque must press to carry its link across
+LASTING = 0.05  # [s] that a torque must last to carry its link across
 POSTURES = 721  # of a joint within a turn, among which one without torque is sought
 COUPLED = 8.0  # coupling above which joint by joint a gap cannot be known
 DETECTED = 3.0  # deviations of the innovations by which a strike shows
@@ -54,16 +54,24 @@ REASONS = {  # why a gap cannot be known, by the first condition that a joint do
 }
 
 
-def presses_on_both_flanks(tau: Floats, step: float) -> Flags:
-    """Return whether the load of each joint presses on either flank for `LASTING` (joints).
+def flank_visits(tau: Floats, step: float) -> Flags:
+    """Return whether the load of each joint presses on its right and on its left flank
+    (joints x 2).
 
     Args:
         tau: torque that the links need along the path (N x joints) [N m].
         step: between two rows [s].
     """
     least = SHARE * np.abs(tau).max(axis=0, initial=0.0)
-    right, left = (np.count_nonzero(load > least, axis=0) for load in (tau, -tau))
-    return np.asarray(np.minimum(right, left) * step >= LASTING)
+    pressed = np.stack([tau > least, tau < -least], axis=2)
+    lasting = [[_lasts(flank, step) for flank in joint.T] for joint in np.moveaxis(pressed, 1, 0)]
+    return np.array(lasting, bool).reshape(len(least), 2)
+
+
+def _lasts(flags: Flags, step: float) -> bool:
+    """Return whether flags (N) have a run of at least LASTING seconds."""
+    first, last = bounds_of_runs(flags)
+    return bool(((last + 1 - first) * step >= LASTING).any())
 
 
 def torques_along_path(gears: Geared, params: Floats, path: Floats) -> Floats:
@@ -249,7 +257,7 @@ def gap_identifiability(
     inertia = np.ravel(gears.gear_number(params, "inertia"))
     half = np.ravel(gears.gear_number(params, "half"))
     coupling = largest_couplings(body, links, path[:, 0], detector.groups)
-    pressed = presses_on_both_flanks(tau, step)
+    visits = flank_visits(tau, step)
     friction = np.ravel(gears.gear_number(params, "friction"))
     fading = friction * step / (inertia * gears.rest)
     lightest = int(np.argmax(fading))
@@ -275,7 +283,7 @@ def gap_identifiability(
             "floating": detected < FLOATING * found.rows.size and detected and ratio > EVEN,
             "known": detected,
             "hidden": found.rows.size,
-            "not crossed": pressed[i],
+            "not crossed": visits[i].all(),
         }
         case = next((name for name, holds in cases.items() if holds), None)
         if case is None:

@@ -46,13 +46,11 @@ class Deviations(NamedTuple):
 
     Attributes:
         widths: of `right`, `left`, `width`, `centre` of each output [unit of z].
-        states: of x(0) (n).
         covariance: of `[x(0); d; beta]`, its unidentifiable part left out (n + 2p + b square).
         hidden: changes of the unknowns that no reading shows.
     """
 
     widths: list[dict[str, float]]
-    states: Floats
     covariance: Floats
     hidden: Unobservable
 
@@ -124,11 +122,7 @@ def optimal_deviations(
     ]  # a basis of the known directions
     covariance = units * (seen @ _invert_semidefinite(seen.T @ (fisher * units) @ seen) @ seen.T)
     widths = [hidden.std_of_widths(i, covariance) for i in range(p)]
-    states = np.full(n, np.inf)
-    for i in range(n):
-        if hidden.is_state_known(i):
-            states[i] = np.sqrt(covariance[i, i])
-    return Deviations(widths, states, covariance, hidden)
+    return Deviations(widths, covariance, hidden)
 
 
 def _augment_disturbance(

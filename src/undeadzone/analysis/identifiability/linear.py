@@ -23,6 +23,7 @@ from undeadzone.util.arrays import Floats
 
 RARE = 0.1  # share of exact readings beyond the edges, below which a verdict reports it
 MARGIN = 0.05  # by which a cure passes an edge, relative to the edge
+NEGLIGIBLE = 1e-6  # share of the motion's range: a smaller deviation is known, also of width 0
 
 
 class Remedy(NamedTuple):
@@ -53,11 +54,16 @@ def describe_unreached_edges(schedule: Schedule, visited: np.ndarray, i: int) ->
     high = schedule.high[i]
     low = schedule.low[i]
     reasons = []
+    gaps = ("", "") if schedule.contacts is None else (" + c_r", " - c_l")
     edges = (
-        (1.0, "right", "d_r", "below", high, right),
-        (-1.0, "left", "-d_l", "above", low, -left),
+        (1.0, "right", f"d_r{gaps[0]}", "below", high, right),
+        (-1.0, "left", f"-d_l{gaps[1]}", "above", low, -left),
     )
-    for (sign, name, edge, side, end, level), is_visited in zip(edges, visited[i], strict=True):
+    for (sign, name, edge, side, end, level), is_visited in zip(
+        edges,
+        visited[i],
+        strict=True,
+    ):
         if is_visited:
             continue
         why = f"hardly reached: too few readings arrive from beyond {edge} to separate it from "
@@ -81,46 +87,32 @@ def describe_rare_exactness(schedule: Schedule, i: int) -> list[str]:
     ]
 
 
-def largest_deviations(
-    right: float, left: float, swing: float, least: float = 0.0
-) -> dict[str, float]:
-    """Return the largest deviation at which each of `DIRECTIONS` is known [z]: its own size.
+def limit_to_deviations(
+    verdict: WidthIdentifiability, std: dict[str, float], right: float, left: float, swing: float
+) -> WidthIdentifiability:
+    """Return the verdict with the deviations of the widths, unknown if smaller than those.
 
-    Of the centre it is half of the width.
+    Of the centre the largest deviation is half of the width.
 
     Args:
+        verdict: on an output, by its readings alone.
+        std: expected deviations by name [z].
         right, left: widths of the output [z].
         swing: of the output, used if the widths are 0 [z].
-        least: deviation of a width that always counts as known [z].
     """
-    both = right + left
-    sizes = {"right": right, "left": left, "width": both, "centre": both}
-    return {
-        name: heaviest(DIRECTIONS[name]) * max(float(size) or swing, least)
-        for name, size in sizes.items()
-    }
-
-
-def describe_vague_widths(
-    std: dict[str, float], most: dict[str, float], right: float, left: float
-) -> list[str]:
-    """Describe why identifiable widths are not known: their deviations exceed `most`.
-
-    Args:
-        std: expected deviations by name [z].
-        most: the largest ones, of `largest_deviations` [z].
-        right, left: widths of the output [z].
-    """
+    sizes = {"right": right, "left": left, "width": right + left, "centre": right + left}
+    known: dict[str, Any] = {}
     larger = []
-    for name, limit in most.items():
-        if limit < std[name] < np.inf:
+    for name, size in sizes.items():
+        most = heaviest(DIRECTIONS[name]) * max(float(size) or swing, NEGLIGIBLE * swing)
+        known[name] = getattr(verdict, name) and std[name] <= most
+        if most < std[name] < np.inf:
             larger.append(f"{name} {std[name]:.3g}")
-    if not larger:
-        return []
-    return [
+    vague = (
         "practically not: noise and disturbances leave larger deviations than the widths "
         f"({right:.3g}, {left:.3g}) to {', '.join(larger)}"
-    ]
+    )
+    return verdict.add_reasons(*[vague] * bool(larger), **known)._replace(std=std)
 
 
 def remedy_to_reach_edges(schedule: Schedule, i: int) -> Remedy:
@@ -174,6 +166,19 @@ class Unobservable(NamedTuple):
         """Return whether state i is determined nevertheless."""
         return not bool((np.abs(self.basis[i]) > self.present).any())
 
+    def is_pair_known(self, pairs: Mapping[int, Sequence[float]]) -> bool:
+        """Return whether a combination of pairs of unknowns is determined nevertheless.
+
+        Args:
+            pairs: weights of two neighbours among the unknowns, by the place of the first.
+        """
+        direction = np.zeros(self.scale.size)
+        for first, weights in pairs.items():
+            direction[first : first + 2] = weights
+        direction *= self.scale
+        change = (direction / np.abs(direction).max()) @ self.basis
+        return not bool((np.abs(change) > self.present).any())
+
     def is_width_known(self, i: int, name: str) -> bool:
         """Return whether a width of output i is determined nevertheless.
 
@@ -181,23 +186,19 @@ class Unobservable(NamedTuple):
             i: the output.
             name: `right`, `left`, `width` = d_r + d_l or `centre` = (d_r - d_l)/2.
         """
-        first = self.n + 2 * i
-        weights = np.array(DIRECTIONS[name])
-        change = weights / heaviest(DIRECTIONS[name]) @ self.basis[first : first + 2]
-        return not bool((np.abs(change) > self.present).any())
+        return self.is_pair_known({self.n + 2 * i: DIRECTIONS[name]})
+
+    def pair_flags(self, first: int) -> dict[str, Any]:
+        """Return whether right, left, width, centre of a pair from `first` on are determined
+        nevertheless.
+        """
+        return {name: self.is_pair_known({first: pair}) for name, pair in DIRECTIONS.items()}
 
     def width_flags(self, i: int) -> dict[str, Any]:
         """Return whether right, left, width, centre of output i are determined
         nevertheless.
         """
-        return {name: self.is_width_known(i, name) for name in DIRECTIONS}
-
-    def is_combination_known(self, direction: Floats) -> bool:
-        """Return whether a combination of the unknowns (n + 2p + b) is determined
-        nevertheless.
-        """
-        change = (direction * self.scale / np.abs(direction * self.scale).max()) @ self.basis
-        return not bool((np.abs(change) > self.present).any())
+        return self.pair_flags(self.n + 2 * i)
 
     def std_of_widths(self, i: int, covariance: Floats) -> dict[str, float]:
         """Return the deviations of right, left, width, centre of output i, or inf if undetermined.
@@ -225,7 +226,11 @@ class Unobservable(NamedTuple):
             rows: weights of each known combination (k x n + 2p); a change v remains if rows v = 0.
         """
         part = self.scale[: rows.shape[1], None] * self.basis[: rows.shape[1]]
-        size = np.linalg.norm(rows * self.scale[: rows.shape[1]], axis=1, keepdims=True)
+        size = np.linalg.norm(
+            rows * self.scale[: rows.shape[1]],
+            axis=1,
+            keepdims=True,
+        )
         return self._replace(basis=self.basis @ null_space_basis(rows @ part / size, self.present))
 
     @property
@@ -341,14 +346,14 @@ def share_widths(rows: int, repeats: int) -> Floats:
     return np.kron(np.eye(rows // repeats), np.tile(np.eye(2), (repeats, 1)))
 
 
-def width_identifiability(
+def unobservable_along(
     linear: Matrices,
     schedule: Schedule,
     bias: Floats | None = None,
     jump: bool = False,
     prior: Floats | None = None,
-) -> list[WidthIdentifiability]:
-    """Return the identifiability of each output's widths from readings along a schedule.
+) -> Unobservable:
+    """Return the changes of `[x(0); d; beta]` that no reading along a schedule shows.
 
     Args:
         linear: A, B, C of the plant, of one step if sampled.
@@ -358,23 +363,59 @@ def width_identifiability(
         prior: prior information (`prior_rows`).
     """
     visited = schedule.branch_visits(linear.A.shape[0])
-    if jump:
-        flags = list(map(_flags_of_passed_edges, visited))
-    else:
-        hidden = unobservable_changes(linear, visited, schedule.Ts, bias)
-        if prior is not None:
-            hidden = hidden.exclude_known(prior)
-        flags = list(map(hidden.width_flags, range(len(visited))))
+    repeats = schedule.repeats
+    hidden = unobservable_changes(
+        linear,
+        visited,
+        schedule.Ts,
+        bias,
+        jump,
+        repeats=repeats,
+    )
+    return hidden if prior is None else hidden.exclude_known(prior)
+
+
+def width_identifiability(
+    linear: Matrices, schedule: Schedule, bias: Floats | None = None, jump: bool = False
+) -> list[WidthIdentifiability]:
+    """Return the identifiability of each output's widths from readings along a schedule.
+
+    Args:
+        linear, schedule, bias, jump: as of `unobservable_along`.
+    """
+    visited = schedule.branch_visits(linear.A.shape[0])
+    judged = judge_widths(
+        unobservable_along(linear, schedule, bias),
+        schedule,
+        visited,
+        not jump,
+    )
+    if not jump:
+        return judged
+    flags = map(_flags_of_passed_edges, visited)
+    return [one._replace(**known) for one, known in zip(judged, flags, strict=True)]
+
+
+def judge_widths(
+    hidden: Unobservable, schedule: Schedule, visited: np.ndarray, explains: bool = True
+) -> list[WidthIdentifiability]:
+    """Return the identifiability of each output's widths.
+
+    Args:
+        hidden: changes that no reading shows.
+        schedule: of the sides.
+        visited: whether each [right, left] side is visited (p x 2).
+        explains: whether reasons say what hides widths whose sides are visited.
+    """
     judged = []
-    for i, known in enumerate(flags):
-        alone = prior is None and not jump
-        confounded = _confounding_reasons(linear, schedule, bias, i) if alone else {}
+    for i in range(len(visited)):
+        confounded = _confounding_reasons(hidden, visited, i) if explains else {}
         reasons = (
             *describe_unreached_edges(schedule, visited, i),
             *confounded,
             *describe_rare_exactness(schedule, i),
         )
-        judged.append(WidthIdentifiability(**known, reasons=reasons))
+        judged.append(WidthIdentifiability(**hidden.width_flags(i), reasons=reasons))
     return judged
 
 
@@ -397,13 +438,14 @@ def find_remedies(
         jump: whether the sensor jumps.
     """
     visited = schedule.branch_visits(linear.A.shape[0])
+    hidden = unobservable_along(linear, schedule, bias)
     changes = []
     for i in range(visited.shape[0]):
         if not visited[i].all():
             changes.append(remedy_to_reach_edges(schedule, i))
         if jump:
             continue
-        for remedy in _confounding_reasons(linear, schedule, bias, i).values():
+        for remedy in _confounding_reasons(hidden, visited, i).values():
             text = (
                 f"no reference can: {remedy}, or add a sensor without a dead zone; "
                 "or claim the centre (d_r - d_l)/2 of a filter: observer.centre = [lo, hi], 0 if "
@@ -413,21 +455,23 @@ def find_remedies(
     return changes
 
 
-def _confounding_reasons(
-    linear: Matrices, schedule: Schedule, bias: Floats | None, i: int
-) -> dict[str, str]:
+def _confounding_reasons(hidden: Unobservable, visited: np.ndarray, i: int) -> dict[str, str]:
     """Return {reason: remedy} for widths of output i unknown although their branches are
     visited.
     """
-    visited = schedule.branch_visits(linear.A.shape[0])
-    hidden = unobservable_changes(linear, visited, schedule.Ts, bias)
     of_bias = np.arange(hidden.scale.size) >= hidden.n + visited.size
 
     def describe_shift(edge: str, quantity: str, rest: str) -> str:
         """Describe why a shift of the state hides an edge."""
         return f"A is singular (an integrator), {rest}"
 
-    found = confounding_reason(hidden, visited[i], i, {BIAS: of_bias}, describe_shift)
+    found = confounding_reason(
+        hidden,
+        visited[i],
+        i,
+        {BIAS: of_bias},
+        describe_shift,
+    )
     if not found:
         return {}
     by_bias = "bias cannot be separated" in found

@@ -27,15 +27,13 @@ from undeadzone.analysis.identifiability.information import EXACT, edge_scale
 from undeadzone.analysis.identifiability.linear import (
     describe_rare_exactness,
     describe_unreached_edges,
-    describe_vague_widths,
-    largest_deviations,
 )
 from undeadzone.analysis.identifiability.linearised_run import (
     LinearisedRun,
     linearise_run,
     symmetric,
 )
-from undeadzone.nonlinearities.sensor import DIRECTIONS, Zone
+from undeadzone.nonlinearities.sensor import Zone
 from undeadzone.plants.system import System
 from undeadzone.util.arrays import Floats, Integers
 
@@ -143,23 +141,30 @@ def width_identifiability_along(
     }
     judged = []
     for i, (right, left) in enumerate(zip(sensor.right, sensor.left, strict=True)):
-        std = known.output_deviations(i)
-        most = largest_deviations(right, left, float(np.ptp(z[:, i])))
         shift = partial(_describe_state_shift, model, known, i)
-        confounded = linear.confounding_reason(known.hidden, visited[i], i, causes, shift)
+        confounded = linear.confounding_reason(
+            known.hidden,
+            visited[i],
+            i,
+            causes,
+            shift,
+        )
         reasons = (
             *describe_unreached_edges(schedule, visited, i),
             *filter(None, [confounded]),
-            *describe_vague_widths(std, most, right, left),
             *describe_rare_exactness(schedule, i),
         )
-        enough = {name: std[name] <= most[name] for name in DIRECTIONS}
-        widths = np.array([right, left])
-        found = known.hidden, known.covariance, i, widths
+        found = known.hidden, known.covariance, i, np.array([right, left])
         second = indistinguishable_widths(*found, known.follow, constants)
-        judged.append(
-            linear.WidthIdentifiability(**enough, reasons=reasons, std=std, second=second)
+        flags = known.hidden.width_flags(i)
+        verdict = linear.WidthIdentifiability(
+            **flags,
+            reasons=reasons,
+            second=second,
         )
+        std = known.output_deviations(i)
+        swing = float(np.ptp(z[:, i]))
+        judged.append(linear.limit_to_deviations(verdict, std, right, left, swing))
     return judged
 
 
@@ -288,8 +293,20 @@ def observability_along(
     bound_root = scale[n:, None] * W[known].T / singular[known]
     # Least-squares change of x(0) that hides a unit change of each constant.
     follow = -scale[:n, None] * (V[observable].T / s[observable]) @ explained / scale[n:]
-    hidden = linear.Unobservable(W[~known].T, scale[n:], 0, max(linear.PRESENT, 10 * run.tolerance))
-    return Observability(R, hidden, follow, singular, run.tolerance, bound_root @ bound_root.T)
+    hidden = linear.Unobservable(
+        W[~known].T,
+        scale[n:],
+        0,
+        max(linear.PRESENT, 10 * run.tolerance),
+    )
+    return Observability(
+        R,
+        hidden,
+        follow,
+        singular,
+        run.tolerance,
+        bound_root @ bound_root.T,
+    )
 
 
 def _add_prior(R: Floats, prior: Floats) -> Floats:
@@ -328,7 +345,14 @@ def information_root(run: LinearisedRun, side: Floats, variance: Floats, n: int)
         return np.zeros((N, N))
     growth = float(np.log(np.linalg.norm(run.steps, axis=(1, 2)).max() / np.sqrt(s)))
     length = int(np.clip(GROWTH / max(growth, 1e-9), 1, BLOCK))
-    weight = _divide_into_blocks(reading_weights(run.samples, side, variance), length)
+    weight = _divide_into_blocks(
+        reading_weights(
+            run.samples,
+            side,
+            variance,
+        ),
+        length,
+    )
     rows, transitions = _block_rows(run, n, length)
     weighted = rows * weight[..., None]
     own = np.asarray(np.linalg.qr(weighted.reshape(len(rows), -1, N), mode="r"))
@@ -352,9 +376,23 @@ def reading_weights(samples: Integers, side: Floats, variance: Floats) -> Floats
     else:
         side = side[:1]
     halfway = (samples[1:] + samples[:-1]) / 2
-    nearest = np.minimum(np.searchsorted(halfway, np.arange(len(side)), "right"), K - 1)
+    nearest = np.minimum(
+        np.searchsorted(
+            halfway,
+            np.arange(len(side)),
+            "right",
+        ),
+        K - 1,
+    )
     first = np.unique(nearest, return_index=True)[1]
-    counts = [np.add.reduceat(side == value, first, axis=0) for value in (1.0, -1.0)]
+    counts = [
+        np.add.reduceat(
+            side == value,
+            first,
+            axis=0,
+        )
+        for value in (1.0, -1.0)
+    ]
     return np.asarray(np.sqrt(np.stack(counts, axis=2) / variance[:, None]))
 
 
@@ -380,7 +418,17 @@ def _block_rows(run: LinearisedRun, n: int, length: int) -> tuple[Floats, Floats
     rows = np.zeros((blocks, length, p, 2, N))
     S = np.broadcast_to(np.eye(s), (blocks, s, s))  # transition from the block's start
     for k in range(length):
-        rows[:, k, :, :, _moving_indices(n, p, s)] = np.moveaxis((C[:, k] @ S)[:, :, None], 3, 0)
+        rows[
+            :,
+            k,
+            :,
+            :,
+            _moving_indices(
+                n,
+                p,
+                s,
+            ),
+        ] = np.moveaxis((C[:, k] @ S)[:, :, None], 3, 0)
         S = F[:, k] @ S
     for i in range(p):
         rows[:, :, i, 0, n + 2 * i] = -1.0

@@ -18,14 +18,11 @@ from undeadzone.analysis.identifiability.information import (
     pad_states,
 )
 from undeadzone.analysis.identifiability.linear import (
-    Unobservable,
     WidthIdentifiability,
     describe_unreached_edges,
-    unobservable_changes,
 )
 from undeadzone.linalg.matrices import Matrices
 from undeadzone.nonlinearities.sensor import DIRECTIONS
-from undeadzone.util.arrays import Floats
 
 
 class WidthInformation(NamedTuple):
@@ -33,42 +30,42 @@ class WidthInformation(NamedTuple):
 
     Attributes:
         zone: of its dead zone.
-        gap: of its play: right and left gap, their sum and their difference.
+        gap: whether right and left gap of its play, their sum and their difference are
+            identifiable, by name.
         both: whether the sum of both centres, (c_r - c_l + d_r - d_l)/2, is identifiable.
         gap_std: deviation of c_r + c_l that an optimal estimator reaches [z].
     """
 
     zone: WidthIdentifiability
-    gap: WidthIdentifiability
+    gap: dict[str, Any]
     both: bool
     gap_std: float
 
 
-def append_gap_states(linear: Matrices, Ts: float | None) -> Matrices:
-    """Return the plant with [c_r, c_l] of each output as states and each output twice, per
-    contact.
+def append_gaps(
+    linear: Matrices, schedule: Schedule, readings: ReadingConditions
+) -> tuple[Matrices, Schedule, ReadingConditions]:
+    """Return plant, schedule and readings with [c_r, c_l] of each output as states.
+
+    Each output stands twice, once per contact, and a branch counts in its contact alone. Gaps that
+    are known have no error.
 
     Args:
         linear: A, B, C of the plant, of one step if sampled.
-        Ts: sample time [s] (None in continuous time).
+        schedule: of the sides and contacts.
+        readings: the readings.
     """
     n = linear.A.shape[0]
     p = linear.C.shape[0]
-    still = np.zeros((2 * p, 2 * p)) if Ts is None else np.eye(2 * p)
-    A = np.block([[linear.A, np.zeros((n, 2 * p))], [np.zeros((2 * p, n)), still]])
+    gaps = 2 * p
+    still = np.zeros((gaps, gaps)) if schedule.Ts is None else np.eye(gaps)
+    A = np.block([[linear.A, np.zeros((n, gaps))], [np.zeros((gaps, n)), still]])
     signs = np.diag(np.tile([-1.0, 1.0], p))
     C = np.hstack([np.repeat(linear.C, 2, axis=0), signs])
-    return Matrices(A, pad_states(linear.B, 2 * p), C)
-
-
-def separate_contacts(schedule: Schedule) -> Schedule:
-    """Return the schedule of the outputs of `append_gap_states`: a branch counts in its contact
-    alone.
-    """
     assert schedule.contacts is not None
     sides = np.stack([schedule.sides * (schedule.contacts == m) for m in (1.0, -1.0)], axis=2)
     low, mean, high = np.repeat(schedule[5:8], 2, axis=1)
-    return schedule._replace(
+    twice = schedule._replace(
         sides=sides.reshape(len(sides), -1),
         low=low,
         mean=mean,
@@ -78,38 +75,20 @@ def separate_contacts(schedule: Schedule) -> Schedule:
         contacts=None,
         repeats=2,
     )
-
-
-def gap_prior_rows(linear: Matrices, readings: ReadingConditions, least: float) -> Floats:
-    """Return the prior information on `[x(0); c; d]` of `append_gap_states`.
-
-    Gaps that are known have no error.
-
-    Args:
-        linear: of the plant.
-        readings: the readings.
-        least: deviation of exactly known values [z].
-    """
-    n = linear.A.shape[0]
-    p = linear.C.shape[0]
-    prior = np.zeros((0, n + 2 * p)) if readings.prior is None else readings.prior
-    gaps = np.eye(n + 4 * p)[n : n + 2 * p]
-    known = gaps if readings.gaps_known else gaps[:0]
-    return np.vstack([known / least, np.insert(prior, [n] * (2 * p), 0.0, axis=1)])
-
-
-def _double_outputs(linear: Matrices, readings: ReadingConditions) -> ReadingConditions:
-    """Return the readings with every output twice, without prior information."""
-    p = linear.C.shape[0]
+    swing = float((schedule.high - schedule.low).max())
+    least = EXACT * max(float(schedule.levels.max()), EXACT * swing) or EXACT
+    prior = np.zeros((0, n + gaps)) if readings.prior is None else readings.prior
+    known = np.eye(n + 2 * gaps)[n : n + gaps if readings.gaps_known else n]
     bias = readings.bias
     colour = readings.colour
-    arrive = np.ones(p) if readings.arrive is None else readings.arrive
-    return readings._replace(
+    twofold = readings._replace(
         noise=np.repeat(readings.noise, 2),
-        arrive=np.repeat(arrive, 2),
-        bias=None if bias is None else pad_states(bias, 2 * p),
-        colour=None if colour is None else colour._replace(B=pad_states(colour.B, 2 * p)),
+        arrive=None if readings.arrive is None else np.repeat(readings.arrive, 2),
+        bias=None if bias is None else pad_states(bias, gaps),
+        colour=None if colour is None else colour._replace(B=pad_states(colour.B, gaps)),
+        prior=np.vstack([known / least, np.insert(prior, [n] * gaps, 0.0, axis=1)]),
     )
+    return Matrices(A, pad_states(linear.B, gaps), C), twice, twofold
 
 
 def gap_and_width_information(
@@ -123,91 +102,31 @@ def gap_and_width_information(
         schedule: of the sides and contacts.
         readings: the readings.
     """
-    n = linear.A.shape[0]
-    p = linear.C.shape[0]
-    whole = append_gap_states(linear, schedule.Ts)
-    twice = separate_contacts(schedule)
-    swing = float((schedule.high - schedule.low).max())
-    least = EXACT * max(float(schedule.levels.max()), EXACT * swing) or EXACT
-    twofold = _double_outputs(linear, readings)
-    prior = gap_prior_rows(linear, readings, least)
-    hidden, visited = _hidden_changes(whole, twice, twofold, prior)
-    unknowns = hidden.scale.size
-    expected = optimal_deviations(whole, twice, twofold._replace(prior=prior))
+    n, p = linear.B.shape[0], linear.C.shape[0]
+    whole, twice, twofold = append_gaps(linear, schedule, readings)
+    expected = optimal_deviations(whole, twice, twofold)
+    hidden = expected.hidden
+    read = twice.branch_visits(n + 2 * p)
+    reached = schedule.branch_visits(n + 2 * p)
     each = []
     for i in range(p):
-        gap: dict[str, Any] = {
-            name: hidden.is_combination_known(_gap_and_width_direction(unknowns, n, p, i, pair))
-            for name, pair in DIRECTIONS.items()
-        }
+        first = n + 2 * i
+        gap = hidden.pair_flags(first)
         zone = hidden.width_flags(i)
-        both = hidden.is_combination_known(
-            _gap_and_width_direction(unknowns, n, p, i, (1.0, -1.0), (1.0, -1.0))
-        )
-        own = slice(n + 2 * i, n + 2 * i + 2)
+        both = hidden.is_pair_known(dict.fromkeys((first, hidden.n + 2 * i), DIRECTIONS["centre"]))
+        own = slice(first, first + 2)
         gap_std = float(np.sqrt(expected.covariance[own, own].sum())) if gap["width"] else np.inf
         reasons = (
-            *_unreached_behind_gap(schedule, n + 2 * p, i),
-            *_single_contact_reason(schedule, visited, i),
+            *describe_unreached_edges(schedule, reached, i),
+            *_single_contact_reason(read, i),
             *_describe_asymmetries(zone, gap, both, readings.gaps_known),
         )
         of_zone = WidthIdentifiability(**zone, reasons=reasons, std=expected.widths[i])
-        each.append(
-            WidthInformation(of_zone, WidthIdentifiability(**gap, reasons=()), both, gap_std)
-        )
+        each.append(WidthInformation(of_zone, gap, both, gap_std))
     return each
 
 
-def state_identifiability(
-    linear: Matrices, schedule: Schedule, readings: ReadingConditions
-) -> list[bool]:
-    """Return whether the readings along a schedule determine each state (n).
-
-    Arguments as of `gap_and_width_information`.
-    """
-    whole = append_gap_states(linear, schedule.Ts)
-    twofold = _double_outputs(linear, readings)
-    prior = gap_prior_rows(linear, readings, 1.0)
-    hidden, _ = _hidden_changes(whole, separate_contacts(schedule), twofold, prior)
-    return list(map(hidden.is_state_known, range(linear.A.shape[0])))
-
-
-def _hidden_changes(
-    whole: Matrices, twice: Schedule, twofold: ReadingConditions, prior: Floats
-) -> tuple[Unobservable, np.ndarray]:
-    """Return the changes that no reading shows, and the visited branches (2p x 2).
-
-    Args:
-        whole: with gaps as states.
-        twice: the schedule with each output twice.
-        twofold: the readings so.
-        prior: of `gap_prior_rows`.
-    """
-    visited = twice.branch_visits(whole.A.shape[0])
-    hidden = unobservable_changes(whole, visited, twice.Ts, twofold.bias, repeats=2)
-    return hidden.exclude_known(prior), visited
-
-
-def _gap_and_width_direction(
-    size: int, n: int, p: int, i: int, gap: tuple[float, ...], zone: tuple[float, ...] = (0.0, 0.0)
-) -> Floats:
-    """Return a combination of gaps and widths of output i among `[x; c; d]`."""
-    direction = np.zeros(size)
-    direction[n + 2 * i : n + 2 * i + 2] = gap
-    direction[n + 2 * p + 2 * i : n + 2 * p + 2 * i + 2] = zone
-    return direction
-
-
-def _unreached_behind_gap(schedule: Schedule, n: int, i: int) -> list[str]:
-    """Describe why edges behind a gap are not visited."""
-    words = []
-    for reason in describe_unreached_edges(schedule, schedule.branch_visits(n), i):
-        named = reason.replace("below d_r,", "below d_r + c_r,")
-        words.append(named.replace("above -d_l,", "above -d_l - c_l,"))
-    return words
-
-
-def _single_contact_reason(schedule: Schedule, visited: np.ndarray, i: int) -> list[str]:
+def _single_contact_reason(visited: np.ndarray, i: int) -> list[str]:
     """Describe that output i is read in a single contact beyond its edges."""
     right, left = map(np.any, visited[2 * i : 2 * i + 2])
     if right == left:

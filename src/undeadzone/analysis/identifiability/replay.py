@@ -75,7 +75,7 @@ def replay_gap(
     lost = friction * _slide(gears, omega)
     spun = (u - lost - viscous * omega) / J
     rows = np.stack([turned + centre, omega, link, pull, y, spun, limits[1] * lost / J])
-    gap = np.append(np.fmax(np.linspace(*limits[0], GAPS), LEAST), LEAST)
+    gap = np.append(np.fmax(np.linspace(limits[0][0], limits[0][1], GAPS), LEAST), LEAST)
     told = np.append(np.ones(GAPS), 0.0)
     place = rows[0, 0] - np.sign(needed[0]) * gap
     first = np.column_stack([place, v[0] + 0 * gap, *np.outer([y[0], omega[0], 0.0], told)])

@@ -69,39 +69,25 @@ def sensor_actuator_identifiability(
     constant = np.zeros((n, 0)) if bias is None else bias
     effects = [np.hstack([constant, _width_inputs(linear.B, mode, drive)]) for mode in modes]
     hidden = unobservable_changes(linear, visits, schedule.Ts, drives=effects or [constant])
-    # Unknowns: state, widths of the sensors, constant inputs, then right and left actuator widths.
-    first = n + 2 * len(visits) + constant.shape[1]
-    outputs = [
-        WidthIdentifiability(**hidden.width_flags(i), reasons=()) for i in range(len(visits))
-    ]
-    inputs = []
-    for i in range(m):
-        flags: dict[str, Any] = {}
-        for name, weights in DIRECTIONS.items():
-            direction = np.zeros(hidden.scale.size)
-            if effects:
-                direction[[first + i, first + m + i]] = weights
-            flags[name] = bool(effects) and hidden.is_combination_known(direction)
-        inputs.append(WidthIdentifiability(**flags, reasons=()))
-    reason = _sensor_actuator_reasons(outputs, inputs, modes)
-    return SensorActuatorIdentifiability(
-        *([width._replace(reasons=reason) for width in widths] for widths in (outputs, inputs))
-    )
+    # Unknowns: state, widths of the sensors, constant inputs, then those of the actuators.
+    ends = range(n + 2 * len(visits) + constant.shape[1], hidden.scale.size, 2)
+    outputs = list(map(hidden.width_flags, range(len(visits))))
+    inputs = list(map(hidden.pair_flags, ends)) or [dict.fromkeys(DIRECTIONS, False)] * m
+    reasons = _sensor_actuator_reasons([*outputs, *inputs], modes)
+    verdicts = [WidthIdentifiability(**flags, reasons=reasons) for flags in [*outputs, *inputs]]
+    return SensorActuatorIdentifiability(verdicts[: len(visits)], verdicts[len(visits) :])
 
 
 def _width_inputs(B: Floats, mode: Floats, drive: Drive) -> Floats:
-    """Return -B chi of a mode (m): the effect of the widths, right then left, on x' (n x 2m)."""
+    """Return -B chi of a mode (m): the effect of each input's [right, left] on x' (n x 2m)."""
     right = -drive.slope_right * (mode > 0)
     left = drive.slope_left * (mode < 0)
-    return np.hstack([B * right, B * left])
+    return np.stack([B * right, B * left], axis=2).reshape(len(B), -1)
 
 
-def _sensor_actuator_reasons(
-    outputs: list[WidthIdentifiability], inputs: list[WidthIdentifiability], modes: Floats
-) -> tuple[str, ...]:
+def _sensor_actuator_reasons(widths: list[dict[str, Any]], modes: Floats) -> tuple[str, ...]:
     """Describe why a centre is not identifiable, and the remedy; empty if all are."""
-    centres = [width.centre for width in (*outputs, *inputs)]
-    if all(centres):
+    if all(flags["centre"] for flags in widths):
         return ()
     silent = (modes == 0).any(axis=0).tolist() if len(modes) else []
     if not all(silent) or not silent:

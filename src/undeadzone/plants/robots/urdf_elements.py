@@ -8,13 +8,13 @@ from __future__ import annotations
 import math
 from pathlib import Path
 from typing import NamedTuple
-from xml.etree.ElementTree import Element, ParseError, fromstring
+from xml.etree.ElementTree import Element, fromstring
 
 import numpy as np
 
 from undeadzone.errors import FileError
 from undeadzone.util.arrays import Floats, to_float_array
-from undeadzone.util.files import failure_reason, read_bytes
+from undeadzone.util.files import convert_read_errors, read_bytes
 from undeadzone.util.text import suggest_name
 
 MOVABLE = "revolute", "continuous", "prismatic"
@@ -269,14 +269,8 @@ def read_urdf(path: Path) -> Robot:
     Raises:
         FileError: naming the key, the file and the element.
     """
-    try:
+    with convert_read_errors(f"plant.arm.path: {path}", "not XML", ". A robot is a URDF file"):
         root = fromstring(read_bytes(path))
-    except (OSError, ValueError, LookupError) as error:
-        raise FileError(f"plant.arm.path: {path}: cannot read: {failure_reason(error)}") from None
-    except ParseError as error:
-        raise FileError(
-            f"plant.arm.path: {path}: not XML: {error}. A robot is a URDF file"
-        ) from None
     try:
         return _parse_robot(root)
     except ValueError as error:
