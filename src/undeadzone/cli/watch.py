@@ -74,6 +74,14 @@ def _check_seconds(
     callback=_check_seconds,
 )
 @value_option(
+    "--false-alarm",
+    "SECONDS",
+    "Time between two false alarms.",
+    type=TIME,
+    default=30 * 86400.0,
+    callback=_check_seconds,
+)
+@value_option(
     "--heartbeat",
     "SECONDS",
     "Time between progress lines on stderr.",
@@ -88,6 +96,7 @@ def watch(
     strict: bool,
     state: Path | None,
     every: float,
+    false_alarm: float,
     heartbeat: float | None,
     confine: Path | None,
 ) -> bool:
@@ -115,7 +124,7 @@ def watch(
         require_writable(state.parent)
     watched = read_for_logs(scenario, confine)
     with progress("watching", None, of=watched.observer):
-        follower = Follower(watched, live=True)
+        follower = Follower(watched, True, false_alarm)
     log = LiveLog("stdin", watched, follower, parse_columns(columns), strict)
     if sys.stdin is None:
         raise FileError("stdin: it is closed. Give lines of readings and inputs")

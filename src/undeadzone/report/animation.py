@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from importlib.resources import files
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,17 +13,10 @@ from undeadzone.report.html import Html, format_html
 from undeadzone.results.run import FRAMES, Run
 from undeadzone.util.arrays import Floats
 
-if TYPE_CHECKING:
-    pass
-
 TILT = 0.35  # [rad] by which an arm in space is seen from above
 SIDEWAYS = (0.5, 0.9, -0.9, -0.5)  # directions of an arm's path [rad], 0: right in the drawing
 
-_STYLE = "display:block;width:100%;max-width:880px;border:1px solid var(--line);border-radius:6px"
-_CANVAS = (
-    f'<canvas width="880" height="520" style="{_STYLE}" role="img" '
-    'aria-label="The arm in motion"></canvas>'
-)
+_CANVAS = '<canvas width="880" height="520" role="img" aria-label="The arm in motion"></canvas>'
 _CONTROLS = (
     '<p><button type="button">pause</button> '
     '<input type="range" min="0" value="0" step="1" aria-label="time" '

@@ -71,7 +71,7 @@ class Alarm:
     `consistent` is 0 for some per cent of the time although all assumptions hold: tests look at
     the latest quarter periods again and again. The alarm adds these times up, less those in which
     the readings fit: a cumulative sum, whose peaks in true logs are exponential. Its limit is the
-    peak that they reach once in `FALSE_ALARMS`.
+    peak that they reach once in a declared time.
 
     References:
         E. S. Page (1954), doi:10.1093/biomet/41.1-2.100
@@ -79,6 +79,7 @@ class Alarm:
     Args:
         step: between two samples [s].
         quarter: quarter period of the plant [s].
+        apart: time between two false alarms [s].
 
     Attributes:
         limit: samples without fit, less those with, that raise an alarm.
@@ -87,8 +88,8 @@ class Alarm:
 
     SAVED: Final = ("count", "_excess", "_samples", "_change")
 
-    def __init__(self, step: float, quarter: float) -> None:
-        chances = max(FALSE_ALARMS / (APART * quarter), math.e)
+    def __init__(self, step: float, quarter: float, apart: float = FALSE_ALARMS) -> None:
+        chances = max(apart / (APART * quarter), math.e)
         self.limit = math.ceil(PEAK * quarter / step * math.log(chances))
         self.count = self._excess = self._samples = self._change = 0
 

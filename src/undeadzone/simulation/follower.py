@@ -25,7 +25,7 @@ from undeadzone.scenario.problem import (
     with_units,
 )
 from undeadzone.scenario.schema import Scenario, Units
-from undeadzone.simulation.consistency import Alarm, Consistency, Own, verdict_of
+from undeadzone.simulation.consistency import FALSE_ALARMS, Alarm, Consistency, Own, verdict_of
 from undeadzone.simulation.online import Online, build_observer
 from undeadzone.simulation.sample_by_sample import numeric_along
 from undeadzone.util.arrays import Floats, require_number
@@ -41,6 +41,7 @@ class Follower:
         scenario: its plant (or model), sensor, observer and step are used.
         live: whether samples come in block after block, which an observer that computes in Python
             does not take.
+        apart: time between two false alarms [s].
 
     Attributes:
         model: the sampled model.
@@ -68,7 +69,7 @@ class Follower:
         "_diverged",
     )
 
-    def __init__(self, scenario: Scenario, live: bool = False) -> None:
+    def __init__(self, scenario: Scenario, live: bool = False, apart: float = FALSE_ALARMS) -> None:
         simulation = scenario.simulation
         plant = plant_of_model(scenario)
         step = require_number("simulation.step", simulation.step, above=0.0)
@@ -83,6 +84,8 @@ class Follower:
         self._scenario = with_units(scenario, self.model)
         self._numeric = built.python
         self._online = None if self._numeric else Online(*parts, actuator=actuator)
+        self._times = step, time_scale(self.model.continuous)
+        self._apart = apart
         self.begin()
 
     def begin(self) -> None:
@@ -90,8 +93,7 @@ class Follower:
         self.samples = 0
         self._tests: list[Consistency] | None = None
         self._own: Own | None = None
-        self._times = self._scenario.simulation.step, time_scale(self.model.continuous)
-        self.alarm = Alarm(*self._times)
+        self.alarm = Alarm(*self._times, self._apart)
         # Of sides: right, left, silent, at a limit of the range.
         self._counts = np.zeros((4, self.model.p), int)
         self._missing = 0

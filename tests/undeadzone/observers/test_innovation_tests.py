@@ -235,7 +235,7 @@ def test_glued_logs_are_named_and_covered(assumptions: str, least: float) -> Non
 @pytest.mark.parametrize("length", [3, 7])
 def test_an_alarm_takes_its_delay_in_blocks_of_any_length(length: int) -> None:
     alarm = Alarm(1.0, 1.0)
-    assert Alarm(300.0, 300.0).limit < alarm.limit  # slow plants have fewer chances a month
+    assert Alarm(300.0, 300.0).limit < Alarm(1.0, 1.0, 864e3).limit < alarm.limit  # a month
     for unfit, alarms in ((0, 0), (alarm.limit - 1, 0), (0, 0), (alarm.limit, 1), (9, 1)):
         fits = np.arange(unfit + alarm.limit) >= unfit
         for k in range(0, len(fits), length):

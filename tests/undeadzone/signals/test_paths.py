@@ -318,7 +318,7 @@ def test_a_grid_too_coarse_for_the_path(path: Path) -> None:
     with pytest.raises(
         TrackingError,
         match=r"singular configuration .*, or it is too fast for steps as long as "
-        r"simulation.step; move it or slow",
+        r"simulation.step: move it or slow",
     ):
         joints(TWO_LINK, tip_path(path), ELBOWS[0], step=1.0)
 

@@ -36,9 +36,9 @@ if __name__ == "__main__":
 
 
 def test_a_write_removes_what_a_killed_one_left_and_no_file_of_another(tmp_path: Path) -> None:
-    left, path = tmp_path / f"{files.HIDDEN}a1b2c3d4.txt", tmp_path / "a.txt"
+    left = tmp_path / ".undeadzone-a1b2c3d4.txt"
     left.touch()
-    with files.replace_file(path) as held:
+    with files.replace_file(tmp_path / "a.txt") as held:
         assert held.exists() > left.exists()
         files._remove_leftovers.cache_clear()
         files.write_text("b", tmp_path / "b.txt")
