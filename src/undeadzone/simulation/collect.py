@@ -49,11 +49,14 @@ from undeadzone.util.arrays import Floats
 from undeadzone.util.files import SCHEMA
 
 LEARNT = 1 / 5  # of the declared deviation, above which a gap is not known
+SHARES = {"right_std": 1, "left_std": 1, "width_std": 4}  # of the variance of half a gap
 WIDENED = 1.2  # factor of the deviation of a gap above that; 34 of 34 of fresh robots held with 1
 
 
-def verdicts_of_run(problem: Problem, signal: Outputs) -> list[WidthIdentifiability]:
-    """Return the identifiability of each output's widths from a run's readings.
+def verdicts_of_run(
+    problem: Problem, signal: Outputs
+) -> tuple[list[WidthIdentifiability], Estimate]:
+    """Return the identifiability of each output's widths from a run's readings, and its estimates.
 
     For a nonlinear plant they are determined along the run, given the observer's prior of its
     start.
@@ -63,7 +66,12 @@ def verdicts_of_run(problem: Problem, signal: Outputs) -> list[WidthIdentifiabil
         signal: the outputs of the loop (a row per sample).
     """
     if problem.plant.gears is not None:
-        return _verdicts_on_gaps(problem, signal.x)
+        return _verdicts_on_gaps(problem, signal)
+    return _verdicts_on_widths(problem, signal), signal.estimate
+
+
+def _verdicts_on_widths(problem: Problem, signal: Outputs) -> list[WidthIdentifiability]:
+    """Return the identifiability of the widths of each output of a sensor or a play."""
     if problem.sensor.play is not None and (problem.plant.nonlinear or actuator_unknown(problem)):
         why = "a nonlinear plant" if problem.plant.nonlinear else "an actuator that is not known"
         return withdrawn(problem, f"no verdict was derived for a play and a dead zone behind {why}")
@@ -80,28 +88,76 @@ def verdicts_of_run(problem: Problem, signal: Outputs) -> list[WidthIdentifiabil
     return mark_excluded_widths(problem, found)
 
 
-def _verdicts_on_gaps(problem: Problem, x: Floats) -> list[WidthIdentifiability]:
-    """Return the identifiability of each joint's gears. Encoders at motors add nothing to it."""
+def _verdicts_on_gaps(
+    problem: Problem, signal: Outputs
+) -> tuple[list[WidthIdentifiability], Estimate]:
+    """Return the identifiability of each joint's gears, and the estimates, of a run.
+
+    Encoders at motors add nothing to it. A gap whose strikes hide is that of the replayed log, if
+    this narrows it.
+    """
     from undeadzone.analysis.identifiability.flanks import StrikeDetector, gap_identifiability
+    from undeadzone.analysis.identifiability.replay import replay_gap
 
     plant = problem.plant
     gears = plant.gears
     path = problem.path
     step = problem.scenario.simulation.step
+    model = problem.model
+    told = model.gears
+    estimate = signal.estimate
     assert gears is not None
+    assert told is not None
     assert path is not None
     traits = problem.observer.traits
     N = gears.joint_count
-    t = np.arange(len(x)) * step
+    t = np.arange(len(signal.x)) * step
     along = np.stack([path.output_at(t, order) for order in range(3)], axis=1)
     unknown = traits.unknown
     if unknown is None:
-        unknown = unknown_torques(problem.model, gears, 0.0)[0]
+        unknown = unknown_torques(model, gears, 0.0)[0]
     crossing = getattr(problem.scenario.controller, "crossing", math.inf)
     noise = problem.sensor.rms[-N:]
     detector = StrikeDetector(traits.groups or [range(N)], unknown, FADING, JERK, noise, crossing)
-    verdicts = gap_identifiability(gears, plant.params, x, along, step, detector)
-    return verdicts * (plant.p // N)
+    log = (signal.y[:, -N:], signal.u, along)
+    friction = getattr(problem.scenario.observer, "friction", 0.0)
+    shift = np.zeros_like(estimate.right)
+    added = np.zeros_like(estimate.right)
+
+    def narrow(i: int) -> bool:
+        """Return whether the replayed log narrows a gap."""
+        if traits.halves is None:
+            return False
+        half = traits.halves[i]
+        gap, std = replay_gap(told, model.params, i, log, detector, (half, friction), step)
+        narrowed = _is_narrower(gap, std, half)
+        if narrowed:
+            shift[:, i] = (gap - estimate.right[:, i] - estimate.left[:, i]) / 2
+            added[:, i] = (std**2 - estimate.width_std[:, i] ** 2) / 4
+        return narrowed
+
+    verdicts = gap_identifiability(gears, plant.params, signal.x, along, step, detector, narrow)
+    if added.any():
+        estimate = _change_gaps(estimate, shift, added)
+    return verdicts * (plant.p // N), estimate
+
+
+def _is_narrower(gap: float, std: float, half: Floats) -> bool:
+    """Return whether a belief in a gap is narrower than the declared range [lo, hi] of half of it.
+
+    It is, if its deviation times `WIDENED` is below that of the range, and below the way from the
+    belief to the upper end: readings that ask for more than was declared contradict it (the first
+    gap of an AgileX Piper came out as 60 for 20 mrad).
+    """
+    return bool(WIDENED * std < min(np.ptp(half) / np.sqrt(3), 2 * half[1] - gap))
+
+
+def _change_gaps(estimate: Estimate, shift: Any, added: Any) -> Estimate:
+    """Return estimates with half gaps larger by a shift, and with added variance (each N x p)."""
+    changed = {"right": estimate.right + shift, "left": estimate.left + shift}
+    for name, share in SHARES.items():
+        changed[name] = np.sqrt(np.fmax(getattr(estimate, name) ** 2 + share * added, 0.0))
+    return estimate._replace(**changed)
 
 
 def withdraw_vague_gaps(
@@ -109,9 +165,7 @@ def withdraw_vague_gaps(
 ) -> list[WidthIdentifiability]:
     """Return the verdicts of a run, with a no for each gap that its filter has hardly learnt.
 
-    Such a gap is narrowed if its deviation, `WIDENED` times the filter's, is below the declared
-    one, and below the way from the belief to the upper end of the range: readings that ask for more
-    than was declared contradict it (the first gap of an AgileX Piper came out as 60 for 20 mrad).
+    Such a gap is narrowed if the filter's belief is narrower than the declared range.
 
     Args:
         problem: the simulated problem.
@@ -124,17 +178,16 @@ def withdraw_vague_gaps(
         return verdicts
     N = gears.joint_count
     declared = np.ptp(ranges, axis=1) / np.sqrt(3)  # of the whole gap, twice half of it
-    above = 2 * ranges[:, 1] - (estimate.right + estimate.left)[-1, :N]
     after = []
-    for verdict, std, prior, room in zip(
-        verdicts[:N], estimate.width_std[-1], declared, above, strict=False
-    ):
-        if verdict.width and 0 < LEARNT * prior < std:
+    for i, verdict in enumerate(verdicts[:N]):
+        std = estimate.width_std[-1, i]
+        if verdict.width and 0 < LEARNT * declared[i] < std:
             why = (
-                f"its strikes show, yet they left it uncertain by {std:.2g}, of {prior:.2g} as it"
-                " was declared: turn it faster, for longer, or declare less"
+                f"its strikes show, yet they left it uncertain by {std:.2g}, of {declared[i]:.2g}"
+                " as it was declared: turn it faster, for longer, or declare less"
             )
-            narrowed = bool(WIDENED * std < min(prior, room))
+            gap = estimate.right[-1, i] + estimate.left[-1, i]
+            narrowed = _is_narrower(gap, std, ranges[i])
             verdict = verdict.add_reasons(why, **NONE, narrowed=narrowed)
         after.append(verdict)
     return after * (len(verdicts) // N)  # of encoders at motors as of those at links
@@ -158,22 +211,18 @@ def withhold_gaps(
     gears = problem.plant.gears
     narrowed = np.array([verdict.narrowed for verdict in verdicts])
     lost = ~narrowed & [not verdict.width for verdict in verdicts]
-    if gears is None or ranges is None or not (lost | narrowed).any():
+    if gears is None or ranges is None:
         return estimate
     added = narrowed * (WIDENED**2 - 1) * estimate.width_std**2 / 4  # of half a gap
-    changed = {}
-    shares = {"right": 0, "left": 0, "right_std": 1, "left_std": 1, "width_std": 4}
-    for name, share in shares.items():
-        signal = getattr(estimate, name)
-        if share:
-            signal = np.sqrt(signal**2 + share * added)
-        changed[name] = np.where(lost, signal[0], signal)
+    wider = _change_gaps(estimate, 0.0, added)
+    shown = {name: getattr(wider, name) for name in ("right", "left", *SHARES)}
+    shown = {name: np.where(lost, signal[0], signal) for name, signal in shown.items()}
     N = gears.joint_count
     x_std = estimate.x_std.copy()
     links = np.sqrt(x_std[:, N : 2 * N] ** 2 + added[:, :N])
     widest = lost[:N] * ranges[:N, 1] / np.sqrt(3)
     x_std[:, N : 2 * N] = np.maximum(links, widest)
-    return estimate._replace(**changed, x_std=x_std)
+    return estimate._replace(**shown, x_std=x_std)
 
 
 def _width_verdicts_beside_actuator(
@@ -320,8 +369,9 @@ def collect(problem: Problem, signal: Outputs, error: IntegrationError | None, b
         began: reading of the performance counter when the run began [s].
     """
     t = np.arange(problem.steps + 1) * problem.scenario.simulation.step
-    verdicts = withdraw_vague_gaps(problem, verdicts_of_run(problem, signal), signal.estimate)
-    estimate = withhold_gaps(problem, verdicts, signal.estimate)
+    verdicts, estimate = verdicts_of_run(problem, signal)
+    verdicts = withdraw_vague_gaps(problem, verdicts, estimate)
+    estimate = withhold_gaps(problem, verdicts, estimate)
     given = signals_from_estimate(estimate)
     proof = certificate(problem)
     signals = {

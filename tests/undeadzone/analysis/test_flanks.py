@@ -29,7 +29,7 @@ def first_verdict(
     x[:, 0] = 0.06 * np.repeat((-1.0) ** np.arange(len(speeds) + 1), 10)
     x[9:-1:10, 4] = speeds
     detector = StrikeDetector(groups, np.full(2, 0.01), 0.2, 1e-3, np.full(2, 1e-4), 50.0)
-    return gap_identifiability(gears, gears.values, x, path, 1e-3, detector)[0]
+    return gap_identifiability(gears, gears.values, x, path, 1e-3, detector, bool)[0]
 
 
 def test_a_load_of_one_sign_presses_on_one_flank() -> None:

@@ -242,6 +242,35 @@ def test_readme_path_holds_the_second_joint_on_one_flank(known: uz.Run) -> None:
     assert np.cos(mean + place) == pytest.approx(0.0, abs=0.02)  # where the link hangs
 
 
+def shaken(friction: float, measured: str, noise: float, turns: int) -> uz.Scenario:
+    """A light link that nothing presses but its inertia, to and fro."""
+    gears = {"half": 0.03, "inertia": 0.012, "friction": friction, "measured": measured}
+    weightless = {"m": 0.35, "l": 0.25, "c": 0.125, "I": 0.0018, "g": 0.0}
+    times = np.linspace(0.0, 1.6 * turns, 2 * turns + 1).tolist()
+    return scenario(
+        plant={
+            "arm": {"kind": "one_link", "torque_max": 3.0, "gears": gears},
+            "x0": [0.0, 0.0],
+            "parameters": weightless,
+        },
+        reference={"kind": "quintic", "points": [[0.0], *[[0.5], [0.0]] * turns], "times": times},
+        sensor={"right": 0.0, "left": 0.0, "noise": noise},
+        simulation={"time": "sampled", "duration": times[-1], "step": 1e-3, "substeps": 4},
+    )
+
+
+def test_many_hidden_strikes_narrow_a_gap() -> None:
+    """The filter's own belief of it is withheld."""
+    observer = {"method": "contact", "half": [0.0, 0.05], "starts": 1}
+    run = uz.simulate(shaken(1.5, "motor", 3e-4, 6).replace("observer", observer))
+    (verdict,) = run.info.identifiable
+    assert verdict["crossings"] == 0
+    assert verdict["narrowed"]
+    numbers = run.summary()
+    assert numbers["gap_low"] < 0.06 < numbers["gap_high"]
+    assert numbers["gap_high"] - numbers["gap_low"] < 0.08
+
+
 @pytest.mark.parametrize(
     ("friction", "measured", "noise", "known"),
     [
@@ -254,21 +283,7 @@ def test_readme_path_holds_the_second_joint_on_one_flank(known: uz.Run) -> None:
 def test_a_strike_that_noise_and_unknown_torque_hide_shows_no_gap(
     friction: float, measured: str, noise: float, known: bool
 ) -> None:
-    """A light link that nothing presses but its inertia, to and fro."""
-    gears = {"half": 0.03, "inertia": 0.012, "friction": friction, "measured": measured}
-    weightless = {"m": 0.35, "l": 0.25, "c": 0.125, "I": 0.0018, "g": 0.0}
-    run = uz.simulate(
-        scenario(
-            plant={
-                "arm": {"kind": "one_link", "torque_max": 3.0, "gears": gears},
-                "x0": [0.0, 0.0],
-                "parameters": weightless,
-            },
-            reference={"kind": "quintic", "points": [[0.0], [0.5], [0.0]], "times": [0, 0.8, 1.6]},
-            sensor={"right": 0.0, "left": 0.0, "noise": noise},
-            simulation={"time": "sampled", "duration": 1.6, "step": 1e-3, "substeps": 4},
-        )
-    )
+    run = uz.simulate(shaken(friction, measured, noise, 1))
     (verdict,) = run.info.identifiable
     assert verdict["width"] == known
     if not known:

@@ -15,14 +15,14 @@ deviations off.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from undeadzone.analysis.identifiability.linear import WidthIdentifiability
-from undeadzone.plants.robots.arm import Arm
+from undeadzone.plants.robots.arm import Arm, evaluate_rows
 from undeadzone.plants.robots.geared import EVEN, Geared, largest_couplings
 from undeadzone.util.arrays import Flags, Floats, bounds_of_runs
 
@@ -170,13 +170,24 @@ def list_crossings(gears: Geared, params: Floats, x: Floats) -> list[Crossings]:
     return found
 
 
-def strike_response(
-    inertia: float, torque: float, noise: float, detector: StrikeDetector, Ts: float
-) -> float:
-    """Return by how many deviations a unit jump of a motor's speed shows in its readings [s/rad].
+class MotorFilter(NamedTuple):
+    """Filter of a motor's angle, speed and unknown torque by its readings, once it has settled.
 
-    It is the matched filter's ratio of signal to noise, of the innovations of a filter of angle,
-    speed and unknown torque.
+    Attributes:
+        A: step of the three (3 x 3).
+        gain: of the readings (3).
+        std: of an innovation [rad].
+    """
+
+    A: Floats
+    gain: Floats
+    std: float
+
+
+def motor_filter(
+    inertia: float, torque: float, noise: float, detector: StrikeDetector, Ts: float
+) -> MotorFilter:
+    """Return the filter of a motor.
 
     Args:
         inertia: of the motor [kg m^2].
@@ -195,18 +206,36 @@ def strike_response(
         before = P[0, 0]
         gain = P[:, 0] / (P[0, 0] + noise**2)
         P = A @ (P - np.outer(gain, P[0])) @ A.T + Q
-    gain = P[:, 0] / (P[0, 0] + noise**2)
+    variance = P[0, 0] + noise**2
+    return MotorFilter(A, P[:, 0] / variance, float(np.sqrt(variance)))
+
+
+def strike_response(
+    inertia: float, torque: float, noise: float, detector: StrikeDetector, Ts: float
+) -> float:
+    """Return by how many deviations a unit jump of a motor's speed shows in its readings [s/rad].
+
+    It is the matched filter's ratio of signal to noise, of the innovations of `motor_filter`, which
+    has the arguments.
+    """
+    listener = motor_filter(inertia, torque, noise, detector, Ts)
     jump = np.array([0.0, 1.0, 0.0])
     energy = 0.0
     for _ in range(round(WINDOW / Ts)):
-        jump = A @ jump
-        energy += jump[0] ** 2 / (P[0, 0] + noise**2)
-        jump = jump - gain * jump[0]
+        jump = listener.A @ jump
+        energy += (jump[0] / listener.std) ** 2
+        jump = jump - listener.gain * jump[0]
     return float(np.sqrt(energy))
 
 
 def gap_identifiability(
-    gears: Geared, params: Floats, x: Floats, path: Floats, step: float, detector: StrikeDetector
+    gears: Geared,
+    params: Floats,
+    x: Floats,
+    path: Floats,
+    step: float,
+    detector: StrikeDetector,
+    narrow: Callable[[int], bool],
 ) -> list[WidthIdentifiability]:
     """Return the identifiability of each joint's gap from the readings of a run.
 
@@ -220,6 +249,7 @@ def gap_identifiability(
         path: positions, speeds and accelerations of its joints (N x 3 x joints).
         step: between two rows [s].
         detector: the listener.
+        narrow: whether the readings narrow the gap of a joint that crosses it, yet strikes unheard.
     """
     body = gears.arm
     links = gears.link_params(params)
@@ -231,12 +261,12 @@ def gap_identifiability(
     friction = np.ravel(gears.gear_number(params, "friction"))
     fading = friction * step / (inertia * gears.rest)
     lightest = int(np.argmax(fading))
+    behind = link_inertias(gears, params, x[:, inertia.size : 2 * inertia.size])
     verdicts = []
     for i, found in enumerate(list_crossings(gears, params, x)):
         planned = 2 * half[i] * detector.crossing / np.e
-        strikes = _strikes(
-            gears, params, x, i, found._replace(speeds=np.fmin(found.speeds, planned))
-        )
+        link = behind[found.rows, i]
+        strikes = link / (inertia[i] + link) * np.fmin(found.speeds, planned)
         if gears.measured == "motor":
             unit = strike_response(
                 inertia[i], detector.torque[i], detector.noise[i], detector, step
@@ -275,24 +305,25 @@ def gap_identifiability(
             )
         known = not why
         whys = (why,) if why else ()
-        verdicts.append(WidthIdentifiability(known, known, known, known, whys, crossings=detected))
+        verdict = WidthIdentifiability(known, known, known, known, whys, crossings=detected)
+        verdicts.append(verdict._replace(narrowed=case == "hidden" and narrow(i)))
     return verdicts
 
 
-def _strikes(gears: Geared, params: Floats, x: Floats, i: int, found: Crossings) -> Floats:
-    """Return the jumps of a motor's speed by the strikes of its link (K) [rad/s].
+def link_inertias(gears: Geared, params: Floats, q: Floats) -> Floats:
+    """Return the inertia that each motor feels behind its gears (K x N) [kg m^2].
 
     The gears of the other joints are taken to be closed: so they are nearly always.
+
+    Args:
+        gears: the arm.
+        params: its parameters.
+        q: postures (K x N).
     """
-    inertia = np.ravel(gears.gear_number(params, "inertia"))
-    others = np.where(np.arange(gears.joint_count) == i, 0.0, inertia)
-    jumps = []
-    for row, speed in zip(found.rows, found.speeds, strict=True):
-        q = x[row, gears.joint_count : 2 * gears.joint_count]
-        M = np.asarray(gears.arm.mass(gears.link_params(params), q)) + np.diag(others)
-        link = 1 / np.linalg.inv(M)[i, i]
-        jumps.append(link / (inertia[i] + link) * speed)
-    return np.array(jumps)
+    motors = np.ravel(gears.gear_number(params, "inertia"))
+    M = evaluate_rows(gears.arm.mass, gears.link_params(params), q)
+    together = np.linalg.inv(M.reshape(-1, motors.size, motors.size) + np.diag(motors))
+    return 1 / np.diagonal(together, axis1=1, axis2=2) - motors
 
 
 def _gap_reasons(place: float | None, unit: str) -> str:
