@@ -10,6 +10,7 @@ import logging
 import os
 import resource
 import signal
+import subprocess
 import sys
 import time
 from pathlib import Path
@@ -17,9 +18,36 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from documents import ROOT
 from undeadzone.util.arrays import Floats
 from undeadzone_studies.ensemble import run_blocks
 from undeadzone_studies.ensemble.job import Layout
+
+
+def stop_program(number: int, program: str, *arguments: object) -> tuple[int, str, str]:
+    """Run a program of Python, stop its group by a signal once it prints a line.
+
+    Args:
+        number: of the signal.
+        program: its text.
+        arguments: its words.
+
+    Returns:
+        Its exit status, the rest of what it prints, what it prints on stderr.
+    """
+    with subprocess.Popen(
+        [sys.executable, "-c", program, *map(str, arguments)],
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    ) as running:
+        assert running.stdout is not None
+        running.stdout.readline()
+        os.killpg(running.pid, number)
+        said, noise = running.communicate()
+    return running.returncode, said, noise
 
 
 class Sines(NamedTuple):

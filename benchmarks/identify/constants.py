@@ -65,12 +65,12 @@ def scaled(module: ModuleType, name: str, factor: float) -> Iterator[None]:
             setattr(one, name, value)
 
 
-def answer(log: Log, door: Door | None) -> tuple[str, str]:
-    """Return what the looks say of a log, to two digits, and its word ("" without a truth)."""
+def answer(log: Log, door: Door) -> tuple[str, str]:
+    """Return what the looks say of a log, to two digits, and its word."""
     account = account_of_looks(log, look_at(log)) or Account(OPEN, {}, "", ("", ""))
     numbers = [f"{one.value:.2g}" for ways in account.effects.values() for one in ways.values()]
     said = " ".join([account.grade, *account.effects, *numbers])
-    return said, judge(account, door)[0] if door else ""
+    return said, judge(account, door)[0]
 
 
 def read_doors(families: tuple[str, ...], seeds: range) -> Iterator[tuple[Log, Door]]:
@@ -83,21 +83,14 @@ def read_doors(families: tuple[str, ...], seeds: range) -> Iterator[tuple[Log, D
                 yield without_drive(read_log_or_loop(path, None, False)), door
 
 
-def table(
-    families: tuple[str, ...] = ("doors", "small"),
-    seeds: int = 1,
-    first: int = 1,
-    files: tuple[Path, ...] = (),
-) -> str:
+def table(families: tuple[str, ...] = ("doors", "small"), seeds: int = 1, first: int = 1) -> str:
     """Return the section of RESULTS.md.
 
     Args:
         families: of the bench `numbers`.
         seeds, first: of each family.
-        files: further logs, whose truth is not known.
     """
-    every: list[tuple[Log, Door | None]] = [*read_doors(families, range(first, first + seeds))]
-    every += [(without_drive(read_log_or_loop(path, None, False)), None) for path in files]
+    every = [*read_doors(families, range(first, first + seeds))]
     before = [answer(*one) for one in every]
     rows = head("constant", "value", *(f"x {factor:g}" for factor in FACTORS))
     with terminal_progress("constants", len(found := list(constants())), "constant") as advance:
@@ -107,9 +100,7 @@ def table(
                 with scaled(module, name, factor):
                     pairs = [(old, answer(*one)) for old, one in zip(before, every, strict=True)]
                 changed = sum(old != new for old, new in pairs)
-                worse = sum(
-                    WORDS.index(old[1]) < WORDS.index(new[1]) for old, new in pairs if old[1]
-                )
+                worse = sum(WORDS.index(old) < WORDS.index(new) for (_, old), (_, new) in pairs)
                 cells.append(f"{changed}, {worse}")
             short = module.__name__.rpartition(".")[2]
             rows.append(row(f"{short}.{name}", f"{getattr(module, name):g}", *cells))

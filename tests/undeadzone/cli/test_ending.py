@@ -11,9 +11,10 @@ from pathlib import Path
 
 import click
 import pytest
+from tests.jobs import stop_program
 
 from commands import COMMAND
-from documents import EXAMPLES, ROOT
+from documents import EXAMPLES
 from undeadzone.cli import ending, group
 from undeadzone.cli.ending import name_options, run_to_exit_code
 from undeadzone.errors import InputError, Terminated
@@ -242,19 +243,8 @@ if __name__ == "__main__":
 @pytest.mark.parametrize("workers", [0, 2])
 def test_sigterm_reports_what_is_stored(tmp_path: Path, workers: int) -> None:
     path = tmp_path / "runs.partial"
-    with subprocess.Popen(
-        [sys.executable, "-c", STOPPED, str(path), str(workers)],
-        cwd=ROOT,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    ) as running:
-        assert running.stdout is not None
-        running.stdout.readline()
-        os.killpg(running.pid, signal.SIGTERM)
-        _, stderr_text = running.communicate()
-    assert running.returncode == 143
+    status, _, stderr_text = stop_program(signal.SIGTERM, STOPPED, path, workers)
+    assert status == 143
     assert stderr_text.startswith("undeadzone: terminated: ")
     assert stderr_text.endswith(f"0 of 605 runs are kept in {path}; continue with --resume\n")
     assert stderr_text.count("\n") == 1

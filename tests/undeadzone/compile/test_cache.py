@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import stat
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -22,14 +22,6 @@ define void @block(double %value, ptr %result) {{
 }}
 """
 PLANTED = -3.0  # what planted code gives, 6 what the source says
-
-
-@pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    monkeypatch.setenv("UNDEADZONE_CACHE", str(tmp_path / "kernels"))
-    cache.load_or_compile.cache_clear()
-    yield tmp_path / "kernels"
-    cache.load_or_compile.cache_clear()
 
 
 def computed(factor: float = 2.0) -> tuple[float, bool]:

@@ -9,7 +9,7 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -582,14 +582,6 @@ def test_misuse_is_named() -> None:
 
 
 # --- Kernels on disk
-
-
-@pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    monkeypatch.setenv("UNDEADZONE_CACHE", str(tmp_path / "kernels"))
-    cache.load_or_compile.cache_clear()
-    yield tmp_path / "kernels"
-    cache.load_or_compile.cache_clear()
 
 
 def doubled(factor: float = 2.0) -> tuple[float, bool]:

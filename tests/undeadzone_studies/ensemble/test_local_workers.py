@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.jobs import Sines, layout, say, sines
+from tests.jobs import Sines, layout, say, sines, stop_program
 
 from documents import ROOT
 from undeadzone.errors import ClusterError, InputError
@@ -245,19 +245,7 @@ if __name__ == "__main__":
 
 def test_ctrl_c_stops_the_workers_quietly(tmp_path: Path, whole: bytes) -> None:
     path = tmp_path / "runs.partial"
-    command = [sys.executable, "-c", INTERRUPTIBLE, str(path)]
-    with subprocess.Popen(
-        command,
-        cwd=ROOT,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    ) as running:
-        assert running.stdout is not None
-        running.stdout.readline()
-        os.killpg(running.pid, signal.SIGINT)  # as a terminal does: to the whole group
-        output, noise = running.communicate()
+    _, output, noise = stop_program(signal.SIGINT, INTERRUPTIBLE, path)  # as a terminal does
     assert "of 605 runs are kept in" in output
     assert noise == ""
     run_blocks.compute_job(functools.partial(sines, 605), path, resume=True).close()
