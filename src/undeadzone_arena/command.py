@@ -22,7 +22,13 @@ from undeadzone.cli.common import (
     require_writable,
     value_option,
 )
-from undeadzone.cli.output import files_line, json_option, prepare_figures, report_fresh_start
+from undeadzone.cli.output import (
+    discard_partial,
+    files_line,
+    json_option,
+    prepare_figures,
+    report_fresh_start,
+)
 from undeadzone.util.progress import terminal_progress as progress
 
 if TYPE_CHECKING:
@@ -149,8 +155,7 @@ def arena(
         if writes:
             prepare_figures()
         written = _write_results(contest, folder, bool(own)) if writes else []
-        if keep is not None:
-            keep.unlink(missing_ok=True)
+        discard_partial(keep)
     finally:
         with suppress(OSError):  # it holds something
             folder.rmdir()

@@ -23,7 +23,13 @@ from undeadzone.cli.common import (
     strict_option,
     value_option,
 )
-from undeadzone.cli.output import Output, add_output_options, files_line, partial_file
+from undeadzone.cli.output import (
+    Output,
+    add_output_options,
+    discard_partial,
+    files_line,
+    partial_file,
+)
 from undeadzone.errors import InputError
 from undeadzone.util.files import read_table, write_text
 from undeadzone.util.progress import terminal_progress as progress
@@ -156,8 +162,7 @@ def identify(
             written.append(write_text(best.input_table, further))
         if folder is not None and output.figures:
             written += _write_pages(answer, folder, first.name, best)
-    if keep is not None:
-        keep.unlink(missing_ok=True)
+    discard_partial(keep)
     why |= {} if reason is None else {"no scenario": reason.removeprefix("scenario: ")}
     is_written = path in written
     driven = is_written and "[reference]" in path.read_text(encoding="utf-8")

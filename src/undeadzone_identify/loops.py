@@ -10,7 +10,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from undeadzone.cli.common import READ, build_origin, flag_option, to_json_text, value_option
-from undeadzone.cli.output import Output, add_output_options, files_line, partial_file
+from undeadzone.cli.output import (
+    Output,
+    add_output_options,
+    discard_partial,
+    files_line,
+    partial_file,
+)
 from undeadzone.errors import InputError
 from undeadzone.util.progress import terminal_progress as progress
 
@@ -70,8 +76,7 @@ def loops(source: Path, workers: int, resume: bool, output: Output) -> bool:
         written.append(write_loops(rows, folder, source.name))
         numbers = to_json_text({"loops": rows}) + "\n"
         written.append(write_text(numbers, folder / "loops.json"))
-    if keep is not None:
-        keep.unlink(missing_ok=True)
+    discard_partial(keep)
     table = [HEAD, *map(cells_of_row, rows)]
     output.print_result(lambda: {"loops": rows}, lambda: [table], written, files_line(written))
     return all(row["verdict"] != "refused" for row in rows)

@@ -144,6 +144,12 @@ def require_own_table(folder: Path | None, name: str, force: bool) -> None:
         require_own_file(folder / name, force, is_own_table)
 
 
+def discard_partial(keep: Path | None) -> None:
+    """Delete the file that contained a search, if there is one."""
+    if keep is not None:
+        keep.unlink(missing_ok=True)
+
+
 def partial_file(folder: Path | None, name: str, resume: bool) -> Path | None:
     """Return the file that contains a search until it is done, or None without a folder.
 

@@ -78,29 +78,31 @@ def extend_odd(m: Maths, value: Any, x: Any) -> Any:
     return m.select(x > 0.0, value, m.select(x < 0.0, -value, x))
 
 
-def portable_sine(m: Maths, x: Any) -> Any:
-    """Return sine, 0 of |x| above 8000 (float) or 1e5 (double)."""
+def turn_angle(m: Maths, x: Any) -> tuple[Any, Any, Any]:
+    """Return sine and cosine of x but for their signs, and the quadrant."""
     along, across, n = reduce_angle(m, x)
     q = modulo_four(m, n)
-    value = m.select((q == 1.0) | (q == 3.0), across, along)
+    crossed = (q == 1.0) | (q == 3.0)
+    return m.select(crossed, across, along), m.select(crossed, along, across), q
+
+
+def portable_sine(m: Maths, x: Any) -> Any:
+    """Return sine, 0 of |x| above 8000 (float) or 1e5 (double)."""
+    value, _, q = turn_angle(m, x)
     return extend_odd(m, m.select(q > 1.5, -value, value), x)
 
 
 def portable_cosine(m: Maths, x: Any) -> Any:
     """Return cosine, 1 of |x| above 8000 (float) or 1e5 (double)."""
-    along, across, n = reduce_angle(m, x)
-    q = modulo_four(m, n)
-    value = m.select((q == 1.0) | (q == 3.0), along, across)
+    _, value, q = turn_angle(m, x)
     return m.select((q > 0.5) & (q < 2.5), -value, value)
 
 
 def portable_tangent(m: Maths, x: Any) -> Any:
     """Return tangent, 0 of |x| above 8000 (float) or 1e5 (double)."""
-    along, across, n = reduce_angle(m, x)
-    q = modulo_four(m, n)
-    crossed = (q == 1.0) | (q == 3.0)
-    value = m.select(crossed, across, along) / m.select(crossed, along, across)
-    return extend_odd(m, m.select(crossed, -value, value), x)
+    up, down, q = turn_angle(m, x)
+    value = up / down
+    return extend_odd(m, m.select((q == 1.0) | (q == 3.0), -value, value), x)
 
 
 OWN: Final = FunctionSet(

@@ -34,17 +34,21 @@ def unobservable_modes(A: Floats, C: Floats) -> list[complex]:
         A: (n x n).
         C: (p x n).
     """
-    C = _unit_rows(C)
-    unit = 1 / state_response_sizes(A.T, C.T)
-    A = scale_states(A, unit)
-    scale = max(float(np.linalg.norm(A, 2)), 1e-300)
-    C = _unit_rows(C * unit) * scale
+    A, even, scale = _even_states(A, _unit_rows(C))
+    C = even * scale
     modes = []
     for s in np.linalg.eigvals(A):
         hautus = np.vstack([A - s * np.eye(A.shape[0]), C])
         if np.linalg.svd(hautus, compute_uv=False)[-1] < TOLERANCE * scale:
             modes.append(complex(s))
     return modes
+
+
+def _even_states(A: Floats, C: Floats) -> tuple[Floats, Floats, float]:
+    """Return A and C in units that make the states alike, C with unit rows, and the norm of A."""
+    unit = 1 / state_response_sizes(A.T, C.T)
+    A = scale_states(A, unit)
+    return A, _unit_rows(C * unit), max(float(np.linalg.norm(A, 2)), 1e-300)
 
 
 def uncontrollable_modes(A: Floats, B: Floats) -> list[complex]:
@@ -90,14 +94,12 @@ def output_chains(A: Floats, C: Floats) -> OutputChains:
     """
     n = A.shape[0]
     p = C.shape[0]
-    unit = 1 / state_response_sizes(A.T, C.T)
-    scaled = scale_states(A, unit)
-    rate = max(float(np.linalg.norm(scaled, 2)), 1e-300)
+    scaled, rows_of_outputs, rate = _even_states(A, C)
     independent: list[Floats] = []
     basis = np.zeros((0, n))
     rows: list[list[int]] = [[] for _ in range(p)]
     # Each output's latest derivative, in the plant's units and in even ones.
-    latest = list(zip(C, _unit_rows(C * unit), strict=True))
+    latest = list(zip(C, rows_of_outputs, strict=True))
     for k in range(n):
         for i, (plain, even) in enumerate(latest):
             fresh = even - basis.T @ (basis @ even)

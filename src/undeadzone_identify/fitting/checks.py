@@ -19,7 +19,7 @@ from undeadzone_identify.fitting.likelihood import LEAST_AFTER
 from undeadzone_identify.fitting.problem import SURE, FitProblem
 
 LAGS: Final = (1, 2, 3, 5, 8, 13, 21, 34, 55, 89)  # samples over which scores are correlated
-FLAGGED: Final = 0.05  # probability that a true model is flagged, all tests together
+FLAGGED: Final = 0.02  # probability that a true model is flagged, all tests together
 FARTHEST: Final = 1e-12  # chance beyond which a score is not followed
 SEED: Final = 7  # of the scores of silent readings: a random sequence, or they are not white
 

@@ -18,7 +18,14 @@ from undeadzone.cli.common import (
     strict_option,
     value_option,
 )
-from undeadzone.cli.output import Output, add_scenario_options, files_line, next_line, partial_file
+from undeadzone.cli.output import (
+    Output,
+    add_scenario_options,
+    discard_partial,
+    files_line,
+    next_line,
+    partial_file,
+)
 from undeadzone.util.progress import terminal_progress as progress
 
 
@@ -102,8 +109,7 @@ def fit(
             progress=advance,
         )
     written = [] if folder is None else [result.save(folder / "fitted.toml")]
-    if keep is not None:
-        keep.unlink(missing_ok=True)
+    discard_partial(keep)
     if folder is not None and output.figures:
         from undeadzone_identify.fitting.page import write_fit
 

@@ -256,7 +256,7 @@ def prepare_fit(
     initial = []
     for k, i in np.ndindex(len(logs) * fitted, model.n):
         name = f"x0[{i}]" + f" of log {k + 1}" * (len(logs) > 1)
-        ends = start[i] - reach[i], start[i] + reach[i], start[i]
+        ends = start[i] - reach[i], start[i] + reach[i], start[i], largest[i]
         initial.append(free_within(name, *map(float, ends)))
     spread = np.full(model.n, KNOWN) if fitted or x0 == "known" else largest
     return build_problem(scenario, logs, list(numbers.values()), spread, initial, threads)
@@ -337,13 +337,11 @@ def _find_other_answers(
     problem: FitProblem, peaks: Peaks, found: Intervals
 ) -> tuple[dict[str, float], ...]:
     """Return further peaks that fit as well and are more than deviations away, by name."""
-    far = [peaks.points[0]]
-    scale = np.maximum(found.std, 1e-3 * (problem.high - problem.low))
-    for point in peaks.points[peaks.values > peaks.values[0] - ALIKE]:
-        if np.abs((point - far) / scale).max(axis=1).min() > APART:
-            far.append(point)
+    scale = np.maximum(found.std, 1e-3 * problem.span)
+    off = np.abs((peaks.points - peaks.points[0]) / scale).max(axis=1)
+    far = peaks.points[(off > APART) & (peaks.values > peaks.values[0] - ALIKE)]
     names = [each.name for each in problem.free]
-    values = problem.decode_points(np.array(far[1:]).reshape(-1, len(names))).tolist()
+    values = problem.decode_points(far).tolist()
     return tuple(dict(zip(names, each, strict=True)) for each in values)
 
 

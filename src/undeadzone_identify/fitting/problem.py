@@ -107,6 +107,11 @@ class FitProblem(NamedTuple):
     prior_std: Floats
     threads: int | None = None
 
+    @property
+    def span(self) -> Floats:
+        """Return the sizes of the ranges, in coordinates (k)."""
+        return self.high - self.low
+
     def decode_points(self, points: Floats) -> Floats:
         """Return the values of coordinates (lanes x numbers)."""
         return np.exp(points, out=points.copy(), where=self.is_log)
@@ -156,8 +161,13 @@ class FitProblem(NamedTuple):
         """Return the log likelihood with the prior at coordinates (lanes)."""
         rows = max(1, ROOM // (RECORDED * self.whole.y.size))
         parts = np.split(points, range(rows, len(points), rows))
-        sums = [self.record_lanes(part, heat).density.sum(axis=(1, 2)) for part in parts]
+        sums = [self.weigh_logs(part, heat).sum(axis=1) for part in parts]
         return np.concatenate(sums) + self.log_prior(points)
+
+    def weigh_logs(self, points: Floats, heat: Any) -> Floats:
+        """Return the log likelihood of each log at coordinates (lanes x logs)."""
+        starts = np.cumsum([0, *(len(each.t) for each in self.logs[:-1])])
+        return np.add.reduceat(self.record_lanes(points, heat).density.sum(axis=2), starts, axis=1)
 
     def keep_first(self, count: int) -> FitProblem:
         """Return the problem of the first samples of each log."""

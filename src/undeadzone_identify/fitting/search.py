@@ -30,6 +30,12 @@ LONGEST: Final = 0.35  # step, in ranges
 GAIN: Final = 0.01  # of the log likelihood below which a step is the last one, twice
 DIVERGED: Final = 1e3  # of a log density, beyond which a reading contains no information
 AT_END: Final = 1e-9  # share of a range, within which a number lies at its end
+SAME: Final = 0.01  # share of the ranges to which peaks of one value are told apart
+POPULATION: Final = 32  # places of x(0) for each of its numbers
+FITTEST: Final = 4  # one place in so many is one of the fittest, towards which others move
+TURNS: Final = 24  # of an evolution, at each heat
+PULLS: Final = (0.0, 0.0, 0.0, 0.7)  # shares of the way to one of the fittest
+MOVES: Final = (0.3, 0.6, 1.0)  # factors of a difference of two places
 
 
 class Slope(NamedTuple):
@@ -59,10 +65,16 @@ class Peaks(NamedTuple):
     points: Floats
     values: Floats
 
-    def keep_best(self, count: int | None = None) -> Peaks:
-        """Return the best peaks, in order."""
-        order = np.argsort(-self.values, kind="stable")[:count]
-        return Peaks(self.points[order], self.values[order])
+    def keep_best(self, count: int, span: Floats) -> Peaks:
+        """Return the best peaks, in order, each of them once.
+
+        Args:
+            count: at most.
+            span: sizes of the ranges, in coordinates (k).
+        """
+        rows = np.column_stack([-self.values / GAIN, self.points / (SAME * span)])
+        _, order = np.unique(np.round(rows), axis=0, return_index=True)
+        return Peaks(self.points[order[:count]], self.values[order[:count]])
 
 
 def measure_slope(
@@ -84,13 +96,18 @@ def measure_slope(
     information = shown @ shown.T + np.diag(problem.prior_std**-2.0)
     pull = (point - problem.start) / problem.prior_std**2
     value = density.sum() + problem.log_prior(point[None])[0]
-    return Slope(float(value), scores.sum(axis=1) - pull, information, scores)
+    return Slope(value, scores.sum(axis=1) - pull, information, scores)
 
 
 def diagonal_of(problem: FitProblem, information: Floats) -> Floats:
     """Return the diagonal of an information, with a floor from the ranges."""
-    span = problem.high - problem.low
-    return np.maximum(np.diag(information), 1e-12 / span**2)
+    return np.maximum(np.diag(information), 1e-12 / problem.span**2)
+
+
+def choose_steps(problem: FitProblem, information: Floats, share: float) -> Floats:
+    """Return steps of differences, a share of each number's deviation (k)."""
+    steps = share / np.sqrt(diagonal_of(problem, information))
+    return np.clip(steps, 1e-9 * problem.span, LARGEST_DIFFERENCE * problem.span)
 
 
 def climb(
@@ -111,25 +128,24 @@ def climb(
         frozen: flags of the numbers that stay (k).
         tick: called after each step.
     """
-    span = problem.high - problem.low
+    span = problem.span
     steps = FIRST_DIFFERENCE * span
-    damping, value = 1e-2, -np.inf
+    damping = 1e-2
     small = 0  # last steps that hardly gained
     for turn in range(most):
         slope = measure_slope(problem, point, steps, heat)
         value = slope.value
-        units = DIFFERENCE / np.sqrt(diagonal_of(problem, slope.information))
-        steps = np.clip(units, 1e-9 * span, LARGEST_DIFFERENCE * span)
+        steps = choose_steps(problem, slope.information, DIFFERENCE)
         moves = [_damped_step(problem, point, slope, damping * each, frozen) for each in DAMPINGS]
         trials = point + np.clip(moves, -LONGEST * span, LONGEST * span)
         trials = np.clip(trials, problem.low, problem.high)
         found = problem.evaluate_points(trials, heat)
-        best = int(np.argmax(found))
+        best = np.argmax(found)
         gain = found[best] - value
         damping *= DAMPINGS[best] if gain > 0 else STUCK
         if gain > 0:
-            point, value = trials[best], float(found[best])
-            damping = min(max(damping, 1e-7), 1e6)
+            point, value = trials[best], found[best]
+            damping = np.clip(damping, 1e-7, 1e6)
         small = small + 1 if gain < GAIN and turn > 0 else 0
         tick(1)
         if small > 1 or damping > STUCK:
@@ -142,7 +158,7 @@ def _damped_step(
 ) -> Floats:
     """Return a step. Numbers at an end from which the likelihood falls stay."""
     ends = np.where(slope.gradient < 0, problem.low, problem.high)
-    near = np.abs(point - ends) <= AT_END * (problem.high - problem.low)
+    near = np.abs(point - ends) <= AT_END * problem.span
     moving = np.flatnonzero(~(frozen | near))
     units = 1 / np.sqrt(diagonal_of(problem, slope.information)[moving])
     even = slope.information[np.ix_(moving, moving)] * np.outer(units, units)
@@ -168,22 +184,14 @@ def search_maximum(
         answers: stages that are known, or are to be saved.
         name: of the search among others.
     """
-    low, high = problem.low, problem.high
-    points = low + (high - low) * qmc.Sobol(low.size, seed=seed).random(STARTS)
+    span = problem.span
+    points = problem.low + span * qmc.Sobol(span.size, seed=seed).random(STARTS)
     points[0] = problem.start
     noises = np.array([each.is_noise for each in problem.free])
-    hot = HOT * np.array([np.nanstd(problem.whole.y), np.nanstd(problem.whole.u)])
     started = np.array([each.is_start for each in problem.free])
-
-    def seek_start(point: Floats) -> Floats:
-        """Return a point with the x(0) that the first readings show."""
-        for count, share in _PLAN["first"]:
-            point, _ = climb(
-                problem.keep_first(count), point, np.array(share) * hot, 25, ~started, tick
-            )
-        return point
-
-    points[:, noises | started] = seek_start(problem.start)[noises | started]
+    hot = HOT * np.array([*map(np.nanstd, problem.whole[2:4])])
+    points[:, noises] = problem.start[noises]
+    points[:, started] = evolve_start(problem, problem.start, started, hot, seed)[1, started]
 
     def run_stage(place: int, peaks: Peaks, share: float, count: int, most: int) -> Peaks:
         """Return the peaks of a stage, known or computed."""
@@ -192,19 +200,67 @@ def search_maximum(
             """Yield the peaks of the stage."""
             frozen = noises & (share > 0)
             found = []
-            points = peaks.keep_best(count).points
-            if place == len(_PLAN["stages"]):  # x(0) by the numbers found
-                points = np.array([*map(seek_start, points)])
-            for point in points:
+            for point in peaks.keep_best(count, span).points:
+                if place == _PLAN["evolved"]:  # x(0) by the numbers found
+                    others = evolve_start(problem, point, started, hot, seed)
+                    point = others[np.argmax(problem.evaluate_points(others, share * hot))]
                 top, value = climb(problem, point, share * hot, most, frozen, tick)
                 found.append([top.tolist(), value])
             yield 0, found
 
         (found,) = answers.compute_missing([[name, place, share, count, most]], compute_stage)
-        return Peaks(*map(np.array, zip(*found, strict=True))).keep_best(count)
+        return Peaks(*map(np.array, zip(*found, strict=True)))
 
-    found = [Peaks(points, problem.evaluate_points(points, hot))]
-    for k, stage in enumerate(_PLAN["stages"] + _PLAN["again"]):
-        found.append(run_stage(k, found[-1], *stage))
-    both = zip(found[len(_PLAN["stages"])], found[-1], strict=True)
-    return Peaks(*map(np.concatenate, both)).keep_best()
+    peaks = Peaks(points, problem.evaluate_points(points, hot))
+    for k, stage in enumerate(_PLAN["stages"]):
+        peaks = run_stage(k, peaks, *stage)
+    return peaks.keep_best(STARTS, span)
+
+
+def evolve_start(
+    problem: FitProblem, point: Floats, started: Flags, hot: Floats, seed: int
+) -> Floats:
+    """Return a point, then others with the x(0) that the first readings show (points x k).
+
+    The best one comes first.
+
+    A climb from one place would end with a load at the wrong side of its gap. Places spread over
+    the ranges evolve by differences (doi:10.1023/A:1008202821328), those of each log by its own
+    likelihood.
+
+    Args:
+        problem: the numbers.
+        point: values of all other numbers (k).
+        started: flags of the numbers of x(0) (k).
+        hot: noise and disturbance of a heat of 1.
+        seed: of the places.
+    """
+    if not started.any():
+        return np.tile(point, (2, 1))
+    rng = np.random.default_rng(seed)
+    logs = np.arange(len(problem.logs))
+    ends = np.array([problem.low, problem.high])
+    low, high = ends[:, started].reshape(2, logs.size, -1)
+    size = POPULATION * low.shape[1]
+    points = np.tile(point, (size, 1))
+    trials = rng.uniform(low, high, (size, *low.shape))
+    places = trials
+    for count, share in _PLAN["first"]:
+        part, heat = problem.keep_first(count), np.array(share) * hot
+        values = np.full((size, logs.size), -np.inf)
+        for _ in range(TURNS):
+            points[:, started] = trials.reshape(size, -1)
+            found = part.weigh_logs(points, heat) + problem.log_prior(points)[:, None]
+            better = found > values
+            places[better], values[better] = trials[better], found[better]
+            order = np.argsort(-values, axis=0)
+            places, values = places[order, logs], values[order, logs]
+            near, one, other = (
+                places[rng.integers(most, size=values.shape), logs]
+                for most in (size // FITTEST, size, size)
+            )
+            pull, push = (rng.choice(each, (*values.shape, 1)) for each in (PULLS, MOVES))
+            trials = np.clip(places + pull * (near - places) + push * (one - other), low, high)
+        trials = places
+    points[:, started] = places.reshape(size, -1)
+    return np.vstack([point, points[: size // FITTEST]])

@@ -398,10 +398,31 @@ def few_sample_correction(scores: Floats, row: Floats, count: int) -> tuple[floa
 
 def _score_whitener(scores: Floats) -> Floats:
     """Return W (P x P) with W W' the pseudo-inverse of S' S, S the scores (N x P)."""
-    scale = 1 / np.sqrt(np.sum(scores**2, axis=0) + 1e-300)
-    values, vectors = np.linalg.eigh(require_finite_matrix((scores * scale).T @ (scores * scale)))
+    scale, values, vectors = decompose_scaled(scores.T @ scores)
     whitener = scale[:, None] * vectors / np.sqrt(np.maximum(values, 1e-10))
     return whitener * (values > 1e-10)
+
+
+def decompose_scaled(matrix: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return units that make a matrix's diagonal 1 (P), its eigenvalues and vectors in them.
+
+    Raises InputError for a matrix that overflows.
+    """
+    scale = 1 / np.sqrt(np.abs(np.diag(matrix)) + 1e-300)
+    values, vectors = np.linalg.eigh(require_finite_matrix(matrix * np.outer(scale, scale)))
+    return scale, values, vectors
+
+
+def propagate_covariance(V: Floats, change: Callable[[Floats], Floats]) -> Any:
+    """Return the variances of quantities of numbers with a covariance, by the delta method.
+
+    Args:
+        V: covariance of the numbers (P x P).
+        change: the change of the quantities with that of the numbers (P), 0 if it has none.
+    """
+    values, vectors = np.linalg.eigh(V)
+    moves = 0.1 * np.sqrt(np.maximum(values, 0.0)) * vectors
+    return sum((change(move) / 0.1) ** 2 for move in moves.T)
 
 
 def require_finite_matrix(matrix: Floats) -> Floats:
@@ -485,8 +506,7 @@ def raise_eigenvalues(hessian: Floats) -> Floats:
     Its eigenvalues, in units of its diagonal, are raised to at least 1e-6 of the largest.
     """
     symmetric = 0.5 * (hessian + hessian.T)
-    scale = 1 / np.sqrt(np.abs(np.diag(symmetric)) + 1e-300)
-    values, vectors = np.linalg.eigh(require_finite_matrix(symmetric * np.outer(scale, scale)))
+    scale, values, vectors = decompose_scaled(symmetric)
     raised = np.maximum(values, 1e-6 * values.max())
     return (vectors * raised) @ vectors.T / np.outer(scale, scale)
 
@@ -505,8 +525,7 @@ def raise_to_outer_products(hessian: Floats, outer: Floats) -> Floats:
     Returns:
         A positive Hessian (P x P).
     """
-    scale = 1 / np.sqrt(np.diag(outer) + 1e-300)
-    values, vectors = np.linalg.eigh(require_finite_matrix(outer * np.outer(scale, scale)))
+    scale, values, vectors = decompose_scaled(outer)
     root = vectors * np.sqrt(np.maximum(values, 1e-10 * values.max())) / scale[:, None]
     whiten = np.linalg.pinv(root)
     with np.errstate(over="ignore", invalid="ignore"):

@@ -9,7 +9,11 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.util.arrays import Floats
-from undeadzone_identify.models.estimates import best_maximum, maximise_likelihood
+from undeadzone_identify.models.estimates import (
+    best_maximum,
+    maximise_likelihood,
+    propagate_covariance,
+)
 from undeadzone_identify.models.kalman import (
     AT_INPUT,
     AT_OUTPUT,
@@ -214,15 +218,14 @@ def smooth_with_deviation(fit: KalmanFit) -> tuple[SmoothedStates, Floats]:
         fit: fit of (L2).
     """
     middle = smooth_states(fit)
-    V = fit.objective.robust_covariance(fit.theta).V
-    values, vectors = np.linalg.eigh(V)
-    variance = middle.z_std**2
-    for value, vector in zip(values, vectors.T, strict=True):
-        if value <= 1e-14:
-            continue
-        scale = 0.1 * math.sqrt(value)
+
+    def move_z(move: Floats) -> Floats:
+        """Return the change of z with that of the free parameters."""
         shifted = fit.theta.copy()
-        shifted[fit.objective.free] += scale * vector
-        if fit.objective.can_run_filter(shifted):
-            variance = variance + ((_run_backward(fit, shifted).z - middle.z) / 0.1) ** 2
-    return middle, np.sqrt(variance)
+        shifted[fit.objective.free] += move
+        if not fit.objective.can_run_filter(shifted):
+            return np.zeros_like(middle.z)
+        return _run_backward(fit, shifted).z - middle.z
+
+    V = fit.objective.robust_covariance(fit.theta).V
+    return middle, np.sqrt(middle.z_std**2 + propagate_covariance(V, move_z))

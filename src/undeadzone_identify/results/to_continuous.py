@@ -8,6 +8,7 @@ from undeadzone.errors import InputError
 from undeadzone.linalg.hold import undo_zoh
 from undeadzone.linalg.matrices import Matrices, companion_form
 from undeadzone.util.arrays import Floats
+from undeadzone_identify.models.estimates import propagate_covariance
 from undeadzone_identify.models.plant import Layout
 
 SMALL = 1e-3  # a static gain below this part of the largest makes no good scale
@@ -80,18 +81,17 @@ def continuous_with_spread(
         InputError: as `continuous`.
     """
     plant = to_continuous_plant(a, b, layout, step)
-    values, vectors = np.linalg.eigh(0.5 * (V + V.T))
     entries = np.hstack(plant[:2])
-    variance = np.zeros(entries.shape)
-    for value, vector in zip(values, vectors.T, strict=True):
-        if value <= 0:
-            continue
-        move = 0.05 * np.sqrt(value) * vector
+
+    def move_entries(move: Floats) -> Floats:
+        """Return the change of A and B with that of a and b."""
         try:
             moved = to_continuous_plant(a + move[: a.size], b + move[a.size :], layout, step)
         except InputError:
-            continue
-        variance += ((np.hstack(moved[:2]) - entries) / 0.05) ** 2
+            return np.zeros_like(entries)
+        return np.hstack(moved[:2]) - entries
+
+    variance = propagate_covariance(0.5 * (V + V.T), move_entries)
     size = np.abs(entries)
     spread = np.divide(np.sqrt(variance), size, out=np.zeros(size.shape), where=size > 0)
     return plant, spread[:, : layout.n], spread[:, layout.n :]

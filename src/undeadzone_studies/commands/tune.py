@@ -15,7 +15,14 @@ from undeadzone.cli.common import (
     shell_command,
     value_option,
 )
-from undeadzone.cli.output import Output, add_scenario_options, files_line, next_line, partial_file
+from undeadzone.cli.output import (
+    Output,
+    add_scenario_options,
+    discard_partial,
+    files_line,
+    next_line,
+    partial_file,
+)
 from undeadzone.errors import InputError
 from undeadzone.util.progress import terminal_progress as progress
 
@@ -84,8 +91,7 @@ def tune(
     with progress("tuning", task.budget, "candidates", of=tuned.observer) as advance:
         result = uz.tune(tuned, task, progress=advance, keep=keep, resume=resume)
     written = [] if folder is None else [result.save(folder / "tuned.toml")]
-    if keep is not None:
-        keep.unlink(missing_ok=True)
+    discard_partial(keep)
     if folder is not None and output.figures:
         from undeadzone_studies.report.tune_page import write_tuned
 
