@@ -428,9 +428,6 @@ class _Header(NamedTuple):
                 ranks[other] = min(ranks[other], BESIDE)  # the same without the words of a goal
         if not self.is_open:
             ranks[ranks == REFERENCE] = 0.0
-        elif self.values is not None:
-            copies = [ranks[same & (ranks != 0)] for same in _copies(_scaled(self.values))]
-            ranks = np.array([np.median(one) if one.size else 0.0 for one in copies])
         return ranks
 
     def likeness(self) -> Floats:
@@ -582,7 +579,7 @@ def _scaled(values: Floats) -> Floats:
 
 
 def _copies(x: Floats) -> Flags:
-    """Return which columns (N x K), with rms 1, are copies of which, but for scale and offset."""
+    """Return which columns (N x K) are copies of others, but for scale and offset (K x K)."""
     return np.asarray((np.abs(x.T @ x) / len(x) > COPY) | np.eye(x.shape[1], dtype=bool))
 
 

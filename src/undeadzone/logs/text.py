@@ -267,7 +267,10 @@ def _units_below(lines: Sequence[str], separator: str) -> list[str]:
 
 
 def _numbers_name(lines: Sequence[str], separator: str) -> bool:
-    """Return whether whole numbers beside words, above what begins with a digit, are names."""
+    """Return whether a first line of words and whole numbers names columns.
+
+    Digits begin the cells below its words.
+    """
     first, below = _first_two(lines, separator)
     words = list(map(str.isalpha, first))
     above = {cell[:1].isdigit() for cell in itertools.compress(below, words)}

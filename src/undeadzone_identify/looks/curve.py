@@ -57,7 +57,7 @@ class _Fit(NamedTuple):
 
 
 def fit_curve(rows: Rows, taken_up: float = 0.0) -> Curve | None:
-    """Fit the curve of rows at rest; None with too few, or if it explains too little.
+    """Fit the curve of rows at rest; None with too few rows, or with too large a rest.
 
     A gap is taken up after a turn. A second fit leaves out the rows of that travel, and has the
     ways put together.

@@ -155,7 +155,7 @@ def read_map(rows: Rows, may_be_late: bool = False) -> RestMap | None:
 
     Args:
         rows: at rest.
-        may_be_late: whether readings lag, so that a curve that rises or falls throughout is none.
+        may_be_late: whether readings may lag: then a curve without a fold is left out.
     """
     if np.ptp(rows.u) == 0:
         return None
@@ -177,7 +177,9 @@ def read_map(rows: Rows, may_be_late: bool = False) -> RestMap | None:
         fold = None  # of a curve whose ways lie apart
     elif is_late or (fold is not None and rows.how in ("ways", "holds")):
         return None  # what comes back need not be a fold
-    ends = fit_limits(unit) if is_one_way else {}
+    ends: dict[str, Interval] = {}
+    if is_one_way:
+        ends = fit_limits(unit)
     return RestMap(
         rows=rows,
         x=x,

@@ -79,7 +79,9 @@ def _account_of_map(seen: RestMap, by: str, units: tuple[str, str]) -> Account:
     curve = seen.curve
     if curve is None:
         return Account(OPEN, {}, by, units)
-    limits = {"loss": curve.hides} if curve.hides < UNSURE * np.ptp(seen.x) else {}
+    limits: dict[str, float] = {}
+    if curve.hides < UNSURE * np.ptp(seen.x):
+        limits["loss"] = curve.hides
     for effect, name, one, along in (
         ("ways", "gap", curve.distance, seen.x),
         ("curve", "departure from a line", curve.departure, seen.y),
@@ -89,9 +91,17 @@ def _account_of_map(seen: RestMap, by: str, units: tuple[str, str]) -> Account:
         elif effect == "ways" and one is not None and one.high > 0:
             limits[effect] = one.high
     if not effects:
-        return Account(BOUNDED if limits else OPEN, {}, by, units, limits=limits)
+        return Account(
+            (OPEN, BOUNDED)[bool(limits)],
+            {},
+            by,
+            units,
+            limits=limits,
+        )
     is_known = seen.rows.how == "table" and curve.free >= ENOUGH
-    others = {"limits": seen.limits} if seen.limits else {}
+    others: dict[str, Numbers] = {}
+    if seen.limits:
+        others["limits"] = seen.limits
     grade = MEASURED if is_known else INDICATED
     return Account(grade, effects, by, units, others=others, limits=limits)
 
@@ -114,8 +124,8 @@ def _effect_of_part(part: FlatPart) -> tuple[str, Numbers]:
 def needs_no_plant(seen: Account, looks: Looks) -> bool:
     """Return whether dynamics tell no more than an account by looks.
 
-    A table and a slow sweep have no dynamics, nor have rows without a clock that one curve
-    explains. A torque along a motion, or two rests at one goal, need none.
+    A table, a slow sweep, and rows without a clock that a curve explains have no dynamics. A torque
+    along a motion, or two rests at one goal, need none.
 
     Args:
         seen: the account by looks.
