@@ -498,6 +498,13 @@ class Terminal(io.StringIO):
         return True
 
 
+def patient_terminal(monkeypatch: pytest.MonkeyPatch, patience: float) -> Terminal:
+    """The terminal that stderr is from now on, with a bar after so many seconds."""
+    monkeypatch.setattr(sys, "stderr", shown := Terminal())
+    monkeypatch.setattr(progress, "PATIENCE", patience)
+    return shown
+
+
 def wait_for_text(terminal: Terminal, word: str) -> bool:
     """Whether a terminal shows a word within seconds."""
     for _ in range(200):
@@ -508,9 +515,7 @@ def wait_for_text(terminal: Terminal, word: str) -> bool:
 
 
 def test_a_long_set_up_is_reported_before_the_first_step(monkeypatch: pytest.MonkeyPatch) -> None:
-    terminal = Terminal()
-    monkeypatch.setattr(sys, "stderr", terminal)
-    monkeypatch.setattr(progress, "PATIENCE", 0.01)
+    terminal = patient_terminal(monkeypatch, 0.01)
     with progress.terminal_progress("simulating", 10) as advance:
         assert wait_for_text(terminal, "setting up")
         advance(4)
@@ -521,18 +526,14 @@ def test_a_long_set_up_is_reported_before_the_first_step(monkeypatch: pytest.Mon
 
 def test_an_early_step_is_reported_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
     """And the next one may take long."""
-    terminal = Terminal()
-    monkeypatch.setattr(sys, "stderr", terminal)
-    monkeypatch.setattr(progress, "PATIENCE", 0.2)
+    terminal = patient_terminal(monkeypatch, 0.2)
     with progress.terminal_progress("simulating", 10) as advance:
         advance(4)
         assert wait_for_text(terminal, "4/10")
 
 
 def test_a_short_command_shows_no_bar(monkeypatch: pytest.MonkeyPatch) -> None:
-    terminal = Terminal()
-    monkeypatch.setattr(sys, "stderr", terminal)
-    monkeypatch.setattr(progress, "PATIENCE", 60.0)
+    terminal = patient_terminal(monkeypatch, 60.0)
     with progress.terminal_progress("simulating", 10) as advance:
         advance(10)
     assert terminal.getvalue() == ""
@@ -566,13 +567,12 @@ def test_every_command_says_what_it_sets_up(
     words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Filters of high order, and of arms, take long before their first step."""
-    terminal, log = Terminal(), "t,y,u\n0,0,0\n0.01,0,1\n0.02,0,1\n"
+    log = "t,y,u\n0,0,0\n0.01,0,1\n0.02,0,1\n"
     (tmp_path / "slow.toml").write_text(SLOW)
     (tmp_path / "log.csv").write_text(log)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(log.encode())))
-    monkeypatch.setattr(sys, "stderr", terminal)
-    monkeypatch.setattr(progress, "PATIENCE", 0.0)
+    terminal = patient_terminal(monkeypatch, 0.0)
     monkeypatch.delenv(progress.OF_KERNEL, raising=False)
     assert group.main(words, standalone_mode=False) in (0, 1)
     assert "setting up kalman" in terminal.getvalue()
