@@ -579,7 +579,7 @@ def _scaled(values: Floats) -> Floats:
 
 
 def _copies(x: Floats) -> Flags:
-    """Return which columns (N x K) are copies of others, but for scale and offset (K x K)."""
+    """Return the pairs of columns (N x K) that differ by scale and offset alone (K x K)."""
     return np.asarray((np.abs(x.T @ x) / len(x) > COPY) | np.eye(x.shape[1], dtype=bool))
 
 

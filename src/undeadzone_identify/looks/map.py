@@ -63,7 +63,7 @@ class Edge(NamedTuple):
     rows: int
 
     def place(self, base: float, factor: float) -> Edge:
-        """Return the edge in other units, from another origin."""
+        """Return the edge along a line: a base, and a factor for the edge."""
         return self._replace(interval=self.interval.place(base, factor))
 
 

@@ -296,7 +296,7 @@ class Interval(NamedTuple):
         return self.place(0.0, factor)
 
     def place(self, base: float, factor: float) -> Interval:
-        """Return the interval in other units, from another origin."""
+        """Return the interval along a line: a base, and a factor for the interval."""
         value, *ends = (base + factor * one for one in self)
         return Interval(value, min(ends), max(ends))
 
