@@ -231,9 +231,8 @@ def test_quantum_and_long_logs() -> None:
     short = shorten_log(grid)
     assert short.t.size == 100_000
     assert short.start.tolist() == [0, 20_000, 40_000, 60_000, 80_000]
-    assert (np.diff(short.t)[19_999::20_000] > 1000).all()
     t = np.cumsum(np.where(np.arange(2400) % 100, 1.0, 50.0))
-    assert shorten_log(to_grid([log_from_arrays(t, t, np.sin(t))], 1.0)).start.size == 10
+    assert shorten_log(to_grid([log_from_arrays(t, t, t)])).start.size == 10
 
 
 # --- the command
