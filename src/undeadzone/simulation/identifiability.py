@@ -27,9 +27,9 @@ from undeadzone.analysis.identifiability.linear import (
     width_identifiability,
 )
 from undeadzone.analysis.identifiability.nonlinear import prior_rows
-from undeadzone.analysis.identifiability.play_and_zone import gap_and_width_information
-from undeadzone.analysis.identifiability.sensor_and_actuator import (
+from undeadzone.analysis.identifiability.two_elements import (
     actuator_modes,
+    gap_and_width_information,
     sensor_actuator_identifiability,
 )
 from undeadzone.interfaces import Traits

@@ -27,7 +27,7 @@ from undeadzone.analysis.identifiability.linear import (
     remedy_to_reach_edges,
     unobservable_along,
 )
-from undeadzone.analysis.identifiability.play_and_zone import append_gaps
+from undeadzone.analysis.identifiability.two_elements import append_gaps
 from undeadzone.controllers.state_feedback import StateFeedback
 from undeadzone.errors import InputError, StructureError
 from undeadzone.nonlinearities.sensor import DIRECTIONS

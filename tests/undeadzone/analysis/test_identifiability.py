@@ -34,7 +34,7 @@ from undeadzone.analysis.identifiability.linear import (
     unobservable_subspace,
     width_identifiability,
 )
-from undeadzone.analysis.identifiability.sensor_and_actuator import sensor_actuator_identifiability
+from undeadzone.analysis.identifiability.two_elements import sensor_actuator_identifiability
 from undeadzone.linalg.hold import zoh
 from undeadzone.linalg.matrices import Matrices
 from undeadzone.nonlinearities.sensor import deadzone

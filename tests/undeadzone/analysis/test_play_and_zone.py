@@ -21,7 +21,7 @@ from further import further
 from records import identify_second_order
 from scenes import tables_of
 from undeadzone.analysis.branch_schedule import plan_schedule, schedule_of_record
-from undeadzone.analysis.identifiability.play_and_zone import (
+from undeadzone.analysis.identifiability.two_elements import (
     ReadingConditions,
     _single_contact_reason,
     append_gaps,

@@ -15,7 +15,7 @@ from test_engines import gap_of_engines, small
 import undeadzone as uz
 from scenes import EXACT_SENSOR, PAPER_PLANT, scene, tables_of
 from undeadzone.analysis.identifiability.linear import unobservable_changes
-from undeadzone.analysis.identifiability.sensor_and_actuator import sensor_actuator_identifiability
+from undeadzone.analysis.identifiability.two_elements import sensor_actuator_identifiability
 from undeadzone.compile import interpret
 from undeadzone.errors import InputError
 from undeadzone.nonlinearities.actuator import (
