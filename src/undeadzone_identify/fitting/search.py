@@ -225,8 +225,8 @@ def evolve_start(
     The best one comes first.
 
     A climb from one place would end with a load at the wrong side of its gap. Places spread over
-    the ranges evolve by differences (doi:10.1023/A:1008202821328), those of each log by its own
-    likelihood.
+    the ranges evolve by differences, those of each log by its own likelihood. Source:
+    doi:10.1023/A:1008202821328
 
     Args:
         problem: the numbers.
