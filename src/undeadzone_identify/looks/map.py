@@ -33,6 +33,7 @@ WIDE, FINE = 0.012, 1e-4  # of the range: distances from the level of a candidat
 CANDIDATES = 6
 SMOOTHED = 24  # levels in a row, from which noise is smoothed
 END = 3  # levels of an end, at least, among so many
+MOVING = 0.35  # of the median slope, from which a map moves
 FLAT = 0.1  # of the slope beside it: the largest inside a flat part
 HIDES, LEAST = 8.0, 0.008  # residuals and share of the range, that a flat part hides at least
 CURVES = range(3, 7)  # degrees of the smooth curves that may explain a flat part
@@ -110,6 +111,7 @@ class RestMap(NamedTuple):
         rows: of the record.
         x, y: medians by level, in the order of the commands (n) [u], [y].
         flats: flat parts, from left to right.
+        bound: the largest dead band that the map could hide beside its flat parts [u].
         fold: command beyond which a reading stands for two commands; None for a monotone map.
         nodes: commands and readings of the map as a line (2 x m).
         curve: without a flat part; a sweep with times lacks it.
@@ -120,6 +122,7 @@ class RestMap(NamedTuple):
     x: Floats
     y: Floats
     flats: tuple[FlatPart, ...]
+    bound: float
     fold: float | None
     nodes: Floats
     curve: Curve | None = None
@@ -177,6 +180,9 @@ def read_map(rows: Rows, may_be_late: bool = False) -> RestMap | None:
         fold = None  # of a curve whose ways lie apart
     elif is_late or (fold is not None and rows.how in ("ways", "holds")):
         return None  # what comes back need not be a fold
+    bound = _bound(nodes, unit, noise) * height[0]
+    if curve is not None:
+        bound = min(bound, curve.hides)
     ends: dict[str, Interval] = {}
     if is_one_way:
         ends = fit_limits(unit)
@@ -185,6 +191,7 @@ def read_map(rows: Rows, may_be_late: bool = False) -> RestMap | None:
         x=x,
         y=v,
         flats=tuple(part.place(base, height) for part in parts),
+        bound=bound,
         fold=None if fold is None else base[0] + height[0] * fold,
         nodes=base[:, None] + height[:, None] * nodes,
         curve=curve,
@@ -437,3 +444,21 @@ def _folds_on_way_out(u: Floats, y: Floats, nodes: Floats, fold: float) -> bool:
     near, far = np.array([(a or b, a + np.argmax(way * u[a : b + 1])) for a, b in visits]).T
     back = np.interp(fold, *nodes) - np.interp(u[far], *nodes)
     return bool(np.sum(y[near] - y[far]) / np.sum(back) > WAY_OUT)
+
+
+def _bound(nodes: Floats, levels: Levels, noise: float) -> float:
+    """Return the largest dead band that the map could hide: by its noise, slope and spacing.
+
+    In a straight map a band shifts all that lies beyond it, so that what a line leaves is a bound.
+    """
+    x, v, _ = levels
+    slope = np.abs(np.diff(np.interp(x, *nodes)) / np.diff(x))
+    moving = slope >= MOVING * np.median(slope)
+    widths = np.maximum(4 * np.diff(x), max(HIDES * noise, LEAST) / np.maximum(slope, 1e-9))
+    bent = max(float(np.std(v - np.polyval(np.polyfit(x, v, 1), x))), KNOWN)
+    ends = max(  # a flat end is as long at most
+        one.x[np.argmax(np.abs(one.v - one.v[0]) > HIDES * noise)] - one.x[0]
+        for one in (levels, levels.face(-1))
+    )
+    widest = min(max(ends, np.quantile(widths[moving], 0.95)), 1.0)
+    return float(np.clip(HIDES * bent, ends, widest))

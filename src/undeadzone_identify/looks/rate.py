@@ -148,6 +148,7 @@ def _map_of(asked: Floats, rate: Floats) -> RestMap:
         x=x,
         y=rate[first],
         flats=(flat,) if is_part and any(met) else (),
+        bound=math.inf,
         fold=None,
         nodes=np.array([[x[0], lower[0], upper[0], x[-1]], [at_ends[0], 0, 0, at_ends[1]]]),
     )

@@ -77,11 +77,9 @@ def _account_of_map(seen: RestMap, by: str, units: tuple[str, str]) -> Account:
         edge = Interval(seen.fold, seen.fold, seen.fold)
         return Account(INDICATED, {"fold": {"edge": edge}}, by, units)
     curve = seen.curve
+    limits = {"loss": seen.bound}
     if curve is None:
-        return Account(OPEN, {}, by, units)
-    limits: dict[str, float] = {}
-    if curve.hides < UNSURE * np.ptp(seen.x):
-        limits["loss"] = curve.hides
+        return Account(BOUNDED, {}, by, units, limits=limits)
     for effect, name, one, along in (
         ("ways", "gap", curve.distance, seen.x),
         ("curve", "departure from a line", curve.departure, seen.y),
@@ -91,13 +89,9 @@ def _account_of_map(seen: RestMap, by: str, units: tuple[str, str]) -> Account:
         elif effect == "ways" and one is not None and one.high > 0:
             limits[effect] = one.high
     if not effects:
-        return Account(
-            (OPEN, BOUNDED)[bool(limits)],
-            {},
-            by,
-            units,
-            limits=limits,
-        )
+        return Account(BOUNDED, {}, by, units, limits=limits)
+    if seen.bound > UNSURE * np.ptp(seen.x):
+        del limits["loss"]  # beside an effect, a bound of most commands tells nothing
     is_known = seen.rows.how == "table" and curve.free >= ENOUGH
     others: dict[str, Numbers] = {}
     if seen.limits:
