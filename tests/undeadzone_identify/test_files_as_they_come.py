@@ -115,8 +115,6 @@ ROWS = list(zip(COLUMNS["t"], COLUMNS["u"], COLUMNS["y"], strict=True))
          "speed", "not 'note'"),
         (["Log 2, begun\n" * 40, "t,u,y\n", *(f"{t:g},{u:g},{y:g}\n" for t, u, y in ROWS)],
          "y", "40 lines ahead of the header skipped"),
-        (["=~=~ log 1, rig 4 =~=~\n", *(f"{t:g}  {u:g}  {y:g}\n" for t, u, y in ROWS)],
-         "3", "t=1,y=3,u=2"),
         (["t,duty,speed,\n", *(f"{t:g},{u:g},{y:g},{u - y:g}\n" for t, u, y in ROWS)],
          "speed", "u=duty"),
     ],

@@ -234,7 +234,7 @@ class LogReader:
         by_number = self._chosen and all(name.isdigit() for name in self._chosen.values())
         if by_number and dialect_of(lines[:1]).heads == 0:
             return 0  # columns chosen by number need no header; times may be stamps
-        answers = (lines_ahead(lines[: count + 1], live=True) for count in range(len(lines)))
+        answers = (lines_ahead(lines[: count + 1]) for count in range(len(lines)))
         return next((ahead for ahead in answers if ahead is not None), None)
 
     def _number_lines(self, lines: Sequence[str]) -> Numbered:

@@ -303,7 +303,7 @@ def parse_cell(cell: str, mark: str) -> float | None:
         cell: its text.
         mark: the decimal mark, `.` or `,`; "" for either.
     """
-    cell = cell.replace("\N{MINUS SIGN}", "-").removesuffix("%")
+    cell = cell.replace("\N{MINUS SIGN}", "-")
     if cell.lower() in MISSING:
         return math.nan
     other = OTHER.get(mark, "")
@@ -357,17 +357,15 @@ def decimal_mark(
     return "", False
 
 
-def lines_ahead(lines: Sequence[str], live: bool = False) -> int | None:
+def lines_ahead(lines: Sequence[str]) -> int | None:
     """Return the number of lines of other content ahead of the header.
 
     None: no line is a header so far. The header has two names or more, no number, and as many
-    cells as most lines behind it. Without one, numbers alone may stand below other content.
+    cells as most lines behind it.
 
     Args:
         lines: the first lines with content.
-        live: whether a header may still come behind numbers.
     """
-    bare = None
     for k, line in enumerate(lines[:PREAMBLE]):
         separator = _separator(lines[k:])
         cells = split_cells(line, separator)
@@ -377,16 +375,13 @@ def lines_ahead(lines: Sequence[str], live: bool = False) -> int | None:
             return 0
         names = (_units_below, _numbers_name) if count else ()
         is_head = not names or any(one(lines[k:], separator) for one in names)
-        is_bare = count == len(cells) > 1 and not live
-        if not is_bare and (len({*named}) < max(2, len(named)) or not is_head):
+        if len({*named}) < max(2, len(named)) or not is_head:
             continue
         rows = map(Dialect(separator, len(cells), None, 0).cells, lines[k + 1 :])
         alike = [row for row in rows if len(row) == len(cells) and _count_numbers(row)]
         if alike and 2 * len(alike) >= len(lines) - k - 1:
-            if not is_bare:
-                return k
-            bare = bare or k
-    return bare
+            return k
+    return None
 
 
 def _separator(lines: Sequence[str]) -> str:

@@ -62,10 +62,10 @@ def convert_read_errors(
         raise
     except OSError as error:
         raise unreadable_file(path, error) from None
-    except UnicodeDecodeError:
-        raise FileError(f"{path}: cannot read: not UTF-8 text. Save it as UTF-8") from None
     except Exception as error:  # readers of zip archives and headers raise any kind
-        raise FileError(f"{path}: {otherwise}: {error}{cure}") from None
+        is_text = isinstance(error, UnicodeDecodeError)
+        why = "not UTF-8 text. Save it as UTF-8" if is_text else error
+        raise FileError(f"{path}: {otherwise}: {why}{cure}") from None
 
 
 @contextmanager
@@ -96,7 +96,7 @@ def replace_file(path: Path) -> Iterator[Path]:
             require_plain_file(path)
         path.parent.mkdir(parents=True, exist_ok=True)
         _remove_leftovers(path.parent)
-        handle, name = tempfile.mkstemp(path.suffix, HIDDEN, path.parent)
+        handle, name = tempfile.mkstemp(path.suffix, f"{HIDDEN}{path.stem}-", path.parent)
         is_held = _hold(handle)
         if not is_held:
             os.close(handle)
@@ -116,7 +116,7 @@ def replace_file(path: Path) -> Iterator[Path]:
 def _remove_leftovers(folder: Path) -> None:
     """Remove the files of a folder that killed processes were writing: nobody holds them."""
     for path in folder.glob(f"{HIDDEN}*"):
-        with suppress(OSError), open(path, "rb") as file:
+        with suppress(OSError), open_plain(path) as file:
             if _hold(file.fileno()):
                 path.unlink()
 

@@ -391,7 +391,7 @@ def test_command_watch_ends_with_a_verdict(folder: Path, run: uz.Run) -> None:
     other = command("watch", scenario_path, stdin=log(run, t=2 * run.t))
     assert other.returncode == 2
     assert "0.02 s apart" in other.stderr
-    assert other.stdout == ""
+    assert len(other.stdout.splitlines()) == 40, "first samples are answered at once"
     units = command("watch", scenario_path, stdin=log(run, "t [s],y [mN],u"))
     assert units.returncode == 2
     assert "'mN'" in units.stderr
