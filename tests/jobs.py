@@ -18,7 +18,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from documents import ROOT
 from undeadzone.util.arrays import Floats
 from undeadzone_studies.ensemble import run_blocks
 from undeadzone_studies.ensemble.job import Layout
@@ -37,7 +36,7 @@ def stop_program(number: int, program: str, *arguments: object) -> tuple[int, st
     """
     with subprocess.Popen(
         [sys.executable, "-c", program, *map(str, arguments)],
-        cwd=ROOT,
+        cwd=Path(__file__).parents[1],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

@@ -370,7 +370,8 @@ class _Header(NamedTuple):
         scores = np.round(names + self.likeness() + fits, 6)  # copies are equal
         every = np.arange(ranks.size)
         rows = np.isin(every, u[:1]) if u else free
-        columns = np.isin(every, y[:1]) if y else read
+        asked = read & (ranks < EXACT)  # a column with an input's own name is no reading
+        columns = np.isin(every, y[:1]) if y else asked if asked.any() else read
         scores[~(rows[:, None] & columns) | np.eye(every.size, dtype=bool)] = -np.inf
         i, j = map(int, np.unravel_index(np.argmax(scores), scores.shape))
         best = scores[i, j]

@@ -59,17 +59,17 @@ def children() -> list[int]:
 
 
 def sockets(process: int) -> set[str]:
-    """The sockets of the internet that a process has open: pairs within a process are none."""
-    tables = [Path(f"/proc/{process}/net/{name}") for name in ("tcp", "tcp6", "udp", "udp6")]
-    rows = [line for table in tables if table.exists() for line in table.read_text().splitlines()]
-    internet = {f"socket:[{row.split()[9]}]" for row in rows}
+    """The sockets with which a process listens to others."""
+    tables = [Path(f"/proc/{process}/net/{name}") for name in ("tcp", "tcp6")]
+    rows = [line.split() for one in tables if one.exists() for line in one.read_text().splitlines()]
+    listening = {f"socket:[{row[9]}]" for row in rows if row[3] == "0A"}
     open_ones = set()
     for descriptor in Path(f"/proc/{process}/fd").iterdir():
         try:
             open_ones.add(os.readlink(descriptor))
         except FileNotFoundError:
             continue
-    return open_ones & internet
+    return open_ones & listening
 
 
 @pytest.mark.skipif(
