@@ -371,7 +371,8 @@ class _Header(NamedTuple):
         every = np.arange(ranks.size)
         rows = np.isin(every, u[:1]) if u else free
         asked = read & (ranks < EXACT)  # a column with an input's own name is no reading
-        columns = np.isin(every, y[:1]) if y else asked if asked.any() else read
+        read = asked if asked.any() else read
+        columns = np.isin(every, y[:1]) if y else read
         scores[~(rows[:, None] & columns) | np.eye(every.size, dtype=bool)] = -np.inf
         i, j = map(int, np.unravel_index(np.argmax(scores), scores.shape))
         best = scores[i, j]
