@@ -119,13 +119,16 @@ def fit_limits(levels: Levels) -> dict[str, Interval]:
     x, v, w = levels
     places = np.linspace(0.0, 1.0, 2 * PLACES - 1)
     low, high = places[np.array(np.triu_indices(places.size, 4))]
-    lines = np.clip(x, low[:, None], high[:, None])
-    lines, about = ((one.T - one @ w**2 / np.sum(w**2)).T * w for one in (lines, v))
+    lines = _centre_rows(np.clip(x, low[:, None], high[:, None]), w)
+    about = _centre_rows(v, w)
     curves = [np.polyval(np.polyfit(x, v, degree, w=w), x) for degree in (1, 2, 3)]
     least = np.mean((w * (v - curves)) ** 2, axis=1)
-    loss = np.mean(about**2) - (lines @ about) ** 2 / np.sum(lines**2, axis=1) / x.size
+    explained = (lines @ about) ** 2 / np.sum(lines**2, axis=1)
+    loss = np.mean(about**2) - explained / x.size
     count = (low > 0) + 1 * (high < 1)
-    is_line = (low * (low < x[1]) + (1 - high) * (high > x[-2]) == 0) & (loss < least[count])
+    rests_below = (low == 0) | (low >= x[1])
+    rests_above = (high == 1) | (high <= x[-2])
+    is_line = rests_below & rests_above & (loss < least[count])
     prices = np.where(is_line, price(loss, x.size, count), np.inf)
     best = int(np.argmin(prices))
     near = prices < prices[best] + DEARER
@@ -134,6 +137,12 @@ def fit_limits(levels: Levels) -> dict[str, Interval]:
         for name, at, end in (("lower", low, 0), ("upper", high, 1))
         if near.any() and at[best] != end
     }
+
+
+def _centre_rows(rows: Floats, w: Floats) -> Floats:
+    """Return rows (... x n) less their means by weights w**2, times w (n)."""
+    mean = rows @ w**2 / np.sum(w**2)
+    return (rows.T - mean).T * w
 
 
 def _widest_hidden(best: _Fit, x: Floats, v: Floats, degree: int) -> float:

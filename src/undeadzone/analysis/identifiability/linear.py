@@ -59,11 +59,7 @@ def describe_unreached_edges(schedule: Schedule, visited: np.ndarray, i: int) ->
         (1.0, "right", f"d_r{gaps[0]}", "below", high, right),
         (-1.0, "left", f"-d_l{gaps[1]}", "above", low, -left),
     )
-    for (sign, name, edge, side, end, level), is_visited in zip(
-        edges,
-        visited[i],
-        strict=True,
-    ):
+    for (sign, name, edge, side, end, level), is_visited in zip(edges, visited[i], strict=True):
         if is_visited:
             continue
         why = f"hardly reached: too few readings arrive from beyond {edge} to separate it from "
@@ -226,11 +222,7 @@ class Unobservable(NamedTuple):
             rows: weights of each known combination (k x n + 2p); a change v remains if rows v = 0.
         """
         part = self.scale[: rows.shape[1], None] * self.basis[: rows.shape[1]]
-        size = np.linalg.norm(
-            rows * self.scale[: rows.shape[1]],
-            axis=1,
-            keepdims=True,
-        )
+        size = np.linalg.norm(rows * self.scale[: rows.shape[1]], axis=1, keepdims=True)
         return self._replace(basis=self.basis @ null_space_basis(rows @ part / size, self.present))
 
     @property
@@ -465,13 +457,7 @@ def _confounding_reasons(hidden: Unobservable, visited: np.ndarray, i: int) -> d
         """Describe why a shift of the state hides an edge."""
         return f"A is singular (an integrator), {rest}"
 
-    found = confounding_reason(
-        hidden,
-        visited[i],
-        i,
-        {BIAS: of_bias},
-        describe_shift,
-    )
+    found = confounding_reason(hidden, visited[i], i, {BIAS: of_bias}, describe_shift)
     if not found:
         return {}
     by_bias = "bias cannot be separated" in found

@@ -142,13 +142,7 @@ def width_identifiability_along(
     judged = []
     for i, (right, left) in enumerate(zip(sensor.right, sensor.left, strict=True)):
         shift = partial(_describe_state_shift, model, known, i)
-        confounded = linear.confounding_reason(
-            known.hidden,
-            visited[i],
-            i,
-            causes,
-            shift,
-        )
+        confounded = linear.confounding_reason(known.hidden, visited[i], i, causes, shift)
         reasons = (
             *describe_unreached_edges(schedule, visited, i),
             *filter(None, [confounded]),
@@ -293,20 +287,8 @@ def observability_along(
     bound_root = scale[n:, None] * W[known].T / singular[known]
     # Least-squares change of x(0) that hides a unit change of each constant.
     follow = -scale[:n, None] * (V[observable].T / s[observable]) @ explained / scale[n:]
-    hidden = linear.Unobservable(
-        W[~known].T,
-        scale[n:],
-        0,
-        max(linear.PRESENT, 10 * run.tolerance),
-    )
-    return Observability(
-        R,
-        hidden,
-        follow,
-        singular,
-        run.tolerance,
-        bound_root @ bound_root.T,
-    )
+    hidden = linear.Unobservable(W[~known].T, scale[n:], 0, max(linear.PRESENT, 10 * run.tolerance))
+    return Observability(R, hidden, follow, singular, run.tolerance, bound_root @ bound_root.T)
 
 
 def _add_prior(R: Floats, prior: Floats) -> Floats:
@@ -345,14 +327,7 @@ def information_root(run: LinearisedRun, side: Floats, variance: Floats, n: int)
         return np.zeros((N, N))
     growth = float(np.log(np.linalg.norm(run.steps, axis=(1, 2)).max() / np.sqrt(s)))
     length = int(np.clip(GROWTH / max(growth, 1e-9), 1, BLOCK))
-    weight = _divide_into_blocks(
-        reading_weights(
-            run.samples,
-            side,
-            variance,
-        ),
-        length,
-    )
+    weight = _divide_into_blocks(reading_weights(run.samples, side, variance), length)
     rows, transitions = _block_rows(run, n, length)
     weighted = rows * weight[..., None]
     own = np.asarray(np.linalg.qr(weighted.reshape(len(rows), -1, N), mode="r"))
@@ -376,23 +351,9 @@ def reading_weights(samples: Integers, side: Floats, variance: Floats) -> Floats
     else:
         side = side[:1]
     halfway = (samples[1:] + samples[:-1]) / 2
-    nearest = np.minimum(
-        np.searchsorted(
-            halfway,
-            np.arange(len(side)),
-            "right",
-        ),
-        K - 1,
-    )
+    nearest = np.minimum(np.searchsorted(halfway, np.arange(len(side)), "right"), K - 1)
     first = np.unique(nearest, return_index=True)[1]
-    counts = [
-        np.add.reduceat(
-            side == value,
-            first,
-            axis=0,
-        )
-        for value in (1.0, -1.0)
-    ]
+    counts = [np.add.reduceat(side == value, first, axis=0) for value in (1.0, -1.0)]
     return np.asarray(np.sqrt(np.stack(counts, axis=2) / variance[:, None]))
 
 
@@ -418,17 +379,7 @@ def _block_rows(run: LinearisedRun, n: int, length: int) -> tuple[Floats, Floats
     rows = np.zeros((blocks, length, p, 2, N))
     S = np.broadcast_to(np.eye(s), (blocks, s, s))  # transition from the block's start
     for k in range(length):
-        rows[
-            :,
-            k,
-            :,
-            :,
-            _moving_indices(
-                n,
-                p,
-                s,
-            ),
-        ] = np.moveaxis((C[:, k] @ S)[:, :, None], 3, 0)
+        rows[:, k, :, :, _moving_indices(n, p, s)] = np.moveaxis((C[:, k] @ S)[:, :, None], 3, 0)
         S = F[:, k] @ S
     for i in range(p):
         rows[:, :, i, 0, n + 2 * i] = -1.0
