@@ -66,8 +66,11 @@ def scaled(module: ModuleType, name: str, factor: float) -> Iterator[None]:
 
 
 def answer(log: Log, door: Door) -> tuple[str, str]:
-    """Return what the looks say of a log, to two digits, and its word."""
-    account = account_of_looks(log, look_at(log)) or Account(OPEN, {}, "", ("", ""))
+    """Return what the looks say of a log, to two digits, and its word (the worst if they fail)."""
+    try:
+        account = account_of_looks(log, look_at(log)) or Account(OPEN, {}, "", ("", ""))
+    except (ArithmeticError, LookupError, MemoryError, ValueError) as error:
+        return str(error), WORDS[-1]
     numbers = [f"{one.value:.2g}" for ways in account.effects.values() for one in ways.values()]
     said = " ".join([account.grade, *account.effects, *numbers])
     return said, judge(account, door)[0]

@@ -8,8 +8,10 @@ from types import ModuleType
 import numpy as np
 import pytest
 from benchmarks.identify.logs.doors import KINDS
+from scipy.signal import lfilter
 
 from records import holds
+from undeadzone.nonlinearities.play import levels
 from undeadzone.util.arrays import Floats, turns
 from undeadzone_identify.looks import edges as edges_module
 from undeadzone_identify.looks import map as maps
@@ -18,7 +20,7 @@ from undeadzone_identify.looks.curve import fit_curve
 from undeadzone_identify.looks.map import Edge, FlatPart, RestMap, map_at_rest
 from undeadzone_identify.looks.rate import map_of_rate
 from undeadzone_identify.looks.rows import Rows, last_changes, noise_of, rows_at_rest
-from undeadzone_identify.looks.stillness import longest_stillness
+from undeadzone_identify.looks.stillness import ends_of_readings, longest_stillness
 
 Shape = Callable[[Floats], Floats]
 
@@ -412,3 +414,27 @@ def test_a_step_of_the_command_is_no_travel_at_rest() -> None:
     y = np.concatenate([np.zeros(25), u])[: u.size]  # late
     still = longest_stillness(None, u, y + 1e-4 * np.random.default_rng(0).standard_normal(u.size))
     assert still < 0.1
+
+
+@pytest.mark.parametrize("lag", [0, 8])
+def test_scattered_readings_have_a_map_unless_they_lag(lag: int) -> None:
+    rng = np.random.default_rng(3)
+    u = lfilter([1], [1, -0.9], rng.standard_normal(8000))
+    y = np.minimum(np.roll(u, lag), 1) + 0.3 * rng.standard_normal(u.size)
+    y[::50] = -9  # what else stops it
+    rest = map_at_rest(None, u, y)
+    assert (rest is not None) == (lag == 0)
+    if rest is not None:
+        (part,) = rest.flats
+        assert part.left is not None
+        assert holds(part.left.interval, 1)
+
+
+def test_readings_end_where_they_stay_longer_than_at_other_turns() -> None:
+    u = np.random.default_rng(4).standard_normal(3000)
+    z = lfilter([0.1], [1, -0.9], u)
+    behind_play = levels(z[:, None], *np.array([[0.2], [0.2], [0.0]]))[:, 0]
+    for y in (z, np.round(20 * z) / 20, behind_play, np.maximum(z, 0)):
+        assert ends_of_readings(None, u, y) == {}
+    for y in (z, np.round(20 * z) / 20):
+        assert ends_of_readings(None, u, np.minimum(y, 0.4)).keys() == {"upper"}

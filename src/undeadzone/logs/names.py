@@ -351,18 +351,12 @@ class _Header(NamedTuple):
             return y or self.group("y", j, p), [], {}
         read, stays = free, 0 * ranks
         if self.is_open and self.values is not None:
-            counts = np.isin(np.arange(ranks.size), self.may_count())
-            counts &= np.array(list(map(increases_evenly, self.values.T)))
-            unnamed = np.array(self.titles)[:, 0] == ""  # in a sheet, what is worked out
-            aside = (np.array(self.kinds) == "aside") | unnamed
             x = np.nan_to_num(self.values)
-            stays = np.where(self.moves(), 0.0, ranks) * (len(x) >= TABLE)
-            for out in (~self.moves(), counts, aside):
-                fewer = free & (~out | (np.abs(ranks) >= EXACT))
-                free = fewer if fewer.sum() + len(y + u) > 1 else free
-            flags = ((x == x.min(axis=0)) | (x == x.max(axis=0))).all(axis=0) & (len(x) > 2 * PAST)
-            flags &= np.abs(ranks) < EXACT
-            read = free & ~flags if (free & ~flags).any() else free
+            commands = ~self.moves() & x.any(axis=0) & (len(x) >= TABLE)  # that stay at a value
+            stays = np.where(commands, ranks, 0.0)
+            free = self.free_of_counts(free, self.values, len(y + u))
+            changes = free & ~(_have_two_values(x) & (np.abs(ranks) < EXACT))
+            read = changes if changes.any() else free
         shown, fits = self.behaviour(bool(time))
         exact = np.abs(ranks) >= EXACT
         shown = np.where(np.logical_or.outer(exact, exact), 1.0, shown)
@@ -394,6 +388,28 @@ class _Header(NamedTuple):
             if scores.max() > -np.inf
         }
         return y or self.group("y", j, p), u or self.group("u", i, m), pair
+
+    def free_of_counts(self, free: Flags, values: Floats, given: int) -> Flags:
+        """Return the columns that are left for signals (K).
+
+        Constants, counts, and what is recorded beside input and reading are none, as long as enough
+        others are left.
+
+        Args:
+            free: columns that may be signals (K).
+            values: numbers in the columns (N x K).
+            given: number of columns that the user names.
+        """
+        counts = np.isin(np.arange(free.size), self.may_count())
+        counts &= np.array(list(map(increases_evenly, values.T)))
+        unnamed = np.array(self.titles)[:, 0] == ""  # in a sheet, what is worked out
+        aside = (np.array(self.kinds) == "aside") | unnamed
+        exact = np.abs(list(map(rank_of, self.titles))) >= EXACT
+        for out in (~self.moves(), counts, aside):
+            fewer = free & (~out | exact)
+            if fewer.sum() + given > 1:
+                free = fewer
+        return free
 
     def moves(self) -> Flags:
         """Return which columns are not constant, as far as their values are known (K)."""
@@ -578,6 +594,13 @@ def _scaled(values: Floats) -> Floats:
     spread = x.std(axis=0)
     moves = spread > (1 - COPY) * np.nanmax(np.abs(values), axis=0)
     return np.where(moves, x, 0.0) / np.where(moves, spread, 1.0)
+
+
+def _have_two_values(x: Floats) -> Flags:
+    """Return which of many columns (N x K) have two values only (K)."""
+    low = x == x.min(axis=0)
+    high = x == x.max(axis=0)
+    return np.asarray((low | high).all(axis=0) & (len(x) > 2 * PAST))
 
 
 def _copies(x: Floats) -> Flags:

@@ -52,7 +52,8 @@ class _Fit(NamedTuple):
     def measure(self, row: Floats) -> Interval:
         """Return a linear function of the coefficients with its 95 % interval."""
         reach = student_quantile(self.design.shape[0] - self.c.size)
-        value, error = float(row @ self.c), reach * math.sqrt(row @ self.covariance @ row)
+        value = float(row @ self.c)
+        error = reach * math.sqrt(row @ self.covariance @ row)
         return Interval(value, value - error, value + error)
 
 
@@ -73,8 +74,10 @@ def fit_curve(rows: Rows, taken_up: float = 0.0) -> Curve | None:
     known &= np.abs(rows.u - rows.u[last]) >= taken_up
     u, y, came = (one[known] for one in rows[:3])
     u = u - came * taken_up / 2
-    half, height = float(np.ptp(u)) / 2, float(np.ptp(y))
-    x, v = (u - u.min()) / half - 1, (y - y.min()) / height
+    half = float(np.ptp(u)) / 2
+    height = float(np.ptp(y))
+    x = (u - u.min()) / half - 1
+    v = (y - y.min()) / height
     fits = []
     for degree in DEGREES:
         powers = legvander(x, degree)

@@ -81,7 +81,8 @@ def fit_side(levels: Levels, inner: int) -> Side | None:
         inner: number of leading rows at rest.
     """
     x, v, w = levels
-    n, outer = x.size, x.size - inner
+    n = x.size
+    outer = x.size - inner
     shapes = [
         (bends, jumps)
         for bends, jumps in SHAPES

@@ -11,7 +11,8 @@ from undeadzone_identify.looks.pushes import FrictionLevel, friction_level
 from undeadzone_identify.looks.rate import map_of_rate
 from undeadzone_identify.looks.rests import FreePlay, free_play_between_rests
 from undeadzone_identify.looks.rows import known_samples
-from undeadzone_identify.looks.stillness import longest_stillness
+from undeadzone_identify.looks.stillness import ends_of_readings, longest_stillness
+from undeadzone_identify.models.estimates import Interval
 
 
 class Looks(NamedTuple):
@@ -23,6 +24,7 @@ class Looks(NamedTuple):
         stillness: largest travel of the command while the reading stood still [u].
         rests: two rests at one goal.
         friction: level of the friction that a torque overcomes.
+        ends: limits of the readings, by "upper" and "lower" [y].
     """
 
     at_rest: RestMap | None = None
@@ -30,6 +32,7 @@ class Looks(NamedTuple):
     stillness: float = 0.0
     rests: FreePlay | None = None
     friction: FrictionLevel | None = None
+    ends: dict[str, Interval] = {}
 
 
 def look_at(log: Log) -> Looks:
@@ -59,4 +62,5 @@ def look_at(log: Log) -> Looks:
         of_rate,
         longest_stillness(t, u, y),
         free_play_between_rests(t, u, y) if kind == "goal" and read == "position" else None,
+        ends=ends_of_readings(t, u, y),
     )

@@ -166,8 +166,10 @@ def read_map(rows: Rows, may_be_late: bool = False) -> RestMap | None:
     x, v, w = levels
     if x.size < LEVELS or np.ptp(v) == 0:
         return None
-    base, height = np.array([x[0], v.min()]), np.array([np.ptp(x), np.ptp(v)])
-    u, y = (rows.u - base[0]) / height[0], (rows.y - base[1]) / height[1]
+    base = np.array([x[0], v.min()])
+    height = np.array([np.ptp(x), np.ptp(v)])
+    u = (rows.u - base[0]) / height[0]
+    y = (rows.y - base[1]) / height[1]
     unit = Levels((x - base[0]) / height[0], (v - base[1]) / height[1], w)
     parts = _hysteresis(u, y) or _flat_parts(unit, _legs(u, y, rows.came))
     nodes = _nodes(unit, parts)
@@ -211,7 +213,8 @@ def _medians(u: Floats, y: Floats) -> Levels:
     level = np.searchsorted(x, u, side="right")
     order = np.lexsort((y, level))
     first, count = np.unique(level[order], return_index=True, return_counts=True)[1:]
-    readings, commands = y[order], u[order]
+    readings = y[order]
+    commands = u[order]
     high = first + count // 2
     low = first + (count - 1) // 2 if x.size < MOST else high  # no mean across an edge
     w = np.sqrt(np.minimum(count, 30))
@@ -228,7 +231,8 @@ def _legs(u: Floats, y: Floats, came: Floats) -> list[Levels]:
 
 def _nodes(levels: Levels, parts: list[FlatPart]) -> Floats:
     """Return the map as a line: smoothed readings between the flat parts, and their edges."""
-    x, v = levels.x, levels.v.copy()
+    x = levels.x
+    v = levels.v.copy()
     moves = np.ones(x.size, bool)
     points = np.zeros((0, 2))
     for part in parts:
@@ -281,7 +285,8 @@ def _hysteresis(u: Floats, y: Floats) -> list[FlatPart]:
     moves = y - y.min() > WIDE
     if min(moves.sum(), np.sum(~moves)) < LEVELS or y[moves].min() - y.min() < APART:
         return []
-    starts, stops = float(u[~moves].max()), float(u[moves].min())
+    starts = float(u[~moves].max())
+    stops = float(u[moves].min())
     between = (u >= stops) & (u <= starts)
     changes = np.append(False, np.diff(moves))
     met = min(np.sum(moves[between]), np.sum(~moves[between]))
@@ -320,7 +325,8 @@ def _fit_part(
         low = x[0] if left is None else -left.edge.value
         high = x[-1] if right is None else right.edge.value
         inside = (x >= low) & (x <= high)
-        first, end = int(np.argmax(inside)), int(np.argmax(inside) + inside.sum())
+        first = int(np.argmax(inside))
+        end = int(np.argmax(inside) + inside.sum())
         unmet = (left is None and first > 0) or (right is None and end < n)
         if unmet or left is right or end - first < least:
             return None
@@ -347,7 +353,8 @@ def _fit_part(
         )
         for way, side in fits.items()
     }
-    before, after = edges.get(-1), edges.get(1)
+    before = edges.get(-1)
+    after = edges.get(1)
     if before and after and before.interval.value > after.interval.value:
         return None
     end_kind = "low end" if level < np.median(v[~inside]) else "high end"
@@ -369,7 +376,8 @@ def _is_flat(levels: Levels, inside: Flags, fits: list[Side], residual: Floats) 
     """Return whether a part hides more than noise, does not lean, and is no piece of a curve."""
     x, v, w = levels
     n = int(inside.sum())
-    middle, width = float(x[inside].mean()), max(float(np.ptp(x[inside])), 1e-9)
+    middle = float(x[inside].mean())
+    width = max(float(np.ptp(x[inside])), 1e-9)
     reach = max(1.5 * width, float(np.sort(np.abs(x - middle))[min(n + NEAREST, x.size - 1)]))
     near = np.abs(x - middle) <= reach
     slope = min(abs(side.slope) + abs(side.step) / width for side in fits)
@@ -385,21 +393,36 @@ def _is_flat(levels: Levels, inside: Flags, fits: list[Side], residual: Floats) 
         return False
     if is_exact:  # no curve rests, and rounding hides less
         return True
-    x, v, w = levels.cut(near)
     numbers = 1 + sum(side.numbers for side in fits)
-    shapes = [(numbers, residual[near])]
+    return not _is_curve(levels.cut(near), residual[near], numbers)
+
+
+def _is_curve(levels: Levels, residual: Floats, numbers: int) -> bool:
+    """Return whether a smooth curve has a lower price than a flat part with its edges.
+
+    Args:
+        levels: near the part (n).
+        residual: that the part with its edges leaves (n).
+        numbers: of the part and its edges.
+    """
+    x, v, w = levels
+    shapes = [(numbers, residual)]
     for degree in filter(lambda one: one + 1 < x.size, CURVES):
-        shapes.append((degree + 1, v - np.polynomial.Polynomial.fit(x, v, degree, w=w)(x)))
-    losses = [float(np.sum((one * w) ** 2)) / (x.size - count) for count, one in shapes]
-    prices = [price(loss, x.size, count) for loss, (count, _) in zip(losses, shapes, strict=True)]
-    return int(np.argmin(prices)) == 0
+        curve = np.polynomial.Polynomial.fit(x, v, degree, w=w)
+        shapes.append((degree + 1, v - curve(x)))
+    prices = []
+    for count, left in shapes:
+        loss = float(np.sum((left * w) ** 2)) / (x.size - count)
+        prices.append(price(loss, x.size, count))
+    return int(np.argmin(prices)) > 0
 
 
 def _edge(
     view: Levels, side: Side, end: int, inner: int, level: float, legs: list[Levels], way: int
 ) -> Edge:
     """Return an edge, as wide as the rounding and the spacing, and as each sweep's own edge."""
-    still, moves = float(view.x[end - 1]), float(view.x[end])
+    still = float(view.x[end - 1])
+    moves = float(view.x[end])
     rounding = find_quantum(view.v - level) / 2 / max(abs(side.slope), 1e-9)
     value = (still + moves) / 2 if side.step else side.edge.value
     spare = max(0.25 * (moves - still), rounding)
@@ -418,7 +441,8 @@ def _edge_of_leg(leg: Levels, level: float) -> float | None:
     if not starts.size:
         return None
     longest = int(np.argmax(ends - starts))
-    first, end = int(starts[longest]), int(ends[longest]) + 1
+    first = int(starts[longest])
+    end = int(ends[longest]) + 1
     side = fit_side(leg.cut(slice(first, None)), end - first) if end - first > 2 else None
     return None if side is None else side.edge.value
 

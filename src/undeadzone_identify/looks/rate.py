@@ -6,7 +6,6 @@ over the window, as the reading sums it.
 
 from __future__ import annotations
 
-import itertools
 import math
 from typing import NamedTuple
 
@@ -50,7 +49,8 @@ def map_of_rate(t: Floats | None, u: Floats, y: Floats) -> RestMap | None:
     least = math.log(1 - EXPLAINED)
     for size in SIZES:
         for lag in (-1, 0, 1, size // 2, size, 2 * size):
-            starts = np.arange(max(lag, 0), y.size - size + min(lag, 0), size)
+            last = y.size - size + min(lag, 0)
+            starts = np.arange(max(lag, 0), last, size)
             starts = starts[:: max(starts.size // WINDOWS, 1)]
             if starts.size < 4 * LEVELS or not np.all(t[starts + size] > t[starts]):
                 continue
@@ -76,60 +76,76 @@ def fit_edges(asked: Floats, rate: Floats, jumps: bool, passes: int = PASSES) ->
     mean, unit, numbers = asked.mean(axis=1), rate / np.std(rate), 1 + jumps
     grids = [np.linspace(mean.min(), mean.max(), PLACES)] * 2
     for _ in range(passes):
-        columns = []
-        for way, grid in zip((-1, 1), grids, strict=True):
-            beyond = np.maximum(way * (asked[..., None] - grid), 0)
-            shapes = [beyond.mean(axis=1) / np.ptp(mean), (beyond > 0).mean(axis=1)][:numbers]
-            columns.append(np.stack(shapes, axis=-1).reshape(rate.size, -1))
-        both = np.hstack(columns)
-        k = np.arange(PLACES * numbers).reshape(PLACES, numbers)
-        pairs = np.stack(np.broadcast_arrays(k[:, None], k + k.size), axis=2)
-        pairs = pairs.reshape(PLACES, PLACES, 2 * numbers)
-        gram = both.T @ both + 1e-9 * rate.size * np.eye(both.shape[1]) * np.mean(both**2)
-        answer = (both.T @ unit)[pairs]
-        square = gram[pairs[..., :, None], pairs[..., None, :]]
-        c = np.linalg.solve(square, answer[..., None])[..., 0]
-        loss = np.maximum(unit @ unit - np.sum(c * answer, axis=-1), 0) / rate.size
+        both = np.hstack(
+            [
+                _columns_beyond(asked, way, grid)[..., :numbers].reshape(rate.size, -1)
+                for way, grid in zip((-1, 1), grids, strict=True)
+            ]
+        )
+        c, loss = _solve_pairs(both, unit, numbers)
         falls, rises = c[..., :numbers], c[..., numbers:]
         is_map = (falls[..., 0] * rises[..., 0] <= 0) & (grids[0][:, None] <= grids[1])
         is_map &= (falls[..., 0] * falls[..., -1] >= 0) & (rises[..., 0] * rises[..., -1] >= 0)
         sides = (grids[0] > mean.min()).astype(int)[:, None] + (grids[1] < mean.max())
         prices = np.where(is_map, price(loss, rate.size, (1 + numbers) * sides), np.inf)
         best = np.unravel_index(int(np.argmin(prices)), prices.shape)
+        near = [(prices <= prices[best] + more) for more in (0, DEARER)]
         edges, finer = [], []
         for axis, grid in enumerate(grids):
-            same, inside = (
-                np.flatnonzero((prices <= prices[best] + more).any(axis=1 - axis))
-                for more in (0, DEARER)
-            )
+            same, inside = (np.flatnonzero(one.any(axis=1 - axis)) for one in near)
             edges.append(grid[[same[same.size // 2], inside[0], inside[-1]]])
-            first, last = max(inside[0] - 1, 0), min(inside[-1] + 1, PLACES - 1)
+            first = max(inside[0] - 1, 0)
+            last = min(inside[-1] + 1, PLACES - 1)
             finer.append(np.linspace(grid[first], grid[last], PLACES))
         grids = finer
     return Fit(float(prices[best]), np.array(edges), c[best].reshape(2, -1) * np.std(rate))
 
 
-def _map_of(asked: Floats, rate: Floats) -> RestMap:
-    """Return the map of the rates (W) over windows of the command (W x size).
+def _columns_beyond(asked: Floats, way: int, edges: Floats) -> Floats:
+    """Return what commands have beyond edges, and how often they are there (W x edges x 2).
 
-    Curves that may explain a part are one over all commands, and one on each side of a jump.
+    Args:
+        asked: commands by window (W x size).
+        way: 1 beyond an upper edge, -1 beyond a lower one.
+        edges: at a time one.
     """
+    beyond = np.maximum(way * (asked[..., None] - edges), 0)
+    travel = beyond.mean(axis=1) / np.ptp(asked.mean(axis=1))
+    share = (beyond > 0).mean(axis=1)
+    return np.stack([travel, share], axis=-1)
+
+
+def _solve_pairs(both: Floats, unit: Floats, numbers: int) -> tuple[Floats, Floats]:
+    """Return the coefficients and the loss of least squares with each pair of edges.
+
+    Args:
+        both: columns of all lower edges, then of all upper ones (W x k).
+        unit: rates (W).
+        numbers: columns of an edge.
+    """
+    k = np.arange(both.shape[1]).reshape(2, -1, numbers)
+    low, high = k[0, :, None], k[1, None, :]
+    pairs = np.concatenate(np.broadcast_arrays(low, high), axis=-1)
+    ridge = 1e-9 * unit.size * np.mean(both**2)
+    gram = both.T @ both + ridge * np.eye(both.shape[1])
+    answer = (both.T @ unit)[pairs]
+    square = gram[pairs[..., :, None], pairs[..., None, :]]
+    c = np.linalg.solve(square, answer[..., None])[..., 0]
+    explained = np.sum(c * answer, axis=-1)
+    loss = np.maximum(unit @ unit - explained, 0) / unit.size
+    return c, loss
+
+
+def _map_of(asked: Floats, rate: Floats) -> RestMap:
+    """Return the map of the rates (W) over windows of the command (W x size)."""
     mean = asked.mean(axis=1)
     fits = {jumps: fit_edges(asked, rate, jumps) for jumps in (False, True)}
     jumps = fits[True].criterion < fits[False].criterion
     cost, (lower, upper), c = fits[jumps]
     alike = np.array([one.both_edges for one in fits.values() if one.criterion < cost + DEARER])
     low, high = alike[..., 1].min(axis=0), alike[..., 2].max(axis=0)
-    unit = (asked - mean.min()) / np.ptp(mean)
-    half = unit - ((lower[0] + upper[0]) / 2 - mean.min()) / np.ptp(mean)
-    halves = np.minimum(half, 0), np.maximum(half, 0)
-    bent = [(one != 0) * one**k for one, k in itertools.product(halves, range(CURVES[0] + 1))]
-    powers = [unit**k for k in range(CURVES[-1] + 1)]
-    is_part = low[1] > high[0]
-    for shapes in (bent, *(powers[: degree + 1] for degree in (1, *CURVES))):
-        columns = np.stack([one.mean(axis=1) for one in shapes], axis=1)
-        left = rate - columns @ np.linalg.lstsq(columns, rate)[0]
-        is_part &= bool(cost < price(float(np.var(left) / np.var(rate)), rate.size, len(shapes)))
+    middle = (lower[0] + upper[0]) / 2
+    is_part = low[1] > high[0] and cost < _price_of_curves(asked, rate, middle)
     left, right = (
         Edge(Interval(float(edge[0]), *ends), bool(jumps), int(beyond.sum()))
         for edge, ends, beyond in (
@@ -152,3 +168,28 @@ def _map_of(asked: Floats, rate: Floats) -> RestMap:
         fold=None,
         nodes=np.array([[x[0], lower[0], upper[0], x[-1]], [at_ends[0], 0, 0, at_ends[1]]]),
     )
+
+
+def _price_of_curves(asked: Floats, rate: Floats, middle: float) -> float:
+    """Return the least price of a curve over all commands, or of one on each side of a jump.
+
+    Args:
+        asked: commands by window (W x size).
+        rate: rates (W).
+        middle: command at the jump.
+    """
+    mean = asked.mean(axis=1)
+    unit = (asked - mean.min()) / np.ptp(mean)
+    half = (asked - middle) / np.ptp(mean)
+    bent = []
+    for one in (np.minimum(half, 0), np.maximum(half, 0)):
+        bent += [(one != 0) * one**k for k in range(CURVES[0] + 1)]
+    powers = [unit**k for k in range(CURVES[-1] + 1)]
+    curves = [powers[: degree + 1] for degree in (1, *CURVES)]
+    prices = []
+    for shapes in (bent, *curves):
+        columns = np.stack([one.mean(axis=1) for one in shapes], axis=1)
+        left = rate - columns @ np.linalg.lstsq(columns, rate)[0]
+        loss = float(np.var(left) / np.var(rate))
+        prices.append(price(loss, rate.size, len(shapes)))
+    return float(min(prices))

@@ -57,6 +57,8 @@ def account_of_looks(log: Log, looks: Looks) -> Account | None:
         return _account_of_map(looks.at_rest, "map at rest", units)
     if looks.of_rate is not None and looks.of_rate.flats:  # its bound is one of the steady rate
         return _account_of_map(looks.of_rate, "map of the rate at rest", units)
+    if looks.ends:
+        return Account(INDICATED, {"output range": looks.ends}, "stays at turning points", units)
     return None
 
 
@@ -72,6 +74,9 @@ def _account_of_map(seen: RestMap, by: str, units: tuple[str, str]) -> Account:
         widest = max(map(attrgetter("widest_interval"), seen.flats))
         width = effects.get("loss", {}).get("width", UNMET)
         is_known = rows >= ENOUGH and widest < UNSURE * np.ptp(seen.x) and width.low > 0
+        is_known = (
+            is_known and seen.rows.how != "cloud"
+        )  # what else moves it may follow the command
         return found._replace(grade=MEASURED) if is_known else found
     if seen.fold is not None:
         edge = Interval(seen.fold, seen.fold, seen.fold)
