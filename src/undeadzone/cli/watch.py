@@ -76,9 +76,8 @@ def _check_seconds(
 @value_option(
     "--false-alarm",
     "SECONDS",
-    "Time between two false alarms.",
+    "Time between two false alarms; without it a month.",
     type=TIME,
-    default=30 * 86400.0,
     callback=_check_seconds,
 )
 @value_option(
@@ -96,7 +95,7 @@ def watch(
     strict: bool,
     state: Path | None,
     every: float,
-    false_alarm: float,
+    false_alarm: float | None,
     heartbeat: float | None,
     confine: Path | None,
 ) -> bool:
@@ -118,13 +117,14 @@ def watch(
     """
     from undeadzone.logs.names import parse_columns
     from undeadzone.scenario.reader import read_for_logs
+    from undeadzone.simulation.consistency import FALSE_ALARMS
     from undeadzone.simulation.follower import Follower, LiveLog
 
     if state is not None:
         require_writable(state.parent)
     watched = read_for_logs(scenario, confine)
     with progress("watching", None, of=watched.observer):
-        follower = Follower(watched, True, false_alarm)
+        follower = Follower(watched, True, false_alarm or FALSE_ALARMS)
     log = LiveLog("stdin", watched, follower, parse_columns(columns), strict)
     if sys.stdin is None:
         raise FileError("stdin: it is closed. Give lines of readings and inputs")
