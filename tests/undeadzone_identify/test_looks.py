@@ -13,8 +13,6 @@ from scipy.signal import lfilter
 from records import holds
 from undeadzone.nonlinearities.play import levels
 from undeadzone.util.arrays import Floats, turns
-from undeadzone_identify.looks import edges as edges_module
-from undeadzone_identify.looks import map as maps
 from undeadzone_identify.looks import rate, rows
 from undeadzone_identify.looks.curve import fit_curve
 from undeadzone_identify.looks.map import Edge, FlatPart, RestMap, map_at_rest
@@ -100,33 +98,6 @@ def test_a_map_has_the_shape_and_the_edges_of_its_truth(name: str, size: int) ->
                 assert holds(edge.interval, truth)
                 assert edge.interval.value == pytest.approx(truth, abs=0.03)
                 assert edge.jumps == (name == "threshold")
-
-
-@pytest.mark.parametrize("factor", [0.5, 2])
-@pytest.mark.parametrize(
-    ("module", "names"),
-    [
-        (maps, "FLAT HIDES LEAST WIDE CANDIDATES NEAREST FARTHER TURN"),
-        (edges_module, "DEARER RISES BEYOND KNOWN PLACES"),
-    ],
-)
-def test_half_and_double_of_a_constant_change_no_map(
-    monkeypatch: pytest.MonkeyPatch, module: ModuleType, names: str, factor: float
-) -> None:
-    u = np.linspace(-1, 1, 61)
-    noise = 2e-3 * np.random.default_rng(2).standard_normal(u.size)
-    for name in names.split():
-        with monkeypatch.context() as patch:
-            value = getattr(module, name)
-            patch.setattr(module, name, type(value)(factor * value))
-            for shape in ("bent band", "low end", "threshold", "line", "soft limit"):
-                function, _, edges = SHAPES[shape]
-                rest = found(u, function(u) + noise)
-                assert (name, len(rest.flats)) == (name, edges is not None)
-                if edges is not None and edges[1] is not None:
-                    edge = rest.flats[0].right
-                    assert edge is not None
-                    assert edge.interval.value == pytest.approx(edges[1], abs=0.03)
 
 
 def test_exact_edges_are_recovered_from_exact_rows() -> None:

@@ -125,7 +125,7 @@ def increases_evenly(values: Floats) -> bool:
     """
     values = values[np.isfinite(values)]
     between = np.diff(values)
-    between *= np.sign(between.sum())
+    between *= np.sign(np.median(between)) if between.size else 1.0
     is_rising = between.size > 1 and values.min() >= 0 and np.mean(between > 0) > 0.98
     return bool(
         is_rising and np.quantile(between, 0.9, method="higher") <= 1.5 * np.median(between)

@@ -1,4 +1,4 @@
-"""A whole log at once: from .npz, .mat, lines of JSON, a DataFrame, or arrays.
+"""A whole log at once: from .npz, .mat, JSON, a DataFrame, or arrays.
 
 Nothing in a file is ever executed.
 """
@@ -10,7 +10,7 @@ import itertools
 import json
 import math
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple
 
@@ -40,9 +40,10 @@ from undeadzone.util.files import (
     read_bytes,
 )
 
-JSON_LINES: Final = (".jsonl", ".ndjson")  # endings of files of JSON objects, one a line
-BINARY: Final = (".npz", ".mat", *JSON_LINES)  # endings of files that are no CSV text
+JSON: Final = (".json", ".jsonl", ".ndjson")  # endings of a document, or of objects, one a line
+BINARY: Final = (".npz", ".mat", *JSON)  # endings of files that are no CSV text
 LARGEST_MATRICES: Final = LARGEST_RUN // 8  # [bytes] of a .mat file, of which each may be a number
+LONGEST_CELL: Final = 64  # letters of a number or a time
 COMPRESSED: Final = 15  # type of an element of a .mat file
 Columns = list[tuple[Title, Floats]]  # what is said of each, and its numbers (N)
 
@@ -153,8 +154,8 @@ def _columns(log: Any) -> Columns:
         return _columns_of(log, "arrays")
     if not isinstance(log, Path):
         return of_frame(log)
-    if log.suffix.lower() in JSON_LINES:
-        return of_json_lines(log)
+    if log.suffix.lower() in JSON:
+        return of_json(log)
     return of_npz(log) if log.suffix.lower() == ".npz" else of_mat(log)
 
 
@@ -209,16 +210,37 @@ def of_npz(path: Path) -> Columns:
     return _columns_of(arrays, path)
 
 
-def of_json_lines(path: Path) -> Columns:
-    """Return the keys of JSON objects, one a line, as columns. Raises FileError.
+def of_json(path: Path) -> Columns:
+    """Return the tables of a JSON document, or of JSON objects, one a line, as columns.
+
+    Tables with the same titles are records of one log, one after another. Of different ones that
+    with the most rows counts. Raises FileError.
 
     Args:
         path: the file. A key that an object lacks is a missing number.
     """
     with convert_read_errors(path):
-        lines = read_bytes(path, LARGEST_TABLE).decode().splitlines()
+        text = read_bytes(path, LARGEST_TABLE).decode()
+    try:
+        tree = json.loads(text)
+    except (ValueError, RecursionError):
+        tree = _read_json_lines(text, path)
+    tables: dict[tuple[str, ...], list[Floats]] = {}
+    for titles, rows in _tables_of(tree):
+        tables.setdefault(titles, []).append(rows)
+    if not tables:
+        raise FileError(
+            f"{path}: holds no table: as many numbers in lists by name, objects with numbers, or "
+            "a list by name of rows of numbers. Save its signals as columns of a .csv file"
+        )
+    titles, parts = max(tables.items(), key=lambda one: sum(map(len, one[1])))
+    return list(zip(map(split_unit, titles), np.vstack(parts).T, strict=True))
+
+
+def _read_json_lines(text: str, path: Path) -> list[Any]:
+    """Return the JSON objects of a text, one a line. Raises FileError."""
     rows = []
-    for k, line in enumerate(lines, 1):
+    for k, line in enumerate(text.splitlines(), 1):
         try:
             row = json.loads(line) if line.strip() else {}
         except (ValueError, RecursionError):
@@ -226,10 +248,56 @@ def of_json_lines(path: Path) -> Columns:
         if not isinstance(row, dict):
             raise FileError(f"{path}: line {k}: expected a JSON object, found {line[:40]!r}")
         rows += [row] * bool(row)
-    names = dict.fromkeys(itertools.chain.from_iterable(rows))
-    return _columns_of_titles(
-        (name, np.array([row.get(name) for row in rows], "U")) for name in names
-    )
+    return rows
+
+
+def _tables_of(tree: Any) -> Iterator[tuple[tuple[str, ...], Floats]]:
+    """Yield the tables of a JSON document: titles (K), and rows of numbers (R x K).
+
+    A table is a list of objects, several lists of one length by name, or a list by name of more
+    rows of numbers than columns, whose titles are their numbers.
+    """
+    parts = [tree]
+    for part in parts:
+        if isinstance(part, dict):
+            lists = {name: one for name, one in part.items() if isinstance(one, list)}
+            for rows in filter(_is_matrix, lists.values()):
+                titles = [str(k + 1) for k in range(len(rows[0]))]
+                yield from _table(titles, zip(*rows, strict=True))
+            longest = max(map(len, lists.values()), default=0)
+            named = {name: one for name, one in lists.items() if len(one) == longest}
+            yield from _table(named, named.values())
+            parts += part.values()
+        elif isinstance(part, list):
+            objects = [one for one in part if isinstance(one, dict)]
+            names = dict.fromkeys(itertools.chain.from_iterable(objects))
+            yield from _table(names, ([one.get(name) for one in objects] for name in names))
+            parts += [one for one in part if isinstance(one, dict | list)]
+
+
+def _is_matrix(rows: list[Any]) -> bool:
+    """Return whether rows of numbers have one width, which is less than their count."""
+    if not all(isinstance(row, list) for row in rows):
+        return False
+    widths = set(map(len, rows))
+    return len(widths) == 1 and 1 < min(widths) < len(rows)
+
+
+def _table(
+    titles: Iterable[str], columns: Iterable[Sequence[Any]]
+) -> list[tuple[tuple[str, ...], Floats]]:
+    """Return a table of the columns with numbers, times or their texts; [] with fewer than two."""
+    known = {}
+    for title, column in zip(titles, columns, strict=True):
+        numbers = to_numbers(title, np.array(list(map(_cell_of, column)), "U"))
+        if numbers.size:
+            known[title] = numbers
+    return [(tuple(known), np.column_stack([*known.values()]))] if len(known) > 1 else []
+
+
+def _cell_of(value: Any) -> str:
+    """Return a value of JSON as the text of a cell; "" of a list or an object."""
+    return "" if isinstance(value, dict | list) else str(value)[:LONGEST_CELL]
 
 
 def of_mat(path: Path) -> Columns:

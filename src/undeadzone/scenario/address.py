@@ -150,7 +150,7 @@ def find_option_numbers(scenario: Any, tables: Iterable[str] = TUNABLE) -> dict[
 
 
 def _are_numbers(values: Any) -> bool:
-    """Return whether all entries of a list, or of lists of one length in it, are numbers."""
+    """Return whether all entries of a list, or of nested lists of one length, are numbers."""
     try:
         return np.asarray(values).dtype.kind in "iuf"
     except ValueError:  # lists of different lengths

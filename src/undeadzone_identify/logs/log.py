@@ -340,7 +340,8 @@ def read_log(source: Any, columns: str | None = None, strict: bool = False) -> L
     """Read the log in a file or DataFrame.
 
     Args:
-        source: path of a CSV, .npz, .mat or .jsonl file, or a pandas DataFrame with the columns.
+        source: path of a CSV, .npz, .mat, .json or .jsonl file, or a pandas DataFrame with the
+            columns.
         columns: which column is which where names do not say it: `t=1,y=angle,u=voltage`.
         strict: whether a line that cannot be read is an error; else its sample is missing.
 

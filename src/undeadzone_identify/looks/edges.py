@@ -15,8 +15,7 @@ import numpy as np
 from undeadzone.util.arrays import Flags, Floats
 from undeadzone_identify.models.estimates import Interval
 
-# Half and double of a number below change no edge of the tests' maps:
-# test_half_and_double_of_a_constant_change_no_map.
+# Half and double of a number below change no answer of `benchmarks constants` for the worse.
 BENDS = ((), (0.4,), (0.15, 0.5), (0.06, 0.2, 0.5), (0.1, 0.25, 0.5, 0.75))
 SHAPES = list(itertools.product(BENDS, (False, True)))
 RISES = 0.25  # of the mean slope outside: the least slope just beyond an edge

@@ -60,7 +60,8 @@ def map_of_rate(t: Floats | None, u: Floats, y: Floats) -> RestMap | None:
                 continue
             each = fit_edges(some, speed, False, 1).criterion / speed.size
             if each < least:
-                best, least = (some, speed), each
+                best = (some, speed)
+                least = each
     return best and _map_of(*best)
 
 
@@ -83,14 +84,16 @@ def fit_edges(asked: Floats, rate: Floats, jumps: bool, passes: int = PASSES) ->
             ]
         )
         c, loss = _solve_pairs(both, unit, numbers)
-        falls, rises = c[..., :numbers], c[..., numbers:]
+        falls = c[..., :numbers]
+        rises = c[..., numbers:]
         is_map = (falls[..., 0] * rises[..., 0] <= 0) & (grids[0][:, None] <= grids[1])
         is_map &= (falls[..., 0] * falls[..., -1] >= 0) & (rises[..., 0] * rises[..., -1] >= 0)
         sides = (grids[0] > mean.min()).astype(int)[:, None] + (grids[1] < mean.max())
         prices = np.where(is_map, price(loss, rate.size, (1 + numbers) * sides), np.inf)
         best = np.unravel_index(int(np.argmin(prices)), prices.shape)
         near = [(prices <= prices[best] + more) for more in (0, DEARER)]
-        edges, finer = [], []
+        edges = []
+        finer = []
         for axis, grid in enumerate(grids):
             same, inside = (np.flatnonzero(one.any(axis=1 - axis)) for one in near)
             edges.append(grid[[same[same.size // 2], inside[0], inside[-1]]])
@@ -124,7 +127,8 @@ def _solve_pairs(both: Floats, unit: Floats, numbers: int) -> tuple[Floats, Floa
         numbers: columns of an edge.
     """
     k = np.arange(both.shape[1]).reshape(2, -1, numbers)
-    low, high = k[0, :, None], k[1, None, :]
+    low = k[0, :, None]
+    high = k[1, None, :]
     pairs = np.concatenate(np.broadcast_arrays(low, high), axis=-1)
     ridge = 1e-9 * unit.size * np.mean(both**2)
     gram = both.T @ both + ridge * np.eye(both.shape[1])
@@ -143,7 +147,8 @@ def _map_of(asked: Floats, rate: Floats) -> RestMap:
     jumps = fits[True].criterion < fits[False].criterion
     cost, (lower, upper), c = fits[jumps]
     alike = np.array([one.both_edges for one in fits.values() if one.criterion < cost + DEARER])
-    low, high = alike[..., 1].min(axis=0), alike[..., 2].max(axis=0)
+    low = alike[..., 1].min(axis=0)
+    high = alike[..., 2].max(axis=0)
     middle = (lower[0] + upper[0]) / 2
     is_part = low[1] > high[0] and cost < _price_of_curves(asked, rate, middle)
     left, right = (

@@ -109,7 +109,8 @@ def _settled_rows(u: Floats, y: Floats, came: Floats, cut: Integers, levels: int
         first, before, late = (
             y[max(b - k * quarter, a) : b - (k - 1) * quarter] for k in (3, 2, 1)
         )
-        moved, earlier = late.mean() - before.mean(), before.mean() - first.mean()
+        moved = late.mean() - before.mean()
+        earlier = before.mean() - first.mean()
         error = noise * math.sqrt(1 / late.size + 1 / before.size)
         row = [u[a], np.median(late), came[a]]
         if abs(moved) < 3 * error + still:
@@ -192,7 +193,8 @@ def _follow_steps(u: Floats, y: Floats) -> tuple[Floats, Flags]:
     so that as many rows again are left out. The area below the answer over its height is the lag of
     a sweep's readings, in rows.
     """
-    follows, lags = np.zeros(u.size, bool), [0.0]
+    follows = np.zeros(u.size, bool)
+    lags = [0.0]
     steps = np.flatnonzero(np.abs(np.diff(u)) > STEP * np.ptp(u)).tolist()
     for k, end in itertools.pairwise([*steps, u.size - 1]):
         change = np.append(np.diff(y[k : end + 1]), 0.0)

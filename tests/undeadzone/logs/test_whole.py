@@ -1,15 +1,17 @@
-"""Lines of JSON objects are a log, as a CSV of the same columns is."""
+"""JSON objects, one a line or in a document, are a log, as a CSV of the same columns is."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from undeadzone.errors import FileError
-from undeadzone.logs.whole import of_json_lines, of_npz
+from undeadzone.logs.whole import of_json, of_npz
 from undeadzone_identify.logs.log import read_log
 
 
@@ -17,12 +19,24 @@ def lines_of(rows: list[object]) -> str:
     return "\n".join(json.dumps(row) for row in rows)
 
 
-def test_json_lines_are_read_as_a_csv_of_the_same_columns(tmp_path: Path) -> None:
+TITLES = ("t [ms]", "u", "y")
+
+
+@pytest.mark.parametrize(
+    "write",
+    [
+        lambda rows: lines_of(rows) + "\n\n",
+        json.dumps,
+        lambda rows: json.dumps({"Ts": 0.1, "run": [{"up": rows[:20]}, {"down": rows[20:]}]}),
+        lambda rows: json.dumps({key: [row[key] for row in rows] for key in TITLES}),
+    ],
+)
+def test_json_is_read_as_a_csv_of_the_same_columns(
+    tmp_path: Path, write: Callable[[list[Any]], str]
+) -> None:
     rows = [(0.1 * k, k % 7 - 3.0, 0.25 * k) for k in range(50)]
-    lines, table = tmp_path / "log.jsonl", tmp_path / "log.csv"
-    lines.write_text(
-        lines_of([dict(zip(("t [ms]", "u", "y"), row, strict=True)) for row in rows]) + "\n\n"
-    )
+    lines, table = tmp_path / "log.json", tmp_path / "log.csv"
+    lines.write_text(write([dict(zip(TITLES, row, strict=True)) for row in rows]))
     table.write_text("t [ms],u,y\n" + "\n".join(f"{t},{u},{y}" for t, u, y in rows))
     read, same = read_log(lines), read_log(table)
     for name in ("t", "u", "y"):
@@ -36,7 +50,7 @@ def test_dates_are_seconds_and_missing_keys_are_missing_readings(tmp_path: Path)
         for k in range(10)
     ]
     path.write_text(lines_of(rows).replace('"u": 5,', '"u": NaN,'))
-    columns = {title.name: column for title, column in of_json_lines(path)}
+    columns = {title.name: column for title, column in of_json(path)}
     assert set(columns) == {"time", "u", "y"}
     assert np.array_equal(np.diff(columns["time"]), np.ones(9))
     assert np.flatnonzero(np.isnan(columns["y"])).tolist() == [3]
@@ -65,4 +79,13 @@ def test_a_line_that_is_no_object_is_named(tmp_path: Path, text: str) -> None:
     path = tmp_path / "log.jsonl"
     path.write_text(text)
     with pytest.raises(FileError, match="line 2: expected a JSON object"):
-        of_json_lines(path)
+        of_json(path)
+
+
+def test_rows_of_numbers_of_one_width_are_records_of_one_table(tmp_path: Path) -> None:
+    path = tmp_path / "log.json"
+    path.write_text(json.dumps({"a": [[0, 1], [1, 2], [2, 4]], "b": [[3, 5], [4, 6], [5, 7]]}))
+    assert np.array_equal(of_json(path)[1][1], [1, 2, 4, 5, 6, 7])
+    path.write_text(json.dumps({"a": [[[1, 2]] * 3], "b": [1, [2]], "c": 3}))
+    with pytest.raises(FileError, match="holds no table"):
+        of_json(path)
