@@ -225,6 +225,8 @@ def of_json(path: Path) -> Columns:
         tree = json.loads(text)
     except (ValueError, RecursionError):
         tree = _read_json_lines(text, path)
+    if isinstance(tree, dict) and not any(isinstance(one, dict | list) for one in tree.values()):
+        tree = [tree]  # a single line
     tables: dict[tuple[str, ...], list[Floats]] = {}
     for titles, rows in _tables_of(tree):
         tables.setdefault(titles, []).append(rows)

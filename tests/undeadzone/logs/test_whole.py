@@ -86,6 +86,8 @@ def test_rows_of_numbers_of_one_width_are_records_of_one_table(tmp_path: Path) -
     path = tmp_path / "log.json"
     path.write_text(json.dumps({"a": [[0, 1], [1, 2], [2, 4]], "b": [[3, 5], [4, 6], [5, 7]]}))
     assert np.array_equal(of_json(path)[1][1], [1, 2, 4, 5, 6, 7])
+    path.write_text('{"t": 0, "u": 1}')
+    assert len(of_json(path)) == 2
     path.write_text(json.dumps({"a": [[[1, 2]] * 3], "b": [1, [2]], "c": 3}))
     with pytest.raises(FileError, match="holds no table"):
         of_json(path)
