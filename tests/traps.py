@@ -3,6 +3,12 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from undeadzone.errors import FileError
 
 COMMAND = [
     sys.executable,
@@ -20,3 +26,20 @@ simulation = { duration = 0.2, step = 1e-2, time = "sampled" }
 """
 TRAP = 'open("RAN", "w").close()\n'
 TRAPS = ("pickle", "socket", "struct", "random", "numpy", "undeadzone_arena", "sitecustomize")
+
+
+def refuse_link(path: Path, link: str, write: Callable[[Path], object]) -> None:
+    """Check that nothing is written where a link of a stranger stands.
+
+    Args:
+        path: of the file that is to be written.
+        link: method of a path that makes the link.
+        write: writes it.
+    """
+    outside = path.with_name("outside")
+    if link == "hardlink_to":
+        outside.write_bytes(b"")
+    getattr(path, link)(outside)
+    with pytest.raises(FileError, match=rf"{path.name}: cannot write: it is .* Delete it, or"):
+        write(path)
+    assert not outside.exists() or outside.read_bytes() == b""

@@ -46,7 +46,7 @@ def constants() -> Iterator[tuple[ModuleType, str]]:
 def _sets(module: ModuleType, name: str) -> bool:
     """Return whether a module sets a constant itself."""
     source = Path(str(module.__file__)).read_text(encoding="utf-8")
-    return name.isupper() and re.search(rf"^{name}\b.*= ", source, re.MULTILINE) is not None
+    return name.isupper() and re.search(rf"^(\w+, )*{name}\b.*= ", source, re.MULTILINE) is not None
 
 
 @contextmanager

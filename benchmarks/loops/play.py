@@ -191,8 +191,13 @@ def posed(world: World, reading: str, options: Options, mistaken: bool, seed: in
     if not mistaken:
         return problem
     plain = msgspec.structs.replace(sensor, kind="deadzone")
-    zone = resolve(plain, 1, world.step, plant_pace(problem.flow.linear))
-    return problem._replace(observer=options(world, gaps).build(problem.model, zone))
+    return take_for(problem, world, plain, options(world, gaps))
+
+
+def take_for(problem: Problem, world: World, sensor: Sensor, options: ObserverOptions) -> Problem:
+    """Return a problem whose observer takes its sensor for another one."""
+    zone = resolve(sensor, 1, world.step, plant_pace(problem.flow.linear))
+    return problem._replace(observer=options.build(problem.model, zone))
 
 
 def table(

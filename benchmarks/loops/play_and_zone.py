@@ -25,11 +25,11 @@ from benchmarks.loops.play import (
     naive,
     ranges_alone,
     rms_and_quantum,
+    take_for,
 )
 from benchmarks.markdown import head, row
-from undeadzone.nonlinearities.sensor import Sensor, resolve
+from undeadzone.nonlinearities.sensor import Sensor
 from undeadzone.observers import Kalman
-from undeadzone.plants.system import plant_pace
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Model
 
@@ -93,8 +93,7 @@ def posed(world: World, reading: str, entry: Entry, seed: int) -> Problem:
     if not entry.mistaken:
         return problem
     wrong = msgspec.structs.replace(sensor, kind=entry.mistaken, play=None)
-    zone = resolve(wrong, 1, world.step, plant_pace(problem.flow.linear))
-    return problem._replace(observer=options.build(problem.model, zone))
+    return take_for(problem, world, wrong, options)
 
 
 def table(

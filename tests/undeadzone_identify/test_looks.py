@@ -8,11 +8,13 @@ from types import ModuleType
 import numpy as np
 import pytest
 from benchmarks.identify.logs.doors import KINDS
+from benchmarks.identify.logs.strangers import dragged
 from scipy.signal import lfilter
 
 from records import holds
-from undeadzone.nonlinearities.play import levels
 from undeadzone.util.arrays import Floats, turns
+from undeadzone_identify.looks import edges as edges_module
+from undeadzone_identify.looks import map as maps
 from undeadzone_identify.looks import rate, rows
 from undeadzone_identify.looks.curve import fit_curve
 from undeadzone_identify.looks.map import Edge, FlatPart, RestMap, map_at_rest
@@ -83,10 +85,15 @@ SHAPES: dict[str, tuple[Shape, str, tuple[float | None, float | None] | None]] =
     ],
 )
 def test_a_map_has_the_shape_and_the_edges_of_its_truth(name: str, size: int) -> None:
+    check_map(name, size, 1e-3)
+
+
+def check_map(name: str, size: int, noise: float) -> None:
+    """Compare the map of a shape with its truth."""
     function, shape, edges = SHAPES[name]
     u = np.linspace(-1, 1, size)
     y = function(u)
-    rest = found(u, y + 1e-3 * np.random.default_rng(1).standard_normal(size))
+    rest = found(u, y + noise * np.random.default_rng(1).standard_normal(size))
     assert (rest.fold is not None) == (shape == "fold")
     assert len(rest.flats) == (edges is not None)
     inside = np.abs(u) < 0.95
@@ -98,6 +105,25 @@ def test_a_map_has_the_shape_and_the_edges_of_its_truth(name: str, size: int) ->
                 assert holds(edge.interval, truth)
                 assert edge.interval.value == pytest.approx(truth, abs=0.03)
                 assert edge.jumps == (name == "threshold")
+
+
+@pytest.mark.parametrize("factor", [0.5, 2])
+@pytest.mark.parametrize(
+    ("module", "names"),
+    [
+        (maps, "FLAT HIDES LEAST WIDE CANDIDATES NEAREST FARTHER TURN"),
+        (edges_module, "DEARER RISES BEYOND KNOWN PLACES"),
+    ],
+)
+def test_half_and_double_of_a_constant_change_no_map(
+    monkeypatch: pytest.MonkeyPatch, module: ModuleType, names: str, factor: float
+) -> None:
+    for name in names.split():
+        with monkeypatch.context() as patch:
+            value = getattr(module, name)
+            patch.setattr(module, name, type(value)(factor * value))
+            for shape in ("bent band", "low end", "threshold", "line", "soft limit"):
+                check_map(shape, 61, 2e-3)
 
 
 def test_exact_edges_are_recovered_from_exact_rows() -> None:
@@ -393,19 +419,25 @@ def test_scattered_readings_have_a_map_unless_they_lag(lag: int) -> None:
     u = lfilter([1], [1, -0.9], rng.standard_normal(8000))
     y = np.minimum(np.roll(u, lag), 1) + 0.3 * rng.standard_normal(u.size)
     y[::50] = -9  # what else stops it
-    rest = map_at_rest(None, u, y)
-    assert (rest is not None) == (lag == 0)
-    if rest is not None:
-        (part,) = rest.flats
-        assert part.left is not None
-        assert holds(part.left.interval, 1)
+    if lag:
+        assert map_at_rest(None, u, y) is None
+        return
+    (part,) = found(u, y).flats
+    assert part.left is not None
+    assert holds(part.left.interval, 1)
+
+
+def test_a_log_too_short_for_a_past_has_no_map_of_what_scatters() -> None:
+    u = np.repeat(np.arange(5.0), 7)
+    drift = np.cumsum(np.random.default_rng(0).standard_normal(35))
+    assert map_at_rest(np.arange(35.0), u, u + drift) is None
 
 
 def test_readings_end_where_they_stay_longer_than_at_other_turns() -> None:
     u = np.random.default_rng(4).standard_normal(3000)
     z = lfilter([0.1], [1, -0.9], u)
-    behind_play = levels(z[:, None], *np.array([[0.2], [0.2], [0.0]]))[:, 0]
-    for y in (z, np.round(20 * z) / 20, behind_play, np.maximum(z, 0)):
+    coarse = np.round(20 * z) / 20
+    for y in (z, coarse, dragged(z, 0.4), np.maximum(z, 0)):
         assert ends_of_readings(None, u, y) == {}
-    for y in (z, np.round(20 * z) / 20):
+    for y in (z, coarse):
         assert ends_of_readings(None, u, np.minimum(y, 0.4)).keys() == {"upper"}

@@ -13,7 +13,6 @@ from undeadzone.util.arrays import Floats
 
 KINDS = ("input zone", "play", "both ends")
 SHORTEST, LONGEST = 700, 5000  # samples
-DISTURBANCES = (0.0, 0.1, 0.2)  # rms at the input
 LARGEST = 30.0  # input of a loop that holds
 
 

@@ -31,7 +31,7 @@ from undeadzone.logs.kinds import (
     split_words,
     time_rank,
 )
-from undeadzone.util.arrays import Flags, Floats, Integers
+from undeadzone.util.arrays import Flags, Floats, Integers, split_past
 
 DATES: Final = ("date", "datum", "fecha", "day")  # beside a column of times of day
 # Pairs of an input and a reading that are met more often than others, and by how much [rank].
@@ -642,17 +642,13 @@ def _explained(x: Floats) -> tuple[Floats, Floats]:
     """Return how well columns (row) explain others: by their present and past (a correlation), and
     how much of the error of another's own forecast their past saves (Granger 1969) (K x K).
 
-    Each half is explained by what the other half teaches. The past is means over 1, 2, 4, ...
-    samples.
+    Each half is explained by what the other half teaches. The past is that of `split_past`.
 
     Args:
         x: columns about their means (N x K).
     """
-    size, count = x.shape
-    sums = np.cumsum(np.pad(x, ((1, 0), (0, 0))), axis=0)
-    ends = np.append(0, 2 ** np.arange(int(np.log2(size / PAST)) + 1))
-    now = np.arange(ends[-1], size) + 1
-    means = [(sums[now - a] - sums[now - b]) / (b - a) for a, b in itertools.pairwise(ends)]
+    count = x.shape[1]
+    means = split_past(x, PAST)
     products = [half.T @ half for half in np.array_split(np.hstack(means), 2)]
     of = np.arange(count)[:, None] + count * np.arange(len(means))
     power, alone, own, both = np.zeros((4, count, count))

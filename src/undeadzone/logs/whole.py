@@ -41,7 +41,7 @@ from undeadzone.util.files import (
 )
 
 JSON: Final = (".json", ".jsonl", ".ndjson")  # endings of a document, or of objects, one a line
-BINARY: Final = (".npz", ".mat", *JSON)  # endings of files that are no CSV text
+NOT_CSV: Final = (".npz", ".mat", *JSON)  # endings of files that are no CSV text
 LARGEST_MATRICES: Final = LARGEST_RUN // 8  # [bytes] of a .mat file, of which each may be a number
 LONGEST_CELL: Final = 64  # letters of a number or a time
 COMPRESSED: Final = 15  # type of an element of a .mat file
@@ -90,7 +90,7 @@ def read_whole(
         raise InputError(f"log: expected a path or a DataFrame, found {type(log).__name__}")
     source = str(log) if is_path else "DataFrame"
     log = Path(log) if is_path else log
-    if not is_path or log.suffix.lower() in BINARY:
+    if not is_path or log.suffix.lower() in NOT_CSV:
         return WholeLog(source, *samples_of(log, p, m, chosen, source), Faults(source, strict))
     reader = LogReader(source, p, m, chosen, strict)
     samples = samples_of_text(reader, log, largest, most)

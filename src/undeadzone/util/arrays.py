@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -329,6 +330,24 @@ def shift_rows(rows: Floats, samples: int, start: Integers) -> Floats:
     record = np.searchsorted(start, np.arange(len(rows)), side="right") - 1
     last = np.append(start[1:], len(rows)) - 1
     return rows[np.clip(np.arange(len(rows)) - samples, start[record], last[record])]
+
+
+def split_past(x: Floats, least: int) -> list[Floats]:
+    """Return samples, and means over the one before each, the two before that, the next four, ...
+
+    All have the rows of the samples that follow the longest past. It is at most the part 1 / least
+    of the rows. A shorter signal has no past.
+
+    Args:
+        x: signals (N x K).
+        least: such pasts in the signal, at least.
+    """
+    size = x.shape[0]
+    sums = np.cumsum(np.pad(x, ((1, 0), (0, 0))), axis=0)
+    spans = int(np.log2(max(size / least, 1)))
+    ends = np.append(0, 2 ** np.arange(spans + 1))
+    now = np.arange(ends[-1], size) + 1
+    return [(sums[now - a] - sums[now - b]) / (b - a) for a, b in itertools.pairwise(ends)]
 
 
 def to_scalar_or_list(values: Sequence[Any] | Floats) -> Any:

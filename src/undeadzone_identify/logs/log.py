@@ -26,7 +26,7 @@ from undeadzone.logs.samples import (
     require_increasing,
     without_repeats,
 )
-from undeadzone.logs.whole import BINARY, WholeLog, read_whole, samples_of, samples_of_arrays
+from undeadzone.logs.whole import NOT_CSV, WholeLog, read_whole, samples_of, samples_of_arrays
 from undeadzone.util.arrays import Floats, hold_last
 from undeadzone.util.files import LARGEST_TABLE
 from undeadzone_identify.logs.tables import Arrays, read_named_values, read_parquet
@@ -381,7 +381,7 @@ def _read_whole(source: Any, chosen: dict[str, str], strict: bool) -> WholeLog:
             lines = f"{read.source}: {count_in_words(bad)} of {count} cannot be read"
             raise FileError(f"{lines}; {read.faults.why}")
     except FileError:
-        if path is None or path.suffix.lower() in BINARY:
+        if path is None or path.suffix.lower() in NOT_CSV:
             raise
         arrays = read_named_values(path)
         if arrays is None:

@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.logs.kinds import TABLE
-from undeadzone.util.arrays import Flags, Floats, Integers, turns
+from undeadzone.logs.names import PAST
+from undeadzone.util.arrays import Flags, Floats, Integers, split_past, turns
 from undeadzone_identify.logs.grid import find_quantum
 from undeadzone_identify.models.motion import white_noise_rms
 
@@ -19,9 +20,7 @@ SLOW = 0.03  # of the reading's range: its median spread at one command, in a sl
 SETTLED = 0.004  # of the reading's spread, by which the last quarter of a hold may still move
 FASTER = 0.7  # of the quarter before, by which the last quarter of a hold moves at most
 STEP = 0.3  # of the commands' range, from which a change is a step of a sweep
-PARTS = 60  # of the commands, for medians of a cloud
-EXPLAINED = 0.5  # of the readings, from which a map of medians, or a straight plant, is believed
-LEAST = 30  # samples for each time constant
+PARTS = 60  # of the rows in the order of their commands, in each of which a map is a line
 COMING = 0.15  # of the reading's spread, by which it moves at most
 
 
@@ -136,7 +135,7 @@ def _sweep_rows(u: Floats, y: Floats, came: Floats) -> Rows | None:
     at_ends = np.abs(u - (u.min() + u.max()) / 2) > (0.5 - SLOW) * np.ptp(u)
     if at_ends.mean() > 0.5 and not turns(u, float(np.ptp(u)) / 2).size:
         return None
-    cloud = Rows(u, y, came, "cloud") if _has_no_memory(u, y) else None
+    every = Rows(u, y, came, "cloud")
     u, rests = _follow_steps(u, y)
     u, y, came = u[rests], y[rests], came[rests]
     order = np.argsort(u, kind="stable")
@@ -145,22 +144,22 @@ def _sweep_rows(u: Floats, y: Floats, came: Floats) -> Rows | None:
         spread = np.concatenate([_spread_at_commands(y[one]) for one in some]) / _range(y[order])
         if np.median(spread) < SLOW:
             return Rows(u, y, came, how)
-    return cloud
+    return every if _has_no_memory(every.u, every.y) else None
 
 
 def _has_no_memory(u: Floats, y: Floats) -> bool:
     """Return whether readings depend on their commands, and hardly on earlier ones.
 
-    What medians by command leave is regressed on what the commands were before.
+    Medians by command explain more than they leave, and what they leave is regressed on what the
+    commands were before.
     """
-    left = y - _medians_along(u, y)
-    if np.var(left) > (1 - EXPLAINED) * np.var(y):
+    explained = _medians_along(u, y)
+    left = y - explained
+    now, *past = split_past(u[:, None], PAST)
+    if np.var(left) > np.var(explained) or not past:
         return False
-    before = _means_before(u)
-    rows = slice(u.size - before.shape[0], None)
-    past = before - u[rows, None]
-    design = np.column_stack([past, np.ones(past.shape[0])])
-    coefficients = np.linalg.lstsq(design, left[rows], rcond=None)[0]
+    design = np.hstack([np.ones(now.shape), *(one - now for one in past)])
+    coefficients = np.linalg.lstsq(design, left[-now.size :], rcond=None)[0]
     late = float(np.std(design @ coefficients))
     return late < SLOW * _range(y[np.argsort(u, kind="stable")])
 
@@ -173,17 +172,6 @@ def _medians_along(u: Floats, y: Floats) -> Floats:
     x = [np.median(u[one]) for one in there]
     v = [np.median(y[one]) for one in there]
     return np.interp(u, x, v)
-
-
-def _means_before(u: Floats) -> Floats:
-    """Return means of the last command, of the last two, the last four, and so on.
-
-    The rows are those samples that have as many ahead as the longest takes (R x k).
-    """
-    total = np.append(0.0, np.cumsum(u))
-    spans = 2 ** np.arange(int(math.log2(u.size / LEAST)))
-    rows = np.arange(int(spans[-1]), u.size)
-    return np.column_stack([(total[rows] - total[rows - span]) / span for span in spans])
 
 
 def _follow_steps(u: Floats, y: Floats) -> tuple[Floats, Flags]:
@@ -207,7 +195,7 @@ def _follow_steps(u: Floats, y: Floats) -> tuple[Floats, Flags]:
 
 def _spread_at_commands(y: Floats) -> Floats:
     """Return the deviations of neighbours from lines, of readings in the order of the command."""
-    size = max(4, y.size // 60)
+    size = max(4, y.size // PARTS)
     bends = np.diff(y[: y.size // size * size].reshape(-1, size), 2, axis=1)
     return np.sqrt(np.mean(bends**2, axis=1) / 6)
 

@@ -74,10 +74,8 @@ def _account_of_map(seen: RestMap, by: str, units: tuple[str, str]) -> Account:
         widest = max(map(attrgetter("widest_interval"), seen.flats))
         width = effects.get("loss", {}).get("width", UNMET)
         is_known = rows >= ENOUGH and widest < UNSURE * np.ptp(seen.x) and width.low > 0
-        is_known = (
-            is_known and seen.rows.how != "cloud"
-        )  # what else moves it may follow the command
-        return found._replace(grade=MEASURED) if is_known else found
+        is_alone = seen.rows.how != "cloud"  # else what scatters it may follow the command
+        return found._replace(grade=MEASURED) if is_known and is_alone else found
     if seen.fold is not None:
         edge = Interval(seen.fold, seen.fold, seen.fold)
         return Account(INDICATED, {"fold": {"edge": edge}}, by, units)

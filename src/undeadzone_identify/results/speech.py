@@ -15,7 +15,6 @@ from scipy.stats import entropy
 
 from undeadzone.util.arrays import Flags, Floats
 from undeadzone.util.files import read_table
-from undeadzone_identify.looks.rows import EXPLAINED
 from undeadzone_identify.models.elements import FEWEST, limited_zone_map
 from undeadzone_identify.models.least_squares import FittedModel
 from undeadzone_identify.models.likelihood import root_mean_square
@@ -59,6 +58,7 @@ OTHERS = 2  # effects that are printed beside the first
 LOSS = "output loss"
 CLOSE = 1.05  # of the rms, up to which a zone of the input simulates as well as one of the sensor
 LAST, MOVES = 20, 0.1  # samples of a hold, and share of the largest reading, that show motion
+EXPLAINED = 0.5  # share of the held-out readings, from which a straight plant bounds an effect
 
 
 def account_of_answer(answer: Answer) -> Account:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from undeadzone.errors import FileError
@@ -19,25 +20,22 @@ def lines_of(rows: list[object]) -> str:
     return "\n".join(json.dumps(row) for row in rows)
 
 
-TITLES = ("t [ms]", "u", "y")
-
-
 @pytest.mark.parametrize(
     "write",
     [
         lambda rows: lines_of(rows) + "\n\n",
         json.dumps,
         lambda rows: json.dumps({"Ts": 0.1, "run": [{"up": rows[:20]}, {"down": rows[20:]}]}),
-        lambda rows: json.dumps({key: [row[key] for row in rows] for key in TITLES}),
+        lambda rows: json.dumps({key: [row[key] for row in rows] for key in rows[0]}),
     ],
 )
 def test_json_is_read_as_a_csv_of_the_same_columns(
     tmp_path: Path, write: Callable[[list[Any]], str]
 ) -> None:
-    rows = [(0.1 * k, k % 7 - 3.0, 0.25 * k) for k in range(50)]
+    rows = [{"t [ms]": 0.1 * k, "u": k % 7 - 3.0, "y": 0.25 * k} for k in range(50)]
     lines, table = tmp_path / "log.json", tmp_path / "log.csv"
-    lines.write_text(write([dict(zip(TITLES, row, strict=True)) for row in rows]))
-    table.write_text("t [ms],u,y\n" + "\n".join(f"{t},{u},{y}" for t, u, y in rows))
+    lines.write_text(write(rows))
+    pd.DataFrame(rows).to_csv(table, index=False)
     read, same = read_log(lines), read_log(table)
     for name in ("t", "u", "y"):
         assert np.array_equal(getattr(read, name), getattr(same, name))
