@@ -31,6 +31,7 @@ from undeadzone.logs.text import (
     flaw,
     is_content,
     lines_ahead,
+    prose_ahead,
 )
 from undeadzone.util.arrays import Floats
 
@@ -230,7 +231,8 @@ class LogReader:
         determines it, so that it does not depend on the pieces.
         """
         if not self._live:
-            return lines_ahead(lines) or 0
+            ahead = lines_ahead(lines)
+            return prose_ahead(lines) if ahead is None else ahead
         by_number = self._chosen and all(name.isdigit() for name in self._chosen.values())
         if by_number and dialect_of(lines[:1]).heads == 0:
             return 0  # columns chosen by number need no header; times may be stamps

@@ -50,7 +50,7 @@ _TELLING: Final = {
     )
     for mark, grouped in _GROUPED.items()
 }
-_BLANKS: Final = re.compile("[ \t]+")
+_BLANKS: Final = re.compile(r"[ \t]+(?![ \t\[(])")  # a unit in brackets belongs to its name
 _OPEN: Final = r'(?:^|[,;\t])"[^"\n]*'  # a cell in quotes that goes on in the next line
 _OPENS: Final = re.compile(f"{_OPEN}$")
 _BROKEN: Final = re.compile(rf'^(.*{_OPEN})\n([^"\n]*"(?=$|[,;\t]))', re.MULTILINE)
@@ -382,6 +382,22 @@ def lines_ahead(lines: Sequence[str]) -> int | None:
         if alike and 2 * len(alike) >= len(lines) - k - 1:
             return k
     return None
+
+
+def prose_ahead(lines: Sequence[str]) -> int:
+    """Return the number of lines of text ahead of rows of numbers without titles.
+
+    It is 0 if the first line has as many cells as most rows of numbers, or if these are few.
+
+    Args:
+        lines: the first lines with content, of which none is a header by `lines_ahead`.
+    """
+    separator = _separator(lines)
+    rows = [list(filter(None, split_cells(line, separator))) for line in lines]
+    widths = [len(row) * (_count_numbers(row) == len(row)) for row in rows]
+    usual = max(widths, key=widths.count)
+    is_prose = usual and len(rows[0]) != usual and 2 * widths.count(usual) >= len(rows)
+    return widths.index(usual) if is_prose else 0
 
 
 def _separator(lines: Sequence[str]) -> str:

@@ -11,8 +11,13 @@ import pytest
 from requirements import import_package
 from undeadzone.errors import FileError
 from undeadzone.logs.kinds import split_unit
-from undeadzone.logs.names import layout_of_titles
+from undeadzone.logs.names import Layout, layout_of_titles
 from undeadzone.logs.samples import LogReader, Samples, place_on_steps, samples_of_text
+
+
+def columns_of(header: str, **chosen: str) -> Layout:
+    """Return the columns that a header of cells between commas names."""
+    return layout_of_titles([*map(split_unit, header.split(","))], None, None, chosen, "log")
 
 
 def read(path: Path, text: str) -> tuple[LogReader, Samples]:
@@ -50,46 +55,41 @@ def read(path: Path, text: str) -> tuple[LogReader, Samples]:
     ],
 )
 def test_names_of_the_trade(header: str, y: str, u: str, r: str | None) -> None:
-    titles = [split_unit(cell) for cell in header.split(",")]
-    layout = layout_of_titles(titles, None, None, {}, "log")
-    names = [title.name for title in titles]
+    layout = columns_of(header)
+    names = [split_unit(cell).name for cell in header.split(",")]
     assert layout.readings == [names.index(y)]
     assert layout.inputs == [names.index(u)]
     assert layout.reference == (None if r is None else names.index(r))
     assert layout.time == 0
 
 
-def test_two_readings_or_none_are_never_guessed() -> None:
-    for header in ("t,u,level,flow", "t,op,pressure,temperature"):
-        titles = [split_unit(cell) for cell in header.split(",")]
-        with pytest.raises(FileError, match="no name shows which column holds y"):
-            layout_of_titles(titles, None, None, {}, "log")
-
-
 def test_a_unit_at_the_end_of_a_name_is_carried() -> None:
-    titles = [split_unit(cell) for cell in ("t_ms", "motor_deg", "joint_deg [rad]")]
-    layout = layout_of_titles(titles, None, None, {}, "log")
+    layout = columns_of("t_ms,motor_deg,joint_deg [rad]")
     assert layout.seconds == 1e-3
     assert layout.input_titles == [("motor_deg", "deg")]
     assert layout.reading_titles == [("joint_deg", "rad")], "brackets are the clearer word"
-    shaft = layout_of_titles([split_unit(cell) for cell in ("theta_m", "u_n", "y")], 1, 1,
-                             {"u[0]": "u_n"}, "log")  # fmt: skip
+    shaft = columns_of("theta_m,u_n,y", **{"u[0]": "u_n"})
     assert shaft.input_titles == [("u_n", "")], "n is no newton"
 
 
 @pytest.mark.parametrize(
-    "header", ["t,u,measured_angle,measured_height", "t,left_rpm,right_rpm", "t,u,y_mm,y_deg"]
+    "header",
+    [
+        "t,u,measured_angle,measured_height",
+        "t,left_rpm,right_rpm",
+        "t,u,y_mm,y_deg",
+        "t,u,level,flow",
+        "t,op,pressure,temperature",
+    ],
 )
-def test_names_with_units_or_ends_leave_open_what_is_open(header: str) -> None:
-    titles = [split_unit(cell) for cell in header.split(",")]
-    with pytest.raises(FileError, match=r"Name it by columns=.y"):
-        layout_of_titles(titles, None, None, {}, "log")
+def test_two_readings_or_none_are_never_guessed(header: str) -> None:
+    with pytest.raises(FileError, match=r"which column holds y.*Name it by columns=.y"):
+        columns_of(header)
 
 
 def test_the_nearest_name_ends_the_sentence() -> None:
-    titles = [split_unit(cell) for cell in ("t", "inptu", "y")]
     with pytest.raises(FileError, match=r"Did you mean 'inptu'\? Name it by columns=.u=NAME"):
-        layout_of_titles(titles, None, None, {}, "log")
+        columns_of("t,inptu,y")
 
 
 @pytest.mark.parametrize(
@@ -101,8 +101,7 @@ def test_the_nearest_name_ends_the_sentence() -> None:
     ],
 )
 def test_units_of_time_in_names(name: str, seconds: float) -> None:
-    titles = [split_unit(cell) for cell in (name, "u", "y")]
-    layout = layout_of_titles(titles, None, None, {}, "log")
+    layout = columns_of(f"{name},u,y")
     assert (layout.time, layout.seconds) == (0, seconds)
 
 
@@ -112,9 +111,27 @@ def test_lines_ahead_of_the_header_are_skipped_and_counted(tmp_path: Path) -> No
     reader, samples = read(tmp_path / "a.csv", head + rows)
     assert reader.ahead == 2
     assert samples.t[1] == pytest.approx(0.035)
-    noted = "Pump 7, second run\nBegun 12:30\n\nt,u,y\n" + "".join(f"0.{k},1,2\n" for k in range(9))
+    noted = "Pump 7, second run\nBegun 12:30\n\nt,u,y\n0.1,1,2\n0.2,1,2\n0.3,1,2\n"
     assert read(tmp_path / "b.csv", noted)[0].ahead == 2
-    assert read(tmp_path / "c.csv", "t,u,y\n0,1,2\n1,1,2\n")[0].ahead == 0
+
+
+@pytest.mark.parametrize(
+    ("head", "ahead", "names"),
+    [
+        ("=~=~= log 2022.12.05 19:00:24 =~=~=\n", 1, "123"),
+        ("KVLCC2 (free running)\nZig-zag manoeuvre : 20 / -20\n\n", 2, "123"),
+        ("t [s]  y (mm) u [V]\n", 0, "tyu"),
+    ],
+)
+def test_text_above_numbers_names_them_only_if_it_is_as_wide(
+    tmp_path: Path, head: str, ahead: int, names: str
+) -> None:
+    rows = "".join(f"{0.1 * k:.1f} {0.3 * min(k % 14, 7):g}  {k % 14}\n" for k in range(60))
+    reader, samples = read(tmp_path / "a.log", head + rows)
+    assert (reader.ahead, reader.faults.why) == (ahead, "")
+    assert reader.layout is not None
+    assert reader.layout.reading_titles[0].name == names[1]
+    assert samples.u[:8, 0].tolist() == [*range(8)]
 
 
 def test_an_index_without_a_name_is_the_time_if_it_is_one(tmp_path: Path) -> None:

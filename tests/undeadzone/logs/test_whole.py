@@ -51,8 +51,8 @@ def test_dates_are_seconds_and_missing_keys_are_missing_readings(tmp_path: Path)
     columns = {title.name: column for title, column in of_json(path)}
     assert set(columns) == {"time", "u", "y"}
     assert np.array_equal(np.diff(columns["time"]), np.ones(9))
-    assert np.flatnonzero(np.isnan(columns["y"])).tolist() == [3]
-    assert np.flatnonzero(np.isnan(columns["u"])).tolist() == [5]
+    missing = [np.flatnonzero(np.isnan(columns[name])).tolist() for name in "yu"]
+    assert missing == [[3], [5]]
 
 
 def test_times_of_numpy_are_seconds_and_unknown_types_are_refused(tmp_path: Path) -> None:
